@@ -1,0 +1,272 @@
+"""Every knob of a run, as frozen models with units in the names.
+
+Precedence: the defaults here, then a YAML file (`--config`), then `--set key.path=value`. An unknown key or a value
+outside its range raises `ConfigError` naming the key, the value and what is allowed.
+"""
+
+import difflib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from zsdist.errors import ConfigError
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class Section(BaseModel):
+    """A group of settings; frozen, and strict about unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
+
+
+class GridConfig(Section):
+    """The planning grid (Eq. 7, Table 2), centred in the walled arena."""
+
+    cells: Count = 32  # per side, low level
+    blocks: Count = 4  # per side, high level
+    cell_size_m: Positive = 0.625
+    arena_m: Positive = 25.0
+
+
+class ScenesConfig(Section):
+    """Which scenes a run drives. Validation scenes come from the same families under seeds of their own."""
+
+    train: tuple[str, ...] = ("iid",)  # families, or folders of scene files
+    train_scenes: Count = 1000  # distinct scenes per family
+    test: tuple[str, ...] = ("ood-start-goal", "ood-layout", "ood-clusters")
+
+
+class CameraConfig(Section):
+    """The on-board camera."""
+
+    back_end: Literal["caster", "pybullet"] = "caster"
+    size_px: Annotated[int, Field(ge=32, le=1024)] = 224
+    field_of_view_deg: Annotated[float, Field(ge=30, le=120)] = 90.0
+    range_m: Positive = 5.0
+    height_m: Positive = 1.0
+    forward_m: float = 1.0  # mount, ahead of the car's centre
+
+
+class SimConfig(Section):
+    """The car's world (Table 1)."""
+
+    step_s: Positive = 0.05
+    max_steps: Count = 500  # actions an episode (Table 2)
+    success_radius_m: Positive = 0.60
+
+
+class VisionConfig(Section):
+    """Visual-act inference in the actor."""
+
+    weights: str = "pretrained"  # shipped in the package, or a folder made by `zsdist.pretrain`
+    ray_quantile: Annotated[float, Field(gt=0, lt=1)] = 0.2
+
+
+class RewardConfig(Section):
+    """Terms of Eqs. (18)-(20), and what each level learns from."""
+
+    goal: float = 1000.0
+    collision: float = -200.0
+    safe: float = 0.0
+    step: float = 0.0
+    literal: bool = False  # learn from the paper's sum instead of from progress
+
+
+class AgentConfig(Section):
+    """Algorithm 2: exploration, options, guide policies, shield."""
+
+    epsilon_decay: Annotated[float, Field(gt=0, le=1)] = 0.995  # per finished episode (Table 2)
+    epsilon_min: Share = 0.1
+    guide_share: Share = 0.8  # of exploratory actions; the others are uniform
+    option_max_steps: Count = 24
+    shield_share: Share = 0.7  # of training episodes that are driven with the shield
+    attraction: Positive = 1.0  # k_att of Eq. (14)
+    repulsion: Positive = 1.0  # k_rep of Eq. (15)
+    influence_m: Positive = 1.5  # d_o0 of Eq. (15)
+    trail: NonNegative = 0.5  # repulsion from where the car has been
+    explored_share: Share = 0.5  # of a block's cells seen, from where it counts as explored
+
+
+class LevelConfig(Section):
+    """One DQN: its network and how it learns."""
+
+    hidden: tuple[Count, ...] = (128, 128)
+    learning_rate: Positive = 0.002  # Table 2
+    discount: Share = 0.99  # Table 2
+    reward_scale: Positive = 1.0
+    double: bool = True
+    huber: bool = True
+    target_tau: Share = 0.01  # soft copy per update; 0: only the merge moves the target network
+    max_gradient_norm: Positive = 10.0
+    guide_margin: NonNegative = 0.8
+    guide_margin_weight: NonNegative = 0.0
+    updates_per_insert: Positive = 0.5  # held by the limiter whatever the batch size
+    min_size: Count = 128  # transitions from which learning starts
+
+
+class ReplayConfig(Section):
+    """Adaptive replay (Eqs. 21-23, Table 2)."""
+
+    adaptive: bool = True
+    size_initial: Count = 10_000
+    size_min: Count = 1_000
+    size_max: Count = 20_000
+    batch_initial: Count = 128
+    batch_min: Count = 16
+    batch_max: Count = 256
+    grow_rate: Annotated[float, Field(gt=0, lt=1)] = 0.9
+    grow_threshold: Positive = 1.2
+    shrink_rate: Annotated[float, Field(gt=0, lt=1)] = 0.9
+    shrink_threshold: Positive = 1.0
+    adjust_every_episodes: Count = 10
+    average_episodes: Count = 50
+    target_return: float = -150.0  # R_target: mean paper return of A* on the training scenes
+    max_bytes: Count = 256 * 2**20
+
+
+class MergeConfig(Section):
+    """The global policy's way into the target network."""
+
+    every_episodes: Count = 100
+    validation_scenes: Count = 20
+    distil_updates: Count = 200
+    drop_after_scenes: Count = 6  # a candidate clearly behind by then is not driven further
+
+
+class TransportConfig(Section):
+    """How messages travel."""
+
+    kind: Literal["memory", "zenoh"] = "zenoh"
+    endpoint: str = "tcp/127.0.0.1:7447"
+    mailbox_bytes: Count = 64 * 2**20
+    window_frames: Count = 64  # unacknowledged frames an outbox may hold
+    resend_after_s: Positive = 0.25
+    give_up_after_s: Positive = 60.0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_word(cls, value: Any) -> Any:
+        return {"kind": value} if isinstance(value, str) else value
+
+
+class RunConfig(Section):
+    """Length and shape of a run."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")] = "default"
+    episodes: Count = 150
+    actors: Annotated[int, Field(ge=1, le=4096)] = 2
+    cars_per_actor: Annotated[int, Field(ge=1, le=256)] = 4
+    checkpoint_every_episodes: Count = 50
+    cpus_per_role: Annotated[float, Field(gt=0)] = 0.1  # what each role asks Ray for
+    address: str | None = None  # of a Ray cluster; None: start one on this machine
+    final_evaluation_episodes: Annotated[int, Field(ge=0)] = 30
+
+
+class Config(Section):
+    """A whole run."""
+
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+    placement: Literal["inline", "ray"] = "ray"
+    run: RunConfig = RunConfig()
+    scenes: ScenesConfig = ScenesConfig()
+    grid: GridConfig = GridConfig()
+    sim: SimConfig = SimConfig()
+    camera: CameraConfig = CameraConfig()
+    vision: VisionConfig = VisionConfig()
+    reward: RewardConfig = RewardConfig()
+    agent: AgentConfig = AgentConfig()
+    high: LevelConfig = LevelConfig(min_size=16)
+    low: LevelConfig = LevelConfig()
+    replay: ReplayConfig = ReplayConfig()
+    merge: MergeConfig = MergeConfig()
+    transport: TransportConfig = TransportConfig()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Config":
+        if self.transport.kind == "memory" and self.placement == "ray":
+            raise ValueError("transport 'memory' lives in one process; with placement 'ray' use transport 'zenoh'")
+        for low, value, high, name in (
+            (self.replay.size_min, self.replay.size_initial, self.replay.size_max, "replay.size"),
+            (self.replay.batch_min, self.replay.batch_initial, self.replay.batch_max, "replay.batch"),
+        ):
+            if not low <= value <= high:
+                raise ValueError(f"{name}_initial is {value}; allowed is {name}_min to {name}_max, {low} to {high}")
+        if self.grid.cells % self.grid.blocks:
+            raise ValueError(f"grid.cells is {self.grid.cells}; allowed are multiples of grid.blocks, {self.grid.blocks}")
+        return self
+
+
+def load(path: str | Path | None = None, overrides: tuple[str, ...] = ()) -> Config:
+    """The configuration of a YAML file (or the defaults) with `key.path=value` overrides applied.
+
+    Raises:
+        ConfigError: the file cannot be read or is no YAML mapping; a key is unknown; a value is not allowed.
+    """
+    tree: dict[str, Any] = {}
+    if path is not None:
+        try:
+            tree = yaml.safe_load(Path(path).read_text()) or {}
+        except OSError as error:
+            raise ConfigError(f"configuration file {path}: {error.strerror or error}") from error
+        except (yaml.YAMLError, UnicodeDecodeError) as error:
+            raise ConfigError(f"configuration file {path} is not valid YAML: {' '.join(str(error).split())}") from error
+        if not isinstance(tree, dict):
+            raise ConfigError(f"configuration file {path} holds a {type(tree).__name__}; allowed is a mapping of settings")
+    for override in overrides:
+        _apply(tree, override)
+    return parse(tree)
+
+
+def parse(tree: dict[str, Any]) -> Config:
+    """A checked `Config` from nested dictionaries; raises `ConfigError` in one line."""
+    try:
+        return Config.model_validate(tree)
+    except ValidationError as error:
+        raise ConfigError("; ".join(_explain(item) for item in error.errors())) from error
+
+
+def dump(config: Config) -> str:
+    """The configuration as YAML that `load` reads back to an equal one."""
+    return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
+
+
+def known_keys(model: type[BaseModel] = Config, prefix: str = "") -> list[str]:
+    """Every settable key path, depth first."""
+    keys = []
+    for name, field in model.model_fields.items():
+        keys.append(prefix + name)
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            keys += known_keys(field.annotation, f"{prefix}{name}.")
+    return keys
+
+
+def _apply(tree: dict[str, Any], override: str) -> None:
+    path, equals, text = override.partition("=")
+    if not equals or not path:
+        raise ConfigError(f"--set {override!r} is not of the form key.path=value")
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"--set {path}: value {text!r} is not valid YAML") from error
+    *sections, leaf = path.split(".")
+    node = tree
+    for section in sections:
+        node = node.setdefault(section, {})
+        if not isinstance(node, dict):
+            raise ConfigError(f"--set {path}: {section!r} is a value, not a section")
+    node[leaf] = value
+
+
+def _explain(item: dict[str, Any]) -> str:
+    key = ".".join(str(part) for part in item["loc"])
+    if item["type"] == "extra_forbidden":
+        near = difflib.get_close_matches(key, known_keys(), n=1, cutoff=0.0)
+        return f"unknown configuration key {key!r}; the nearest known one is {near[0]!r}"
+    message = item["msg"].removeprefix("Value error, ")
+    return f"{key} is {item['input']!r}: {message}" if key else message

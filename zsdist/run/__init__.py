@@ -1,0 +1,1 @@
+"""Where roles live: the composition root, the two runners, and the run directory."""

@@ -1,0 +1,156 @@
+"""The data that travels between packages: shapes, dtypes and units.
+
+Shape legend: `n` transitions of a trajectory, `D` state features, `A` actions, `B` batch, `R` camera rays,
+`K` distance bins of a ray, the last of which means "nothing within the camera's range".
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Level(StrEnum):
+    """The two levels of the hierarchy."""
+
+    HIGH = "high"
+    LOW = "low"
+
+
+class Action(IntEnum):
+    """What the car can be told to do; never backward. The turn of an action comes before its advance."""
+
+    FORWARD = 0
+    LEFT_45 = 1  # turn 45 degrees left, then move one cell
+    RIGHT_45 = 2
+    TURN_LEFT_90 = 3  # in place
+    TURN_RIGHT_90 = 4
+
+
+class Behaviour(IntEnum):
+    """Which policy chose an action (column `behaviours` of a trajectory)."""
+
+    GREEDY = 0
+    GUIDE = 1
+    UNIFORM = 2
+
+
+class Outcome(StrEnum):
+    """How an episode ended."""
+
+    SUCCESS = "success"
+    COLLISION = "collision"
+    TIMEOUT = "timeout"
+
+
+NO_GUIDE = -1  # value of a guide action where the guide policy has nothing to say
+
+
+class Pose(NamedTuple):
+    """A true pose of the car: `x_m` east, `y_m` north of the arena's centre, `heading_rad` counter-clockwise from east."""
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+
+
+class LatticeState(NamedTuple):
+    """A state of the planning lattice: cell column `ix` (east), cell row `iy` (north), `heading` in eighths of a turn."""
+
+    ix: int
+    iy: int
+    heading: int
+
+
+@dataclass(frozen=True)
+class View:
+    """What the visual-act model says of one image.
+
+    Attributes:
+        advice: `(3,)` float32, R_p for forward, left, right (Eq. 3's scale).
+        clearance_m: `(3,)` float32, distance to the nearest obstacle in each direction, capped at the camera's range.
+        dynamic: `(3,)` float32, probability that this obstacle is one that moves.
+        ray_probabilities: `(R, K)` float32, rows sum to 1: distribution over the distance along each ray.
+        ray_angles_rad: `(R,)` float32, angle of each ray from the camera's axis, left positive, leftmost first.
+        bin_edges_m: `(K,)` float32, edges of the first K - 1 bins; the last bin is everything beyond the last edge.
+    """
+
+    advice: np.ndarray
+    clearance_m: np.ndarray
+    dynamic: np.ndarray
+    ray_probabilities: np.ndarray
+    ray_angles_rad: np.ndarray
+    bin_edges_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Transitions that belong together, with each state stored once.
+
+    Transition `i` is `(states[i], actions[i], rewards[i], discounts[i], states[successors[i]])`. At the low level
+    `successors[i] == i + 1`; at the high level every low step inside an option is a transition whose successor is the
+    state in which the option ended.
+
+    Attributes:
+        level: which DQN it is for.
+        states: `(n + 1, D)` float32.
+        actions: `(n,)` uint8.
+        rewards: `(n,)` float32, as learned from (not the paper's literal reward unless so configured).
+        discounts: `(n,)` float32: 0 at goal and collision, else gamma (low) or gamma ** k (high).
+        successors: `(n,)` uint16, row of `states` that follows.
+        masks: `(n + 1, A)` bool, actions that may be taken in each state.
+        guides: `(n,)` int8, the guide policy's action (`NO_GUIDE`: none).
+        behaviours: `(n,)` uint8, `Behaviour`.
+        weight_version: version of the weights that acted.
+    """
+
+    level: Level
+    states: np.ndarray
+    actions: np.ndarray
+    rewards: np.ndarray
+    discounts: np.ndarray
+    successors: np.ndarray
+    masks: np.ndarray
+    guides: np.ndarray
+    behaviours: np.ndarray
+    weight_version: int
+
+    def __len__(self) -> int:
+        return len(self.actions)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """A uniform sample of one level's replay.
+
+    Attributes:
+        states: `(B, D)` float32.            next_states: `(B, D)` float32.
+        actions: `(B,)` int64.               next_masks: `(B, A)` bool.
+        rewards: `(B,)` float32.             masks: `(B, A)` bool.
+        discounts: `(B,)` float32.           guides: `(B,)` int64.
+    """
+
+    states: np.ndarray
+    actions: np.ndarray
+    rewards: np.ndarray
+    discounts: np.ndarray
+    next_states: np.ndarray
+    next_masks: np.ndarray
+    masks: np.ndarray
+    guides: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.actions)
+
+
+Parameters = dict[str, np.ndarray]  # a network's weights by name, float32
+
+
+@dataclass(frozen=True)
+class Weights:
+    """One version of one level's online network, as broadcast by its learner."""
+
+    level: Level
+    version: int
+    parameters: Parameters
