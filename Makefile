@@ -1,0 +1,46 @@
+# make run      set everything up, then train with the progress on screen
+# make test     the same, then lint, unit tests and integration tests
+# make install  only the set-up; VENV=DIR puts the environment elsewhere
+#
+# Everything is installed from the package index pip is configured for. The default index serves a torch that carries
+# CUDA; on a machine without a GPU `make install TORCH_INDEX=URL` takes torch from an index of CPU builds instead
+# (or put such an index, or a folder of wheels, into pip's own configuration).
+
+VENV ?= .venv
+TORCH_VERSION := 2.13.0
+TORCH_INDEX ?=
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.zsdist-installed
+# An exact match (===) leaves builds marked "+cpu" out, so that a machine with a GPU gets the one with CUDA.
+TORCH_MATCH := $(if $(shell nvidia-smi -L 2>/dev/null),===,==)
+PYTHON ?= $(shell for name in python3.11 python3 python; do \
+	"$$name" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null && echo "$$name" && break; done)
+# Tests and roles are many processes on few cores: one thread each.
+export OMP_NUM_THREADS ?= 1
+
+.PHONY: install run test lint clean
+
+install: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "zsdist needs Python 3.11, and none was found on the path; install it or say make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@test -x $(BIN)/python || "$(PYTHON)" -m venv $(VENV)
+	@echo "Installing into $(VENV); this takes a few minutes the first time."
+	$(BIN)/python -m pip install --quiet $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) 'torch$(TORCH_MATCH)$(TORCH_VERSION)'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+run: install
+	$(BIN)/python -m zsdist.launch $(ARGS)
+
+lint: install
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+test: lint
+	$(BIN)/python -m pytest tests/unit -q -n auto
+	$(BIN)/python -m pytest tests/integration -q
+
+clean:
+	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
+	find zsdist tests -name __pycache__ -prune -exec rm -rf {} +
