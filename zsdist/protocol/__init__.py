@@ -1,0 +1,1 @@
+"""How nothing gets lost: numbered frames, windows, acknowledgements and credit, as pure state machines."""

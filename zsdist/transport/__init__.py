@@ -1,0 +1,1 @@
+"""How bytes get from one role to another; nothing here knows what they mean."""

@@ -1,0 +1,153 @@
+"""One frozen dataclass per arrow between roles.
+
+`sender_epoch` numbers the incarnation of the sending role: a receiver ignores messages older than the newest it has
+heard, so that a process that was replaced and wakes up again can do no harm.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from zsdist.types import Batch, Level, Parameters, Trajectory, Weights
+
+EPISODES = "episodes"  # stream of how each episode ended
+EVALUATION = "evaluation"  # stream of the results of greedy drives
+
+
+@dataclass(frozen=True)
+class Push:
+    """A numbered frame of trajectories, actor to replay.
+
+    Attributes:
+        stream: the level whose transitions these are.
+        actor: name of the actor.
+        epoch: incarnation of the actor, never used twice.
+        sequence: number of the frame within (stream, actor, epoch), from 0, contiguous.
+        produced: running total of transitions of (stream, actor, epoch), this frame included.
+        closes: this is the last frame of the epoch; only such a frame may be empty.
+        trajectories: what it carries; all have the same state size and number of actions.
+    """
+
+    stream: Level
+    actor: str
+    epoch: int
+    sequence: int
+    produced: int
+    closes: bool
+    trajectories: tuple[Trajectory, ...]
+
+    @property
+    def count(self) -> int:
+        """Transitions in this frame."""
+        return sum(len(trajectory) for trajectory in self.trajectories)
+
+
+@dataclass(frozen=True)
+class Records:
+    """A numbered frame of JSON records, actor to scheduler; acknowledged like a push.
+
+    Attributes:
+        stream: `EPISODES` or `EVALUATION`.
+        produced: running total of records of (stream, actor, epoch), this frame included.
+        records: JSON objects with string keys and finite numbers.
+    """
+
+    stream: str
+    actor: str
+    epoch: int
+    sequence: int
+    produced: int
+    closes: bool
+    records: tuple[dict[str, Any], ...]
+
+    @property
+    def count(self) -> int:
+        """Records in this frame."""
+        return len(self.records)
+
+
+@dataclass(frozen=True)
+class Ack:
+    """What a receiver holds of one (stream, actor, epoch), and what it may still be sent.
+
+    Attributes:
+        received: every frame numbered below this is held.
+        credit: absolute total of transitions the stream may produce in this epoch; None: unlimited.
+    """
+
+    sender_epoch: int
+    actor: str
+    epoch: int
+    stream: str
+    received: int
+    credit: int | None
+
+
+@dataclass(frozen=True)
+class SampleRequest:
+    """A learner asks for a batch, saying how many `updates` it has made so far."""
+
+    sender_epoch: int
+    level: Level
+    updates: int
+
+
+@dataclass(frozen=True)
+class SampleReply:
+    """The replay's answer; without a batch where there is none to be had, `note` (a JSON object) says why."""
+
+    level: Level
+    batch: Batch | None
+    note: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class WeightsMessage:
+    """A learner's weights for every actor; `merge` counts the promotions so far, `sha256` is of the parameters."""
+
+    sender_epoch: int
+    merge: int
+    sha256: str
+    weights: Weights
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Parameters under the name `name` that stand for promotion in merge number `merge`."""
+
+    sender_epoch: int
+    level: Level
+    merge: int
+    name: str
+    parameters: Parameters
+
+
+@dataclass(frozen=True)
+class Orders:
+    """The scheduler's word to one role: an absolute state (a JSON object), sent again from time to time."""
+
+    sender_epoch: int
+    role: str
+    content: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Jobs:
+    """Greedy drives the scheduler asks one actor for: an absolute state (a JSON object)."""
+
+    sender_epoch: int
+    actor: str
+    content: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class State:
+    """A role's checkpoint: `meta` is a JSON object; `arrays` are kept bit for bit, NaN and infinity included."""
+
+    role: str
+    meta: dict[str, Any]
+    arrays: dict[str, np.ndarray]
+
+
+AnyMessage = Push | Records | Ack | SampleRequest | SampleReply | WeightsMessage | Candidate | Orders | Jobs | State
