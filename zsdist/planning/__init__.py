@@ -1,1 +1,1 @@
-"""Maps, geometry and rewards in plain numpy: nothing here knows a network, a camera or a transport."""
+"""Planning on the grid: frames, footprints, shortest paths, potential fields, rewards and the belief map."""
