@@ -1,0 +1,315 @@
+"""Messages to bytes and back. `decode` raises `DecodeError` and nothing else, whatever the bytes; there is no pickle.
+
+`encode` holds what it is given against the same rules, so that nothing is sent that a receiver must refuse.
+"""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from zsdist.errors import DecodeError, ProtocolError
+from zsdist.types import Level, Weights
+from zsdist.wire import columns as column_codec
+from zsdist.wire import frame, keys
+from zsdist.wire.messages import (
+    EPISODES,
+    EVALUATION,
+    Ack,
+    AnyMessage,
+    Candidate,
+    Jobs,
+    Orders,
+    Push,
+    Records,
+    SampleReply,
+    SampleRequest,
+    State,
+    WeightsMessage,
+)
+
+Meta = dict[str, Any]
+Columns = dict[str, np.ndarray]
+
+MIB = 2**20
+MAX_COUNT = 2**62  # of sequence numbers, totals, epochs and versions
+_LEVELS = tuple(str(level) for level in Level)
+_RECORD_STREAMS = (EPISODES, EVALUATION)
+_PARAMETER = re.compile(r"[A-Za-z0-9._/-]{1,200}")
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """How one message travels: its number on the wire, the most it may inflate to, and its three functions.
+
+    `check` raises `DecodeError`; `build` is only called on what has passed it.
+    """
+
+    number: int
+    limit: int
+    split: Callable[[Any], tuple[Meta, Columns]]
+    check: Callable[[Meta, Columns], None]
+    build: Callable[[Meta, Columns], AnyMessage]
+
+
+def encode(message: AnyMessage) -> bytes:
+    """The bytes of a message.
+
+    Raises:
+        ProtocolError: the message is one that `decode` would refuse; says why.
+    """
+    kind = _KINDS[type(message)]
+    try:
+        meta, columns = kind.split(message)
+        kind.check(meta, columns)
+        return frame.pack(kind.number, meta, columns, kind.limit)
+    except DecodeError as error:
+        raise ProtocolError(f"{type(message).__name__} cannot be sent: {error}") from error
+
+
+def decode(payload: bytes, *, expect: type | tuple[type, ...] | None = None) -> AnyMessage:
+    """The message in `payload`; arrays are its own and may be written to.
+
+    Args:
+        payload: any bytes.
+        expect: the kinds of message allowed here; others are refused before anything is inflated.
+
+    Raises:
+        DecodeError: with a short `reason`, where the bytes are no sound message.
+    """
+    number = frame.read_kind(payload)
+    if number not in _BY_NUMBER:
+        raise DecodeError("kind", str(number))
+    message_type, kind = _BY_NUMBER[number]
+    if expect is not None and not issubclass(message_type, expect):
+        raise DecodeError("unexpected", message_type.__name__)
+    meta, columns = frame.unpack(payload, kind.limit)
+    kind.check(meta, columns)
+    return kind.build(meta, columns)
+
+
+# Checks of single fields. All raise DecodeError.
+
+
+def _fields(meta: Meta, *names: str) -> None:
+    if set(meta) != set(names):
+        raise DecodeError("field", ", ".join(sorted(set(meta) ^ set(names)))[:120])
+
+
+def _counts(meta: Meta, *names: str) -> None:
+    for name in names:
+        value = meta[name]
+        if type(value) is not int or not 0 <= value < MAX_COUNT:
+            raise DecodeError("count", f"{name} is {value!r}"[:80])
+
+
+def _names(meta: Meta, *names: str) -> None:
+    for name in names:
+        if not isinstance(meta[name], str) or not keys.is_name(meta[name]):
+            raise DecodeError("name", f"{name} is {meta[name]!r}"[:80])
+
+
+def _one_of(meta: Meta, name: str, allowed: tuple[str, ...]) -> None:
+    if meta[name] not in allowed:
+        raise DecodeError(name, f"{meta[name]!r}"[:80])
+
+
+def _json_object(meta: Meta, name: str) -> None:
+    if not isinstance(meta[name], dict):
+        raise DecodeError("field", f"{name} is no JSON object")
+
+
+def _no_columns(columns: Columns) -> None:
+    column_codec.require_columns(columns, {})
+
+
+def _parameters(columns: Columns) -> None:
+    if not columns:
+        raise DecodeError("column", "no parameters")
+    for name, column in columns.items():
+        if _PARAMETER.fullmatch(name) is None:
+            raise DecodeError("name", f"parameter {name!r}"[:80])
+        if column.dtype != np.float32:
+            raise DecodeError("dtype", f"parameter {name!r} is {column.dtype}; it must be float32")
+        column_codec.require_finite(column, name)
+
+
+# Each message: split, check, build.
+
+_NUMBERED = ("stream", "actor", "epoch", "sequence", "produced", "closes")
+
+
+def _numbered(message: Push | Records) -> Meta:
+    return {name: getattr(message, name) for name in _NUMBERED} | {"stream": str(message.stream)}
+
+
+def _check_numbered(meta: Meta, count: int) -> None:
+    _names(meta, "actor")
+    _counts(meta, "epoch", "sequence", "produced")
+    if type(meta["closes"]) is not bool:
+        raise DecodeError("field", "closes is no boolean")
+    if not count and not meta["closes"]:
+        raise DecodeError("empty", "only a closing frame may be empty")
+    if meta["produced"] < count:
+        raise DecodeError("total", f"{meta['produced']} produced, {count} in this frame")
+
+
+def _split_push(message: Push) -> tuple[Meta, Columns]:
+    columns, actions = column_codec.from_trajectories(message.trajectories, message.stream)
+    return _numbered(message) | {"actions": actions}, columns
+
+
+def _check_push(meta: Meta, columns: Columns) -> None:
+    _fields(meta, *_NUMBERED, "actions")
+    _one_of(meta, "stream", _LEVELS)
+    _counts(meta, "actions")
+    _check_numbered(meta, column_codec.check_trajectories(columns, meta["actions"]))
+
+
+def _build_push(meta: Meta, columns: Columns) -> Push:
+    level = Level(meta["stream"])
+    trajectories = column_codec.to_trajectories(columns, meta["actions"], level)
+    return Push(**{name: meta[name] for name in _NUMBERED} | {"stream": level}, trajectories=trajectories)
+
+
+def _split_records(message: Records) -> tuple[Meta, Columns]:
+    return _numbered(message) | {"records": list(message.records)}, {}
+
+
+def _check_records(meta: Meta, columns: Columns) -> None:
+    _no_columns(columns)
+    _fields(meta, *_NUMBERED, "records")
+    _one_of(meta, "stream", _RECORD_STREAMS)
+    if not isinstance(meta["records"], list) or not all(isinstance(record, dict) for record in meta["records"]):
+        raise DecodeError("field", "records are no list of JSON objects")
+    _check_numbered(meta, len(meta["records"]))
+
+
+def _build_records(meta: Meta, columns: Columns) -> Records:
+    return Records(**meta | {"records": tuple(meta["records"])})
+
+
+def _check_ack(meta: Meta, columns: Columns) -> None:
+    _no_columns(columns)
+    _fields(meta, "sender_epoch", "actor", "epoch", "stream", "received", "credit")
+    _names(meta, "actor")
+    _one_of(meta, "stream", _LEVELS + _RECORD_STREAMS)
+    _counts(meta, "sender_epoch", "epoch", "received", *(() if meta["credit"] is None else ("credit",)))
+
+
+def _check_sample_request(meta: Meta, columns: Columns) -> None:
+    _no_columns(columns)
+    _fields(meta, "sender_epoch", "level", "updates")
+    _one_of(meta, "level", _LEVELS)
+    _counts(meta, "sender_epoch", "updates")
+
+
+def _split_sample_reply(message: SampleReply) -> tuple[Meta, Columns]:
+    columns, actions = ({}, 0) if message.batch is None else column_codec.from_batch(message.batch)
+    return {"level": str(message.level), "note": message.note, "actions": actions}, columns
+
+
+def _check_sample_reply(meta: Meta, columns: Columns) -> None:
+    _fields(meta, "level", "note", "actions")
+    _one_of(meta, "level", _LEVELS)
+    _json_object(meta, "note")
+    _counts(meta, "actions")
+    if columns:
+        column_codec.check_batch(columns, meta["actions"])
+    elif meta["actions"]:
+        raise DecodeError("actions", "no batch, yet actions")
+
+
+def _build_sample_reply(meta: Meta, columns: Columns) -> SampleReply:
+    batch = column_codec.to_batch(columns, meta["actions"]) if columns else None
+    return SampleReply(Level(meta["level"]), batch, meta["note"])
+
+
+def _split_weights(message: WeightsMessage) -> tuple[Meta, Columns]:
+    weights = message.weights
+    meta = {"sender_epoch": message.sender_epoch, "merge": message.merge, "sha256": message.sha256}
+    return meta | {"level": str(weights.level), "version": weights.version}, weights.parameters
+
+
+def _check_weights(meta: Meta, columns: Columns) -> None:
+    _fields(meta, "sender_epoch", "merge", "sha256", "level", "version")
+    _counts(meta, "sender_epoch", "merge", "version")
+    _one_of(meta, "level", _LEVELS)
+    if not isinstance(meta["sha256"], str) or re.fullmatch("[0-9a-f]{64}", meta["sha256"]) is None:
+        raise DecodeError("hash", f"{meta['sha256']!r}"[:80])
+    _parameters(columns)
+
+
+def _build_weights(meta: Meta, columns: Columns) -> WeightsMessage:
+    weights = Weights(Level(meta["level"]), meta["version"], columns)
+    return WeightsMessage(meta["sender_epoch"], meta["merge"], meta["sha256"], weights)
+
+
+def _split_candidate(message: Candidate) -> tuple[Meta, Columns]:
+    meta = {"sender_epoch": message.sender_epoch, "level": str(message.level)}
+    return meta | {"merge": message.merge, "name": message.name}, message.parameters
+
+
+def _check_candidate(meta: Meta, columns: Columns) -> None:
+    _fields(meta, "sender_epoch", "level", "merge", "name")
+    _counts(meta, "sender_epoch", "merge")
+    _one_of(meta, "level", _LEVELS)
+    _names(meta, "name")
+    _parameters(columns)
+
+
+def _build_candidate(meta: Meta, columns: Columns) -> Candidate:
+    return Candidate(**meta | {"level": Level(meta["level"])}, parameters=columns)
+
+
+def _check_orders(meta: Meta, columns: Columns) -> None:
+    _no_columns(columns)
+    _fields(meta, "sender_epoch", "role", "content")
+    _counts(meta, "sender_epoch")
+    _names(meta, "role")
+    _json_object(meta, "content")
+
+
+def _check_jobs(meta: Meta, columns: Columns) -> None:
+    _no_columns(columns)
+    _fields(meta, "sender_epoch", "actor", "content")
+    _counts(meta, "sender_epoch")
+    _names(meta, "actor")
+    _json_object(meta, "content")
+
+
+def _split_state(message: State) -> tuple[Meta, Columns]:
+    return {"role": message.role, "meta": message.meta}, message.arrays
+
+
+def _check_state(meta: Meta, columns: Columns) -> None:
+    _fields(meta, "role", "meta")
+    _names(meta, "role")
+    _json_object(meta, "meta")
+    for name in columns:
+        if _PARAMETER.fullmatch(name) is None:
+            raise DecodeError("name", f"array {name!r}"[:80])
+
+
+def _plain(message: AnyMessage) -> tuple[Meta, Columns]:
+    """Of a message that is all JSON fields."""
+    return {name: str(value) if isinstance(value, Level) else value for name, value in vars(message).items()}, {}
+
+
+_KINDS: Mapping[type, _Kind] = {
+    Push: _Kind(1, 16 * MIB, _split_push, _check_push, _build_push),
+    Records: _Kind(2, 4 * MIB, _split_records, _check_records, _build_records),
+    Ack: _Kind(3, 4096, _plain, _check_ack, lambda meta, columns: Ack(**meta)),
+    SampleRequest: _Kind(
+        4, 4096, _plain, _check_sample_request, lambda meta, columns: SampleRequest(**meta | {"level": Level(meta["level"])})
+    ),
+    SampleReply: _Kind(5, 64 * MIB, _split_sample_reply, _check_sample_reply, _build_sample_reply),
+    WeightsMessage: _Kind(6, 256 * MIB, _split_weights, _check_weights, _build_weights),
+    Candidate: _Kind(7, 256 * MIB, _split_candidate, _check_candidate, _build_candidate),
+    Orders: _Kind(8, 16 * MIB, _plain, _check_orders, lambda meta, columns: Orders(**meta)),
+    Jobs: _Kind(9, 16 * MIB, _plain, _check_jobs, lambda meta, columns: Jobs(**meta)),
+    State: _Kind(10, 2048 * MIB, _split_state, _check_state, lambda meta, columns: State(meta["role"], meta["meta"], columns)),
+}
+_BY_NUMBER = {kind.number: (message_type, kind) for message_type, kind in _KINDS.items()}

@@ -1,0 +1,226 @@
+"""Trajectories and batches as columns, and what must hold of such columns.
+
+States travel as float16: 11 significant bits, magnitudes up to 65504, below 6e-8 rounded to zero. Both ends of a run
+see the rounded values, whatever the transport, and rounding twice changes nothing. Rewards and discounts are float32.
+Masks are packed, eight to a byte.
+"""
+
+from collections.abc import Mapping, Sequence
+from itertools import accumulate
+
+import numpy as np
+
+from zsdist.errors import DecodeError
+from zsdist.types import NO_GUIDE, Batch, Behaviour, Level, Trajectory
+
+MAX_ACTIONS = 64
+MAX_STATE_SIZE = 65_536
+MAX_VERSION = 2**62
+
+TRAJECTORY_COLUMNS = {
+    "states": ("float16", 2),
+    "actions": ("uint8", 1),
+    "rewards": ("float32", 1),
+    "discounts": ("float32", 1),
+    "successors": ("uint16", 1),
+    "masks": ("uint8", 2),
+    "guides": ("int8", 1),
+    "behaviours": ("uint8", 1),
+    "lengths": ("uint16", 1),
+    "versions": ("uint64", 1),
+}
+BATCH_COLUMNS = {
+    "states": ("float16", 2),
+    "actions": ("uint8", 1),
+    "rewards": ("float32", 1),
+    "discounts": ("float32", 1),
+    "next_states": ("float16", 2),
+    "next_masks": ("uint8", 2),
+    "masks": ("uint8", 2),
+    "guides": ("int8", 1),
+}
+
+
+def from_trajectories(trajectories: Sequence[Trajectory], level: Level) -> tuple[dict[str, np.ndarray], int]:
+    """Columns of trajectories one after the other, and how many actions there are; raises `DecodeError`."""
+    if not trajectories:
+        return {}, 0
+    state_size, actions = trajectories[0].states.shape[-1], trajectories[0].masks.shape[-1]
+    for trajectory in trajectories:
+        rows = len(trajectory) + 1
+        if trajectory.level != level:
+            raise DecodeError("level", f"a {trajectory.level} trajectory on the {level} stream")
+        if trajectory.states.shape != (rows, state_size) or trajectory.masks.shape != (rows, actions):
+            raise DecodeError("shape", f"states {trajectory.states.shape}, masks {trajectory.masks.shape}, {rows=}")
+        if rows > np.iinfo(np.uint16).max or not 0 <= trajectory.weight_version < MAX_VERSION:
+            raise DecodeError("range", f"{rows - 1} transitions of weight version {trajectory.weight_version}")
+
+    def join(name: str, dtype: type) -> np.ndarray:
+        return _narrow(np.concatenate([getattr(trajectory, name) for trajectory in trajectories]), name, dtype)
+
+    columns = {
+        "states": join("states", np.float16),
+        "actions": join("actions", np.uint8),
+        "rewards": join("rewards", np.float32),
+        "discounts": join("discounts", np.float32),
+        "successors": join("successors", np.uint16),
+        "masks": np.packbits(join("masks", np.bool_), axis=1),
+        "guides": join("guides", np.int8),
+        "behaviours": join("behaviours", np.uint8),
+        "lengths": np.array([len(trajectory) for trajectory in trajectories], np.uint16),
+        "versions": np.array([trajectory.weight_version for trajectory in trajectories], np.uint64),
+    }
+    return columns, actions
+
+
+def check_trajectories(columns: Mapping[str, np.ndarray], actions: int) -> int:
+    """Raises `DecodeError` unless the columns hold sound trajectories; returns the number of transitions."""
+    if not columns:
+        if actions:
+            raise DecodeError("actions", "no trajectories, yet actions")
+        return 0
+    require_columns(columns, TRAJECTORY_COLUMNS)
+    lengths = columns["lengths"].astype(np.int64)
+    transitions, rows = int(lengths.sum()), int(lengths.sum()) + len(lengths)
+    if not len(lengths) or not lengths.all():
+        raise DecodeError("lengths", "a trajectory without transitions")
+    _require_rows(columns, dict.fromkeys(("states", "masks"), rows) | {"versions": len(lengths)}, transitions, {"lengths"})
+    _check_decisions(columns, actions, "states", "masks")
+    if columns["versions"].max() >= MAX_VERSION:
+        raise DecodeError("range", "weight version")
+    if columns["behaviours"].max() > max(Behaviour):
+        raise DecodeError("behaviour")
+    starts = np.cumsum(lengths) - lengths
+    own = np.arange(transitions) - np.repeat(starts, lengths)
+    successors = columns["successors"].astype(np.int64)
+    if (successors <= own).any() or (successors > np.repeat(lengths, lengths)).any():
+        raise DecodeError("successor", "outside its trajectory, or not ahead")
+    falls = np.diff(successors) < 0
+    falls[starts[1:] - 1] = False
+    if falls.any():
+        raise DecodeError("successor", "decreasing")
+    return transitions
+
+
+def to_trajectories(columns: Mapping[str, np.ndarray], actions: int, level: Level) -> tuple[Trajectory, ...]:
+    """The trajectories of checked columns; arrays are parts of the frame's."""
+    if not columns:
+        return ()
+    states = columns["states"].astype(np.float32)
+    masks = _unpack_masks(columns["masks"], actions)
+    lengths = [int(length) for length in columns["lengths"]]
+    result = []
+    for index, (end, length) in enumerate(zip(accumulate(lengths), lengths, strict=True)):
+        span = slice(end - length, end)
+        rows = slice(span.start + index, end + index + 1)  # each trajectory before this one has one more state
+        single = {
+            name: columns[name][span]
+            for name in ("actions", "rewards", "discounts", "successors", "guides", "behaviours")
+        }
+        version = int(columns["versions"][index])
+        result.append(Trajectory(level=level, states=states[rows], masks=masks[rows], weight_version=version, **single))
+    return tuple(result)
+
+
+def from_batch(batch: Batch) -> tuple[dict[str, np.ndarray], int]:
+    """Columns of a batch and its number of actions; raises `DecodeError`."""
+    columns = {
+        name: _narrow(getattr(batch, name), name, np.dtype(dtype).type)
+        for name, (dtype, _) in BATCH_COLUMNS.items()
+        if "masks" not in name
+    }
+    for name in ("masks", "next_masks"):
+        columns[name] = np.packbits(_narrow(getattr(batch, name), name, np.bool_), axis=1)
+    return columns, batch.masks.shape[1]
+
+
+def check_batch(columns: Mapping[str, np.ndarray], actions: int) -> None:
+    """Raises `DecodeError` unless the columns are a sound batch of one row or more."""
+    require_columns(columns, BATCH_COLUMNS)
+    rows = len(columns["actions"])
+    if not rows:
+        raise DecodeError("lengths", "an empty batch")
+    _require_rows(columns, {}, rows, set())
+    if columns["states"].shape != columns["next_states"].shape:
+        raise DecodeError("shape", "states and next_states differ")
+    _check_decisions(columns, actions, "states", "masks")
+    _check_decisions(columns, actions, "next_states", "next_masks")
+
+
+def to_batch(columns: Mapping[str, np.ndarray], actions: int) -> Batch:
+    """The batch of checked columns."""
+    return Batch(
+        states=columns["states"].astype(np.float32),
+        actions=columns["actions"].astype(np.int64),
+        rewards=columns["rewards"],
+        discounts=columns["discounts"],
+        next_states=columns["next_states"].astype(np.float32),
+        next_masks=_unpack_masks(columns["next_masks"], actions),
+        masks=_unpack_masks(columns["masks"], actions),
+        guides=columns["guides"].astype(np.int64),
+    )
+
+
+def require_columns(columns: Mapping[str, np.ndarray], schema: Mapping[str, tuple[str, int]]) -> None:
+    """Raises `DecodeError` unless exactly the columns of a schema are there, of its dtypes and dimensions."""
+    if set(columns) != set(schema):
+        raise DecodeError("column", ", ".join(sorted(set(columns) ^ set(schema)))[:120])
+    for name, (dtype, dimensions) in schema.items():
+        if columns[name].dtype.name != dtype:
+            raise DecodeError("dtype", f"column {name!r} is {columns[name].dtype}; it must be {dtype}")
+        if columns[name].ndim != dimensions:
+            raise DecodeError("shape", f"column {name!r} has {columns[name].ndim} dimensions, not {dimensions}")
+
+
+def require_finite(column: np.ndarray, name: str) -> None:
+    """Raises `DecodeError` where a float column holds NaN or infinity."""
+    if column.dtype == np.float16:  # tested by its exponent bits: half floats have no fast isfinite
+        wrong = ((column.view(np.uint16) & 0x7C00) == 0x7C00).any()
+    else:
+        wrong = not np.isfinite(column).all()
+    if wrong:
+        raise DecodeError("nonfinite", f"column {name!r}")
+
+
+def _narrow(column: np.ndarray, name: str, dtype: type) -> np.ndarray:
+    """`column` as the dtype it travels in; raises `DecodeError` where a value would change beyond rounding."""
+    if column.dtype == dtype:
+        return column
+    if not np.issubdtype(dtype, np.floating):
+        if column.dtype.kind not in "iu" or dtype == np.bool_:
+            raise DecodeError("dtype", f"{name} is {column.dtype}")
+        limits = np.iinfo(dtype)
+        if column.size and (column.min() < limits.min or column.max() > limits.max):
+            raise DecodeError("range", f"{name} holds values outside {limits.min} to {limits.max}")
+    elif column.dtype.kind != "f":
+        raise DecodeError("dtype", f"{name} is {column.dtype}")
+    with np.errstate(over="ignore"):  # what overflows becomes infinite, and the check for that follows
+        return column.astype(dtype)
+
+
+def _require_rows(columns: Mapping[str, np.ndarray], rows: Mapping[str, int], otherwise: int, free: set[str]) -> None:
+    for name, column in columns.items():
+        if name not in free and len(column) != rows.get(name, otherwise):
+            raise DecodeError("shape", f"column {name!r} has {len(column)} rows, not {rows.get(name, otherwise)}")
+
+
+def _check_decisions(columns: Mapping[str, np.ndarray], actions: int, states: str, masks: str) -> None:
+    """What holds of the columns of trajectories and batches alike."""
+    if not 1 <= actions <= MAX_ACTIONS:
+        raise DecodeError("actions", f"{actions}; allowed are 1 to {MAX_ACTIONS}")
+    if not 1 <= columns[states].shape[1] <= MAX_STATE_SIZE:
+        raise DecodeError("shape", f"state size {columns[states].shape[1]}")
+    if columns["actions"].max() >= actions:
+        raise DecodeError("action", f"{columns['actions'].max()} of {actions}")
+    if columns["guides"].min() < NO_GUIDE or columns["guides"].max() >= actions:
+        raise DecodeError("guide")
+    if columns[masks].shape[1] != -(-actions // 8) or (columns[masks][:, -1] & (0xFF >> ((actions - 1) % 8 + 1))).any():
+        raise DecodeError("mask", f"not {actions} bits a row")
+    for name in (states, "rewards", "discounts"):
+        require_finite(columns[name], name)
+    if columns["discounts"].min() < 0 or columns["discounts"].max() > 1:
+        raise DecodeError("discount", "outside 0 to 1")
+
+
+def _unpack_masks(packed: np.ndarray, actions: int) -> np.ndarray:
+    return np.unpackbits(packed, axis=1, count=actions).view(np.bool_)

@@ -1,0 +1,210 @@
+"""The envelope of every message: a checked header, then one zstd frame of JSON and named columns.
+
+Layout, little-endian:
+
+    magic (4) | version (1) | kind (1) | zero (2) | size of the zstd frame (4) | CRC-32 of the rest of header and frame (4)
+    zstd frame, its content size declared: size of the JSON (4) | JSON {"meta": ..., "columns": [[name, dtype, shape]]} | columns
+
+`unpack` trusts nothing: it raises `DecodeError` and nothing else, whatever the bytes, and inflates nothing before the
+declared size is found to be within the limit of its kind.
+"""
+
+import json
+import math
+import struct
+import threading
+import zlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import zstandard
+
+from zsdist.errors import DecodeError
+
+MAGIC = b"zsdw"
+VERSION = 1
+MAX_COLUMNS = 4096
+MAX_DIMENSIONS = 8
+MAX_COLUMN_NAME = 200
+
+_HEADER = struct.Struct("<4sBBHII")
+_SIZE = struct.Struct("<I")
+_CHECKED = _HEADER.size - _SIZE.size  # bytes of the header that the checksum covers
+_ZSTD_LEVEL = 1  # level 3 gains under 3.5 % here
+_DTYPES = {
+    name: np.dtype(name).newbyteorder("<")
+    for name in ("bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64")
+    + ("float16", "float32", "float64")
+}
+_local = threading.local()
+
+
+def pack(kind: int, meta: dict[str, Any], columns: Mapping[str, np.ndarray], limit: int) -> bytes:
+    """The bytes of one message.
+
+    Raises:
+        DecodeError: its receiver would refuse it (too large, a dtype that does not travel, not JSON).
+    """
+    described = []
+    parts = [b"", b""]
+    for name, column in columns.items():
+        dtype = column.dtype.name
+        if dtype not in _DTYPES:
+            raise DecodeError("dtype", f"column {name!r} is {dtype}")
+        described.append([name, dtype, list(column.shape)])
+        parts.append(np.ascontiguousarray(column, dtype=_DTYPES[dtype]).tobytes())
+    require_json(meta)
+    parts[1] = json.dumps({"meta": meta, "columns": described}, separators=(",", ":")).encode()
+    parts[0] = _SIZE.pack(len(parts[1]))
+    content = b"".join(parts)
+    if len(content) > limit:
+        raise DecodeError("size", f"{len(content)} bytes; at most {limit}")
+    return seal(kind, _compressor().compress(content))
+
+
+def seal(kind: int, frame: bytes, version: int = VERSION) -> bytes:
+    """A header with its checksum before an already compressed frame."""
+    header = _HEADER.pack(MAGIC, version, kind, 0, len(frame), 0)[:_CHECKED]
+    return header + _SIZE.pack(zlib.crc32(frame, zlib.crc32(header))) + frame
+
+
+def read_kind(payload: bytes) -> int:
+    """The kind of a message, once its header and checksum are found right; raises `DecodeError`."""
+    if len(payload) < _HEADER.size:
+        raise DecodeError("short", f"{len(payload)} bytes")
+    magic, version, kind, zero, size, checksum = _HEADER.unpack_from(payload)
+    if magic != MAGIC:
+        raise DecodeError("magic")
+    if version != VERSION:
+        raise DecodeError("version", f"{version}; this is version {VERSION}")
+    if size != len(payload) - _HEADER.size:
+        raise DecodeError("length", f"{len(payload) - _HEADER.size} bytes where {size} were declared")
+    view = memoryview(payload)
+    if zlib.crc32(view[_HEADER.size :], zlib.crc32(view[:_CHECKED])) != checksum:
+        raise DecodeError("checksum")
+    if zero:
+        raise DecodeError("header")
+    return kind
+
+
+def unpack(payload: bytes, limit: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """JSON and columns of a message whose header `read_kind` has found right.
+
+    Args:
+        payload: the whole message.
+        limit: the most bytes it may inflate to.
+
+    Returns:
+        The meta object, and the columns by name, each an array of its own.
+
+    Raises:
+        DecodeError: whatever else is wrong with it.
+    """
+    content = _inflate(memoryview(payload)[_HEADER.size :], limit)
+    if len(content) < _SIZE.size:
+        raise DecodeError("content")
+    (size,) = _SIZE.unpack_from(content)
+    start = _SIZE.size + size
+    if start > len(content):
+        raise DecodeError("content")
+    described = _parse_json(content[_SIZE.size : start])
+    if not isinstance(described, dict) or set(described) != {"meta", "columns"}:
+        raise DecodeError("meta")
+    meta, listed = described["meta"], described["columns"]
+    if not isinstance(meta, dict) or not isinstance(listed, list) or len(listed) > MAX_COLUMNS:
+        raise DecodeError("meta")
+    columns: dict[str, np.ndarray] = {}
+    for item in listed:
+        name, dtype, shape = _describe(item)
+        if name in columns:
+            raise DecodeError("column", f"{name!r} twice")
+        count = math.prod(shape)
+        end = start + count * dtype.itemsize
+        if end > len(content):
+            raise DecodeError("shape", f"column {name!r} is longer than the message")
+        if dtype == np.bool_ and any(byte > 1 for byte in set(content[start:end])):
+            raise DecodeError("boolean", f"column {name!r}")
+        columns[name] = np.frombuffer(content, dtype, count, start).reshape(shape).astype(dtype.newbyteorder("="))
+        start = end
+    if start != len(content):
+        raise DecodeError("trailing", f"{len(content) - start} bytes")
+    return meta, columns
+
+
+def require_json(value: object) -> None:
+    """Raises `DecodeError` unless `value` comes back from JSON as it went: string keys, finite numbers, no tuples."""
+    if value is None or isinstance(value, bool | str):
+        return
+    if isinstance(value, int):
+        if abs(value) >= 2**127:  # room for the state of a random generator; digits without end are an attack
+            raise DecodeError("json", "an integer of more than 127 bits")
+    elif isinstance(value, float):
+        if not math.isfinite(value):
+            raise DecodeError("json", f"{value} is no JSON number")
+    elif isinstance(value, list):
+        for item in value:
+            require_json(item)
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            if not isinstance(key, str):
+                raise DecodeError("json", f"key {key!r} is no string")
+            require_json(item)
+    else:
+        raise DecodeError("json", f"a {type(value).__name__} is no JSON value")
+
+
+def _inflate(frame: memoryview, limit: int) -> bytes:
+    """The content of exactly one zstd frame. The library ignores an output limit where a frame declares its size."""
+    try:
+        declared = zstandard.get_frame_parameters(frame).content_size
+        if declared in (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR):
+            raise DecodeError("size", "no declared content size")
+        if declared > limit:
+            raise DecodeError("size", f"{declared} bytes declared; at most {limit}")
+        content = _decompressor().decompress(frame, allow_extra_data=False)
+    except zstandard.ZstdError as error:
+        raise DecodeError("zstd", str(error)) from error
+    if len(content) != declared:
+        raise DecodeError("zstd", "content is not of the declared size")
+    return content
+
+
+def _parse_json(text: bytes) -> object:
+    def refuse(word: str) -> None:
+        raise DecodeError("json", f"{word} is no JSON number")
+
+    try:
+        value = json.loads(text.decode(), parse_constant=refuse)
+        require_json(value)
+    except (ValueError, RecursionError) as error:
+        raise DecodeError("json", str(error)) from error
+    return value
+
+
+def _describe(item: object) -> tuple[str, np.dtype, tuple[int, ...]]:
+    if not isinstance(item, list) or len(item) != 3:
+        raise DecodeError("column")
+    name, dtype, shape = item
+    if not isinstance(name, str) or not 0 < len(name) <= MAX_COLUMN_NAME:
+        raise DecodeError("column")
+    if not isinstance(dtype, str) or dtype not in _DTYPES:
+        raise DecodeError("dtype", f"column {name!r} is {dtype!r}"[:80])
+    if not isinstance(shape, list) or len(shape) > MAX_DIMENSIONS:
+        raise DecodeError("shape", f"column {name!r}")
+    if any(not isinstance(size, int) or isinstance(size, bool) or not 0 <= size < 2**32 for size in shape):
+        raise DecodeError("shape", f"column {name!r}")
+    return name, _DTYPES[dtype], tuple(shape)
+
+
+def _compressor() -> zstandard.ZstdCompressor:
+    """This thread's compression context; contexts are costly to make and not to be shared between threads."""
+    if not hasattr(_local, "compressor"):
+        _local.compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL, write_content_size=True)
+    return _local.compressor
+
+
+def _decompressor() -> zstandard.ZstdDecompressor:
+    if not hasattr(_local, "decompressor"):
+        _local.decompressor = zstandard.ZstdDecompressor()
+    return _local.decompressor
