@@ -1,0 +1,246 @@
+"""The actor role: drives several cars by camera with local visual-act inference, and pushes what they lived through."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from zsdist.dqn import network
+from zsdist.dqn.exploration import epsilon
+from zsdist.errors import RunError
+from zsdist.protocol.outbox import Outbox
+from zsdist.roles.base import HEARTBEAT_S, Context, Role
+from zsdist.roles.cars import Car, Errand, QFunctions
+from zsdist.types import Level, Parameters, View
+from zsdist.wire import codec, keys
+from zsdist.wire.messages import EPISODES, EVALUATION, Ack, Candidate, Jobs, Orders, WeightsMessage
+
+VisualAct = Callable[[np.ndarray, np.ndarray, np.ndarray], Sequence[View]]
+
+
+class Itinerary(Protocol):
+    """Which scene belongs to which number: a pure function of the run's seed."""
+
+    def training(self, number: int) -> object:
+        """Scene of training episode `number`."""
+
+    def validation(self, merge: int, index: int) -> object:
+        """Validation scene `index` of a merge."""
+
+
+class Actor(Role):
+    """Several cars in one process with batched inference; pictures never leave it."""
+
+    def __init__(self, context: Context, cars: Sequence[Car], visual_act: VisualAct, itinerary: Itinerary) -> None:
+        super().__init__(context)
+        self.cars = list(cars)
+        self.visual_act = visual_act
+        self.itinerary = itinerary
+        self.env_steps = 0
+        self.waiting_credit_s = 0.0
+        self._waiting_since_s: float | None = None
+        self._weights: dict[Level, WeightsMessage] = {}
+        self._candidates: dict[tuple[int, str], dict[Level, Parameters]] = {}
+        self._leases: list[int] = []
+        self._started: set[int] = set()  # leases taken up; a number is driven once by this process
+        self._jobs: dict = {"merge": 0, "drives": []}
+        self._driven: set[tuple[int, str, int]] = set()
+        self._finished_episodes = 0
+        self._closing = False
+        self._cut = False
+        self._scheduler_epoch = -1
+        settings = context.config.transport
+        self._outboxes = {
+            stream: Outbox(
+                stream,
+                context.name,
+                context.epoch,
+                window_frames=settings.window_frames,
+                resend_after_s=settings.resend_after_s,
+                give_up_after_s=settings.give_up_after_s,
+            )
+            for stream in (Level.HIGH, Level.LOW, EPISODES, EVALUATION)
+        }
+        self._statistics_at = (0.0, 0)
+        run = context.run
+        self._acks = self.mailbox("ack")
+        self._news = self.mailbox("weights")
+        self._orders = self.mailbox("orders")
+        self.transport.subscribe(keys.ack(run, context.name), self._acks)
+        self.transport.subscribe(keys.weights(run, keys.ANY), self._news, retained=True)
+        self.transport.subscribe(keys.candidate(run, keys.ANY, keys.ANY), self._news, retained=True)
+        self.transport.subscribe(keys.control(run, "actor"), self._orders, retained=True)
+        self.transport.subscribe(keys.evaluation(run, context.name), self._orders, retained=True)
+
+    def work(self, now: float) -> float:
+        self._receive(now)
+        if self._cut:
+            self._cut_short()
+        self._assign()
+        driving = [car for car in self.cars if car.errand]
+        ready = [car for car in driving if self._reserve(car)]
+        self._account_waiting(now, len(ready) < len(driving))
+        if ready:
+            self._advance(ready)
+        if self._closing and not any(car.errand for car in self.cars):
+            for outbox in self._outboxes.values():
+                outbox.close(now)
+        self._flush(now)
+        self.finished = all(outbox.drained for outbox in self._outboxes.values())
+        if ready:
+            return now
+        return min([now + HEARTBEAT_S, *(wake for box in self._outboxes.values() if (wake := box.next_wake(now)))])
+
+    def statistics(self) -> dict[str, float | str]:
+        fields: dict[str, float | str] = {
+            "env_steps": self.env_steps,
+            "cars": len(self.cars),
+            "cars_driving": sum(1 for car in self.cars if car.errand),
+            "waiting_credit_s": round(self.waiting_credit_s, 3),
+            "started_episodes": len(self._started),
+        }
+        fields |= {f"{level}_weight_version": message.weights.version for level, message in self._weights.items()}
+        for stream, outbox in self._outboxes.items():
+            fields |= {f"{stream}_{name}": value for name, value in outbox.statistics().items()}
+        return fields
+
+    def _receive(self, now: float) -> None:
+        for _, ack in self.messages(self._acks):
+            if isinstance(ack, Ack) and ack.stream in self._outboxes:
+                self._outboxes[ack.stream].on_ack(ack, now)
+        for _, message in self.messages(self._news):
+            if isinstance(message, WeightsMessage):
+                self._take_weights(message)
+            elif isinstance(message, Candidate):
+                pair = self._candidates.setdefault((message.merge, message.name), {})
+                pair[message.level] = message.parameters
+        for _, orders in self.messages(self._orders):
+            if not isinstance(orders, Orders | Jobs) or orders.sender_epoch < self._scheduler_epoch:
+                continue
+            self._scheduler_epoch = orders.sender_epoch
+            if isinstance(orders, Jobs):
+                self._jobs = orders.content
+            else:
+                self._follow(orders.content)
+
+    def _follow(self, content: dict) -> None:
+        if content["epochs"].get(self.context.name) != self.context.epoch:
+            return  # said to a predecessor of this process, or to its successor
+        self._leases = content["leases"].get(self.context.name, [])
+        self._finished_episodes = content["finished"]
+        self._closing = content["closing"]
+        self._cut = content["cut"]
+        for key in [key for key in self._candidates if key[0] < content["merge"]]:
+            del self._candidates[key]
+
+    def _take_weights(self, message: WeightsMessage) -> None:
+        held = self._weights.get(message.weights.level)
+        order = (message.sender_epoch, message.weights.version)
+        if held is None or order > (held.sender_epoch, held.weights.version):
+            self._weights[message.weights.level] = message
+
+    def _assign(self) -> None:
+        """Gives idle cars their next errand: evaluation drives first, then leases."""
+        if self._closing or len(self._weights) < len(Level):
+            return
+        versions = {level: message.weights.version for level, message in self._weights.items()}
+        for car in self.cars:
+            if car.errand is None and (errand := self._next_errand()) is not None:
+                car.begin(errand, versions)
+
+    def _next_errand(self) -> Errand | None:
+        merge, agent = self._jobs["merge"], self.config.agent
+        for candidate, index in self._jobs["drives"]:
+            job = (merge, candidate, index)
+            if job not in self._driven and len(self._candidates.get((merge, candidate), {})) == len(Level):
+                self._driven.add(job)
+                scene = self.itinerary.validation(merge, index)
+                return Errand(scene, index, 0.0, True, (self.config.seed, merge, index), candidate, merge)
+        for number in self._leases:
+            if number not in self._started:
+                self._started.add(number)
+                share = epsilon(self._finished_episodes, agent.epsilon_decay, agent.epsilon_min)
+                seed = (self.config.seed, number)
+                shielded = bool(np.random.default_rng([*seed, 1]).random() < agent.shield_share)
+                return Errand(self.itinerary.training(number), number, share, shielded, seed)
+        return None
+
+    def _reserve(self, car: Car) -> bool:
+        """Takes credit for a step, and for a whole option in case one begins, so that flushing never has to wait."""
+        if not car.errand.trains or car.over:
+            return True
+        for level, wanted in ((Level.LOW, 1), (Level.HIGH, self.config.agent.option_max_steps)):
+            missing = wanted - car.credit[level]
+            if missing > 0:
+                if not self._outboxes[level].reserve(missing):
+                    return False
+                car.credit[level] = wanted
+        return True
+
+    def _advance(self, cars: list[Car]) -> None:
+        seen = np.array([car.goal_seen_from_here() for car in cars], dtype=np.float32)
+        views = self.visual_act(np.stack([car.image for car in cars]), seen[:, 0], seen[:, 1])
+        for car, view in zip(cars, views, strict=True):
+            ended = car.over
+            car.advance(view, self._q_functions(car.errand))
+            if car.errand.trains:
+                self.env_steps += not ended
+                self._collect(car)
+            if ended:
+                self._report(car)
+
+    def _q_functions(self, errand: Errand) -> QFunctions:
+        if errand.trains:
+            return {level: partial(network.apply, held.weights.parameters) for level, held in self._weights.items()}
+        pair = self._candidates[errand.merge, errand.candidate]
+        return {level: partial(network.apply, parameters) for level, parameters in pair.items()}
+
+    def _collect(self, car: Car) -> None:
+        for trajectory in car.agent.drain():
+            self._outboxes[trajectory.level].offer([trajectory])
+            car.credit[trajectory.level] -= len(trajectory)
+
+    def _report(self, car: Car) -> None:
+        trains = car.errand.trains
+        record = car.record() | {"actor": self.context.name}
+        self._release(car)
+        self._outboxes[EPISODES if trains else EVALUATION].offer([record])
+
+    def _release(self, car: Car) -> None:
+        for level, held in car.credit.items():
+            if held > 0:
+                self._outboxes[level].release(held)
+            car.credit[level] = 0
+
+    def _cut_short(self) -> None:
+        for car in self.cars:
+            if car.errand is None:
+                continue
+            trains = car.errand.trains
+            car.cut()
+            if trains:
+                self._collect(car)
+            self._release(car)
+
+    def _flush(self, now: float) -> None:
+        name = self.context.name
+        for stream, outbox in self._outboxes.items():
+            if outbox.stuck(now):
+                raise RunError(
+                    f"{name}: the oldest frame of stream {stream!r} has gone unacknowledged for "
+                    f"{self.config.transport.give_up_after_s:g} s while its receiver lives"
+                )
+            for frame in outbox.poll(now):
+                self.transport.publish(self._key_of(stream), codec.encode(frame))
+
+    def _key_of(self, stream: Level | str) -> str:
+        run, name, epoch = self.context.run, self.context.name, self.context.epoch
+        if stream == EVALUATION:
+            return keys.evaluation(run, name)
+        return keys.episodes(run, name, epoch) if stream == EPISODES else keys.push(run, stream, name, epoch)
+
+    def _account_waiting(self, now: float, waiting: bool) -> None:
+        if self._waiting_since_s is not None:
+            self.waiting_credit_s += now - self._waiting_since_s
+        self._waiting_since_s = now if waiting else None

@@ -1,0 +1,144 @@
+"""One simulated car of an actor: its environment, its agent, and what it is driving for."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from zsdist.agent.hierarchy import HierarchicalAgent
+from zsdist.planning.rewards import RewardTerms
+from zsdist.types import Level, Outcome, Pose, View
+
+QFunctions = dict[Level, Callable[[np.ndarray], np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Errand:
+    """Why a car drives.
+
+    Attributes:
+        scene: handed to the environment as it is.
+        number: episode number of a training lease, or the index of a validation scene.
+        epsilon: share of exploratory decisions; 0 in evaluation drives.
+        shielded: whether the shield masks actions.
+        seed: of the exploration.
+        candidate: name of the driven candidate, empty in training.
+        merge: index of the merge the candidate belongs to.
+    """
+
+    scene: Any
+    number: int
+    epsilon: float
+    shielded: bool
+    seed: tuple[int, ...]
+    candidate: str = ""
+    merge: int = 0
+
+    @property
+    def trains(self) -> bool:
+        """Whether its transitions are learned from."""
+        return not self.candidate
+
+
+class Car:
+    """Drives one errand at a time; `over` once the episode has ended and its last state has been seen."""
+
+    def __init__(self, env: gymnasium.Env, agent: HierarchicalAgent) -> None:
+        self.env = env
+        self.agent = agent
+        self.errand: Errand | None = None
+        self.credit = dict.fromkeys(Level, 0)  # reserved of the actor's credit, by level
+        self._observation: dict[str, np.ndarray] = {}
+        self._outcome: Outcome | None = None
+        self._terms: list[RewardTerms] = []
+        self._path: list[tuple[float, float]] = []
+        self._versions: dict[str, int] = {}
+
+    @property
+    def image(self) -> np.ndarray:
+        """The camera's picture at the true pose, `(px, px, 3)` uint8."""
+        return self._observation["image"]
+
+    @property
+    def pose(self) -> Pose:
+        """The true pose."""
+        return Pose(*(float(value) for value in self._observation["pose"]))
+
+    def goal_seen_from_here(self) -> tuple[float, float]:
+        """Bearing of the goal from the car's axis in radians, left positive, and its distance in metres."""
+        pose = self.pose
+        east, north = self._observation["goal"][0] - pose.x_m, self._observation["goal"][1] - pose.y_m
+        bearing = math.atan2(north, east) - pose.heading_rad
+        return math.remainder(bearing, math.tau), math.hypot(east, north)
+
+    def begin(self, errand: Errand, versions: dict[Level, int]) -> None:
+        """Puts the car at the start of its errand's scene."""
+        self.errand = errand
+        self._observation, _ = self.env.reset(options={"scene": errand.scene})
+        self._outcome, self._terms = None, []
+        self._path = [self.pose[:2]]
+        self._versions = {f"{level}_version": version for level, version in versions.items()}
+        self.agent.begin(
+            self.pose,
+            tuple(self._observation["goal"]),
+            epsilon=errand.epsilon,
+            shielded=errand.shielded,
+            rng=np.random.default_rng(errand.seed),
+            weight_versions=versions,
+        )
+
+    def advance(self, view: View, q: QFunctions) -> None:
+        """One action: see, decide, drive; or, where the episode has ended, see its last state and close it."""
+        self.agent.observe(self.pose, view)
+        if self.over:
+            self.agent.finish()
+            return
+        decision = self.agent.act(q)
+        self._observation, _, terminated, truncated, info = self.env.step(int(decision.action))
+        terms = RewardTerms(**info["reward_terms"])
+        self.agent.result(terms, terminated, truncated)
+        self._terms.append(terms)
+        self._path.append(self.pose[:2])
+        if terminated:
+            self._outcome = Outcome.SUCCESS if info["success"] else Outcome.COLLISION
+        elif truncated:
+            self._outcome = Outcome.TIMEOUT
+
+    @property
+    def over(self) -> bool:
+        """Whether the episode has ended; its last state may still be to be seen."""
+        return self._outcome is not None
+
+    def cut(self) -> None:
+        """Ends the episode here: what was driven is kept as truncated, the episode does not count."""
+        self.agent.finish()
+        self.errand = None
+
+    def record(self) -> dict[str, Any]:
+        """The finished episode as one JSON object, and the car free for its next errand."""
+        errand, path = self.errand, np.asarray(self._path)
+        totals = np.asarray(self._terms).sum(axis=0)
+        self.errand = None
+        about = {"episode": errand.number} if errand.trains else {"scene_index": errand.number}
+        if not errand.trains:
+            about |= {"merge": errand.merge, "candidate": errand.candidate}
+        return about | {
+            "scene": errand.scene.name,
+            "outcome": self._outcome.value,
+            "steps": len(self._terms),
+            "return": round(float(totals.sum()), 4),
+            "return_distance": round(float(totals[0]), 4),
+            "return_safety": round(float(totals[1]), 4),
+            "return_goal": round(float(totals[2]), 4),
+            "path_m": round(float(np.hypot(*np.diff(path, axis=0).T).sum()), 4),
+            "epsilon": round(errand.epsilon, 4),
+            "shielded": errand.shielded,
+            **self._versions,
+            **self.agent.statistics(),
+            "start": [round(float(value), 3) for value in path[0]],
+            "goal": [round(float(value), 3) for value in self._observation["goal"]],
+            "path": [[round(float(x), 2), round(float(y), 2)] for x, y in path],
+        }

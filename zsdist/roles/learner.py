@@ -1,0 +1,185 @@
+"""The learner role: one class for both levels; draws batches, updates its DQN, broadcasts weights, takes part in merges."""
+
+import itertools
+from collections import deque
+
+import numpy as np
+
+from zsdist.dqn import network
+from zsdist.dqn.learner import DqnLearner
+from zsdist.roles.base import Context, Role
+from zsdist.roles.merge import BEST, DISTILLED, RECENT, Phase
+from zsdist.types import Batch, Level, Parameters, Weights
+from zsdist.wire import codec, keys
+from zsdist.wire.messages import Candidate, Orders, SampleReply, SampleRequest, State, WeightsMessage
+
+PREFETCH = 3  # batches asked for or waiting
+UPDATES_A_STEP = 8  # before mailboxes are looked at again
+ANSWER_WITHIN_S = 10.0  # a request not answered by then is asked again
+WEIGHTS_EVERY_S = 0.5
+REPEAT_EVERY_S = 2.0  # unchanged weights and pending candidates are said again, in case a pipe was full
+DISTIL_BATCHES = 32  # most recent batches that distillation learns from
+
+
+class Learner(Role):
+    """Online and target network of one level."""
+
+    def __init__(self, context: Context, level: Level, dqn: DqnLearner, restored: State | None = None) -> None:
+        super().__init__(context)
+        self.level = level
+        self.dqn = dqn
+        self.version = 0  # of the weights last broadcast
+        self.updates = 0
+        self.merge = 0  # index of the last merge taken over
+        self.waiting_data_s = 0.0
+        self._best: Parameters | None = None
+        self._candidates: dict[str, Parameters] = {}
+        self._offered = 0
+        self._paused = False
+        self._recent_batches: deque[Batch] = deque(maxlen=DISTIL_BATCHES)
+        self._ready: deque[Batch] = deque()
+        self._asked_s: deque[float] = deque()
+        self._last: dict[str, float] = {}
+        self._starved_since_s: float | None = None
+        self._published_updates = -1
+        self._published_s = -REPEAT_EVERY_S
+        self._offered_s = 0.0
+        self._scheduler_epoch = -1
+        if restored is not None:
+            self._restore(restored)
+        run = context.run
+        self._orders = self.mailbox("orders")
+        self._batches = self.mailbox("batches")
+        self._checkpoints = self.mailbox("checkpoint")
+        self.transport.serve(keys.control(run, context.name), self._checkpoints)
+        self.transport.subscribe(keys.control(run, "learner"), self._orders, retained=True)
+
+    def work(self, now: float) -> float:
+        for _, orders in self.messages(self._orders):
+            if isinstance(orders, Orders) and orders.sender_epoch >= self._scheduler_epoch:
+                self._scheduler_epoch = orders.sender_epoch
+                self._follow(orders.content, now)
+        self._receive(now)
+        self._learn()
+        self._ask(now)
+        self._publish(now)
+        for message in self._checkpoints.drain():
+            message.reply(codec.encode(self.state()))
+        if self._ready and not self._paused:
+            return now
+        return now + WEIGHTS_EVERY_S
+
+    def statistics(self) -> dict[str, float | str]:
+        return {
+            "learner_updates": self.updates,
+            "weight_version": self.version,
+            "merges": self.merge,
+            "waiting_data_s": round(self.waiting_data_s, 3),
+            **self._last,
+        }
+
+    def state(self) -> State:
+        """Networks, optimiser, generator and counts."""
+        arrays = {f"dqn/{name}": array for name, array in self.dqn.state().items()}
+        arrays |= {f"online/{name}": array for name, array in self.dqn.parameters().items()}
+        arrays |= {f"best/{name}": array for name, array in (self._best or {}).items()}
+        meta = {
+            "version": self.version,
+            "updates": self.updates,
+            "merge": self.merge,
+            "sha256": network.sha256(self.dqn.parameters()),
+        }
+        return State(self.context.name, meta, arrays)
+
+    def _restore(self, state: State) -> None:
+        def part(prefix: str) -> dict[str, np.ndarray]:
+            return {name.removeprefix(prefix): array for name, array in state.arrays.items() if name.startswith(prefix)}
+
+        self.dqn.restore(part("dqn/"))
+        self._best = part("best/") or None
+        self.version, self.updates, self.merge = (state.meta[name] for name in ("version", "updates", "merge"))
+        self._offered = self.merge
+
+    def _receive(self, now: float) -> None:
+        for _, reply in self.messages(self._batches):
+            if not isinstance(reply, SampleReply):
+                continue
+            if self._asked_s:
+                self._asked_s.popleft()
+            if reply.batch is not None:
+                self._ready.append(reply.batch)
+        while self._asked_s and now - self._asked_s[0] > ANSWER_WITHIN_S:
+            self._asked_s.popleft()
+        if self._ready or self._paused:
+            if self._starved_since_s is not None:
+                self.waiting_data_s += now - self._starved_since_s
+            self._starved_since_s = None
+        elif self._starved_since_s is None:
+            self._starved_since_s = now
+
+    def _learn(self) -> None:
+        for _ in range(UPDATES_A_STEP):
+            if not self._ready or self._paused:
+                return
+            batch = self._ready.popleft()
+            self._recent_batches.append(batch)
+            self._last = {name: round(value, 6) for name, value in self.dqn.update(batch).items()}
+            self._last["batch_size"] = len(batch)
+            self.updates += 1
+
+    def _ask(self, now: float) -> None:
+        while not self._paused and len(self._asked_s) + len(self._ready) < PREFETCH:
+            request = codec.encode(SampleRequest(self.context.epoch, self.level, self.updates))
+            key = keys.sample(self.context.run, self.level)
+            self.transport.request(key, request, self._batches, timeout_s=ANSWER_WITHIN_S)
+            self._asked_s.append(now)
+
+    def _publish(self, now: float) -> None:
+        fresh = self.updates != self._published_updates and now - self._published_s >= WEIGHTS_EVERY_S
+        if fresh or now - self._published_s >= REPEAT_EVERY_S:
+            if fresh:
+                self.version += 1
+            self._publish_weights(now)
+        if self._paused and now - self._offered_s >= REPEAT_EVERY_S:
+            self._publish_candidates(now)
+
+    def _publish_weights(self, now: float) -> None:
+        self._published_s, self._published_updates = now, self.updates
+        parameters = self.dqn.parameters()
+        weights = Weights(self.level, self.version, parameters)
+        message = WeightsMessage(self.context.epoch, self.merge, network.sha256(parameters), weights)
+        self.transport.publish(keys.weights(self.context.run, self.level), codec.encode(message), retained=True)
+
+    def _follow(self, content: dict, now: float) -> None:
+        index = content["merge"]
+        if content["phase"] == Phase.COLLECT and index > self._offered:
+            self._offered, self._paused = index, True
+            self._candidates = self._make_candidates(content["candidates"])
+            self._publish_candidates(now)
+        if content["phase"] == Phase.PROMOTE and index > self.merge and content["chosen"] in self._candidates:
+            self._promote(index, content["chosen"], now)
+        self.finished = content["stop"]
+
+    def _make_candidates(self, names: list[str]) -> dict[str, Parameters]:
+        makers = {
+            RECENT: self.dqn.parameters,
+            DISTILLED: lambda: self.dqn.distilled(
+                itertools.islice(itertools.cycle(self._recent_batches), self.config.merge.distil_updates)
+            ),
+            BEST: lambda: self._best or self.dqn.parameters(),
+        }
+        return {name: makers[name]() for name in names}
+
+    def _publish_candidates(self, now: float) -> None:
+        self._offered_s = now
+        for name, parameters in self._candidates.items():
+            message = Candidate(self.context.epoch, self.level, self._offered, name, parameters)
+            key = keys.candidate(self.context.run, self.level, f"{self._offered}-{name}")
+            self.transport.publish(key, codec.encode(message), retained=True)
+
+    def _promote(self, index: int, chosen: str, now: float) -> None:
+        self._best = self._candidates[chosen]
+        self.dqn.promote(self._best, reset_online=chosen != RECENT)
+        self.merge, self._candidates, self._paused = index, {}, False
+        self.version += 1
+        self._publish_weights(now)

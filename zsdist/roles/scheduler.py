@@ -1,0 +1,371 @@
+"""The scheduler role: leases episodes, runs the merges, takes checkpoints, and alone writes the run directory."""
+
+from enum import StrEnum
+from typing import Protocol
+
+import numpy as np
+
+from zsdist.dqn.exploration import epsilon
+from zsdist.protocol.inbox import Inbox
+from zsdist.roles.base import HEARTBEAT_S, Context, Role
+from zsdist.roles.leases import Leases
+from zsdist.roles.merge import BEST, DISTILLED, RECENT, Merge, Phase
+from zsdist.roles.snapshot import Fields, Snapshot
+from zsdist.types import Level, Outcome
+from zsdist.wire import codec, keys
+from zsdist.wire.messages import EPISODES, EVALUATION, Candidate, Jobs, Orders, Records, State, WeightsMessage
+
+CHECKPOINTED = ("replay", "learner-high", "learner-low")
+ANSWER_WITHIN_S = 10.0
+
+
+class Stage(StrEnum):
+    """Where a run stands, as shown to watchers."""
+
+    TRAIN = "train"
+    MERGE = "merge"
+    CLOSING = "closing"  # actors flush and close their epochs
+    SAVING = "saving"
+    DONE = "done"
+
+
+class Ledger(Protocol):
+    """The run directory as the scheduler needs it."""
+
+    def episode(self, record: dict) -> None:
+        """Appends one finished episode."""
+
+    def metrics(self, row: Fields) -> None:
+        """Appends one line of figures."""
+
+    def checkpoint(self, episodes: int, states: dict[str, State]) -> None:
+        """Writes a complete checkpoint, at once or not at all."""
+
+    def summary(self, fields: dict) -> None:
+        """Writes the end of the run."""
+
+
+class Scheduler(Role):
+    """Counts finished episodes; exploration and merges follow this one count."""
+
+    def __init__(self, context: Context, ledger: Ledger, restored: State | None = None) -> None:
+        super().__init__(context)
+        self.ledger = ledger
+        self.snapshot = Snapshot()
+        self.leases = Leases()
+        self.stage = Stage.TRAIN
+        self.merge: Merge | None = None
+        self.merges: list[dict] = []
+        self.outcomes = dict.fromkeys(Outcome, 0)
+        self.returns: list[float] = []  # of the last episodes, for the adaptive replay
+        self.env_steps = 0
+        self.restarts: dict[str, int] = {}
+        self._wall_s = 0.0
+        self._started_s: float | None = None
+        self._epochs: dict[str, int] = {}
+        self._interrupted = False
+        self._inboxes = {stream: Inbox(stream) for stream in (EPISODES, EVALUATION)}
+        self._offered: dict[Level, set[tuple[int, str]]] = {level: set() for level in Level}
+        self._merged = dict.fromkeys(Level, 0)
+        self._states: dict[str, State] = {}
+        self._ask_again_s = 0.0
+        self._final_states: dict[str, State] = {}
+        self._saved_at = 0  # finished episodes at the last checkpoint
+        self._next_orders_s = 0.0
+        self._next_metrics_s = 0.0
+        if restored is not None:
+            self._restore(restored.meta)
+        run = context.run
+        self._reports = self.mailbox("records")
+        self._learners = self.mailbox("weights")
+        self._watch = self.mailbox("stats")
+        self._answers = self.mailbox("checkpoint")
+        self._commands = self.mailbox("commands")
+        self.transport.subscribe(keys.episodes(run, keys.ANY, keys.ANY), self._reports)
+        self.transport.subscribe(keys.evaluation(run, keys.ANY), self._reports)
+        self.transport.subscribe(keys.weights(run, keys.ANY), self._learners, retained=True)
+        self.transport.subscribe(keys.candidate(run, keys.ANY, keys.ANY), self._learners, retained=True)
+        self.transport.subscribe(keys.stats(run, keys.ANY, keys.ANY), self._watch)
+        self.transport.subscribe(keys.control(run, "scheduler"), self._commands, retained=True)
+
+    @property
+    def target(self) -> int:
+        """Episodes the whole run is to have."""
+        return self.config.run.episodes
+
+    def work(self, now: float) -> float:
+        self._started_s = now if self._started_s is None else self._started_s
+        self._obey_supervisor()
+        self._take_reports(now)
+        self._take_offers()
+        self.snapshot.take(self._watch.drain())
+        self._conduct(now)
+        self._speak(now)
+        if now >= self._next_metrics_s:
+            self._next_metrics_s = now + 1.0
+            self.ledger.metrics(self.snapshot.row())
+        self.finished = self.stage is Stage.DONE
+        return min([self._next_orders_s, *(wake for box in self._inboxes.values() if (wake := box.next_wake(now)))])
+
+    def statistics(self) -> Fields:
+        finished = len(self.leases.finished)
+        recent = self.returns[-self.config.replay.average_episodes :]
+        fields: Fields = {
+            "stage": self.stage.value,
+            "episodes": finished,
+            "episodes_target": self.target,
+            "epsilon": round(epsilon(finished, self.config.agent.epsilon_decay, self.config.agent.epsilon_min), 4),
+            "merges": len(self.merges),
+            "restarts": sum(self.restarts.values()),
+            "episodes_in_flight": len(self.leases.holders),
+            **{outcome.value: count for outcome, count in self.outcomes.items()},
+        }
+        if recent:
+            fields["mean_return"] = round(float(np.mean(recent)), 3)
+        if self.merge is not None:
+            fields["drives_left"] = len(self.merge.outstanding())
+        return fields
+
+    # -- what comes in ------------------------------------------------------------------------------------------
+
+    def _obey_supervisor(self) -> None:
+        for _, orders in self.messages(self._commands):
+            if not isinstance(orders, Orders):
+                continue
+            for actor, epoch in orders.content["epochs"].items():
+                if epoch <= self._epochs.get(actor, -1):
+                    continue
+                if actor in self._epochs:
+                    self.leases.give_back(actor)
+                    self.restarts[actor] = self.restarts.get(actor, 0) + 1
+                self._epochs[actor] = epoch
+                for inbox in self._inboxes.values():
+                    inbox.issue(actor, epoch)
+                self._next_orders_s = 0.0
+            self._interrupted |= orders.content["interrupted"]
+
+    def _take_reports(self, now: float) -> None:
+        for _, records in self.messages(self._reports):
+            if not isinstance(records, Records):
+                continue
+            for frame in self._inboxes[records.stream].receive(records, now):
+                for record in frame.records:
+                    (self._take_episode if frame.stream == EPISODES else self._take_drive)(frame.actor, record)
+                self._next_orders_s = 0.0
+        for inbox in self._inboxes.values():
+            for ack in inbox.acks(now, lambda actor, epoch: None, sender_epoch=self.context.epoch):
+                self.transport.publish(keys.ack(self.context.run, ack.actor), codec.encode(ack))
+
+    def _take_episode(self, actor: str, record: dict) -> None:
+        if not self.leases.finish(record["episode"], actor):
+            return  # the lease had been given to another
+        self.outcomes[Outcome(record["outcome"])] += 1
+        self.env_steps += record["steps"]
+        self.returns = [*self.returns[-199:], record["return"]]
+        self.ledger.episode(record | {"finished_as": len(self.leases.finished)})
+
+    def _take_drive(self, actor: str, record: dict) -> None:
+        if self.merge is not None and record["merge"] == self.merge.index:
+            self.merge.drove(record["candidate"], record["scene_index"], Outcome(record["outcome"]))
+
+    def _take_offers(self) -> None:
+        for _, message in self.messages(self._learners):
+            if isinstance(message, Candidate):
+                self._offered[message.level].add((message.merge, message.name))
+            elif isinstance(message, WeightsMessage):
+                self._merged[message.weights.level] = max(self._merged[message.weights.level], message.merge)
+
+    # -- what follows from it -----------------------------------------------------------------------------------
+
+    def _conduct(self, now: float) -> None:
+        """Moves the run on: lease, merge, checkpoint, end."""
+        finished = len(self.leases.finished)
+        promoting = self.merge is not None and self.merge.phase in (Phase.PROMOTE, Phase.DONE)
+        if self._interrupted and self.stage in (Stage.TRAIN, Stage.MERGE) and not promoting:
+            self.merge, self.stage = None, Stage.CLOSING
+            self._next_orders_s = 0.0
+        if self.stage is Stage.MERGE:
+            self._conduct_merge(now)
+        elif self.stage is Stage.TRAIN:
+            due = self._merge_barrier() <= finished
+            if due:
+                self._begin_merge()
+            elif finished >= self.target:
+                self.stage, self._next_orders_s = Stage.CLOSING, 0.0
+            else:
+                for actor in self._epochs:
+                    self.leases.grant(actor, self.config.run.cars_per_actor, min(self._merge_barrier(), self.target))
+                if finished - self._saved_at >= self.config.run.checkpoint_every_episodes:
+                    self._save(now)
+        elif self.stage in (Stage.CLOSING, Stage.SAVING):
+            self._conduct_end(now)
+
+    def _merge_barrier(self) -> int:
+        """Finished episodes at which the next merge is due."""
+        return (len(self.merges) + 1) * self.config.merge.every_episodes
+
+    def _begin_merge(self) -> None:
+        settings = self.config.merge
+        names = (RECENT, DISTILLED, BEST) if self.merges else (RECENT, DISTILLED)
+        index = len(self.merges) + 1
+        self.merge = Merge(index, len(self.leases.finished), names, settings.validation_scenes, settings.drop_after_scenes)
+        self.stage, self._next_orders_s = Stage.MERGE, 0.0
+
+    def _conduct_merge(self, now: float) -> None:
+        merge = self.merge
+        if merge is None:
+            return
+        before = merge.phase
+        offered = [{name for index, name in self._offered[level] if index == merge.index} for level in Level]
+        merge.offered(offered)
+        if merge.phase is Phase.PROMOTE and all(index >= merge.index for index in self._merged.values()):
+            merge.promoted()
+        if merge.phase is not before:
+            self._next_orders_s = 0.0
+        if merge.phase is Phase.DONE and self._save(now):
+            self.merges.append(merge.summary())
+            self.event(now, "merge", merge=merge.index, chosen=merge.chosen, score=merge.score(merge.chosen))
+            self.merge, self.stage = None, Stage.TRAIN
+
+    def _conduct_end(self, now: float) -> None:
+        """Actors close their epochs; the replay confirms that all is stored; then the last checkpoint and the summary."""
+        if self.stage is Stage.CLOSING:
+            if any(inbox.open_streams() for inbox in self._inboxes.values()):
+                return
+            self.stage = Stage.SAVING
+        if not self._save(now, final=True):
+            return
+        self.ledger.summary(self._summary(now))
+        self.stage, self._next_orders_s = Stage.DONE, 0.0
+
+    def _save(self, now: float, final: bool = False) -> bool:
+        """Asks every stateful role for its state and writes a checkpoint once all have answered; True when written."""
+        for _, state in self.messages(self._answers):
+            if isinstance(state, State):
+                self._states[state.role] = state
+        replay = self._states.get("replay")
+        if final and replay is not None and any(part["open"] for part in replay.meta.values()):
+            del self._states["replay"]  # frames are still on their way
+            self._ask_again_s = now + HEARTBEAT_S
+        missing = [name for name in CHECKPOINTED if name not in self._states]
+        if not missing:
+            finished = len(self.leases.finished)
+            self.ledger.checkpoint(finished, {**self._states, "scheduler": self.state(now)})
+            self._final_states, self._states = self._states, {}
+            self._ask_again_s, self._saved_at = 0.0, finished
+            return True
+        if now >= self._ask_again_s:
+            self._ask_again_s = now + ANSWER_WITHIN_S
+            for name in missing:
+                ask = codec.encode(Orders(self.context.epoch, name, {"ask": "state"}))
+                key = keys.control(self.context.run, name)
+                self.transport.request(key, ask, self._answers, timeout_s=ANSWER_WITHIN_S)
+        return False
+
+    # -- what goes out ------------------------------------------------------------------------------------------
+
+    def _speak(self, now: float) -> None:
+        """Says every absolute state again when it changed or a heartbeat is due."""
+        if now < self._next_orders_s:
+            return
+        self._next_orders_s = now + HEARTBEAT_S
+        run, epoch = self.context.run, self.context.epoch
+        for role, content in self._orders().items():
+            payload = codec.encode(Orders(epoch, role, content))
+            self.transport.publish(keys.control(run, role), payload, retained=True)
+        for actor, drives in self._drives().items():
+            content = {"merge": self.merge.index if self.merge else 0, "drives": drives}
+            payload = codec.encode(Jobs(epoch, actor, content))
+            self.transport.publish(keys.evaluation(run, actor), payload, retained=True)
+
+    def _orders(self) -> dict[str, dict]:
+        finished = len(self.leases.finished)
+        recent = self.returns[-self.config.replay.average_episodes :]
+        merge = self.merge
+        done = self.stage is Stage.DONE
+        ending = self.stage in (Stage.CLOSING, Stage.SAVING, Stage.DONE)
+        return {
+            "actor": {
+                "epochs": self._epochs,
+                "leases": {actor: self.leases.of(actor) for actor in self._epochs},
+                "finished": finished,
+                "merge": merge.index if merge else len(self.merges) + 1,
+                "closing": ending,
+                "cut": ending and self._interrupted,
+            },
+            "replay": {
+                "epochs": self._epochs,
+                "finished": finished,
+                "mean_return": float(np.mean(recent)) if recent else None,
+                "stop": done,
+            },
+            "learner": {
+                "merge": merge.index if merge else 0,
+                "phase": merge.phase.value if merge else "",
+                "candidates": list(merge.candidates) if merge else [],
+                "chosen": merge.chosen if merge else "",
+                "stop": done,
+            },
+        }
+
+    def _drives(self) -> dict[str, list[tuple[str, int]]]:
+        """Outstanding drives dealt to the actors in turn; the same drive to the same actor each time."""
+        drives: dict[str, list[tuple[str, int]]] = {actor: [] for actor in sorted(self._epochs)}
+        actors = list(drives)
+        for name, scene in self.merge.outstanding() if self.merge else []:
+            drives[actors[(scene + self.merge.candidates.index(name)) % len(actors)]].append((name, scene))
+        return drives
+
+    # -- state --------------------------------------------------------------------------------------------------
+
+    def state(self, now: float) -> State:
+        """Everything the next process needs to go on counting."""
+        merges = [*self.merges, *([self.merge.summary()] if self.merge is not None else [])]
+        meta = {
+            "finished": sorted(self.leases.finished),
+            "outcomes": {outcome.value: count for outcome, count in self.outcomes.items()},
+            "returns": self.returns,
+            "env_steps": self.env_steps,
+            "merges": merges,
+            "restarts": self.restarts,
+            "max_lag_versions": self.snapshot.max_lag_versions,
+            "wall_s": self._elapsed_s(now),
+        }
+        return State("scheduler", meta, {})
+
+    def _restore(self, meta: dict) -> None:
+        self.leases = Leases(meta["finished"])
+        self.outcomes = {Outcome(name): count for name, count in meta["outcomes"].items()}
+        self.returns, self.env_steps = list(meta["returns"]), meta["env_steps"]
+        self.merges, self.restarts = list(meta["merges"]), dict(meta["restarts"])
+        self.snapshot.max_lag_versions = meta["max_lag_versions"]
+        self._wall_s = meta["wall_s"]
+        self._saved_at = len(self.leases.finished)
+
+    def _elapsed_s(self, now: float) -> float:
+        return round(self._wall_s + now - (self._started_s if self._started_s is not None else now), 3)
+
+    def _summary(self, now: float) -> dict:
+        learners = {level: self._final_states[f"learner-{level}"].meta for level in Level}
+        books = {level.value: self._final_states["replay"].meta[level.value]["books"] for level in Level}
+        wall_s = self._elapsed_s(now)
+        return {
+            "episodes": len(self.leases.finished),
+            "ended": "interrupted" if self._interrupted else "complete",
+            "env_steps": self.env_steps,
+            "learner_updates": {level.value: meta["updates"] for level, meta in learners.items()},
+            "transitions": books,
+            "weights": {
+                "version": {level.value: meta["version"] for level, meta in learners.items()},
+                "max_lag_versions": self.snapshot.max_lag_versions,
+                "sha256": {level.value: meta["sha256"] for level, meta in learners.items()},
+            },
+            "merges": self.merges,
+            "outcomes": {outcome.value: count for outcome, count in self.outcomes.items()},
+            "rates": {
+                "env_steps_per_s": round(self.env_steps / max(wall_s, 1e-9), 2),
+                "episodes_per_min": round(60 * len(self.leases.finished) / max(wall_s, 1e-9), 2),
+            },
+            "restarts": self.restarts or {"actor": 0},
+            "wall_s": wall_s,
+        }

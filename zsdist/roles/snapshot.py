@@ -1,0 +1,82 @@
+"""The latest statistics of every role, as anybody who subscribes to a run can put them together."""
+
+import json
+from collections.abc import Iterable
+
+from zsdist.transport.base import Message
+from zsdist.types import Level
+from zsdist.wire import keys
+
+Fields = dict[str, float | str]
+
+
+class Snapshot:
+    """Who is alive and what they last said; `take` swallows anything malformed by counting it in `malformed`."""
+
+    def __init__(self) -> None:
+        self.roles: dict[tuple[str, str], Fields] = {}
+        self.alive: set[tuple[str, str]] = set()
+        self.events: list[Fields] = []
+        self.malformed = 0
+        self.max_lag_versions = 0
+
+    def take(self, messages: Iterable[Message]) -> None:
+        """Takes statistics, events and liveliness changes in."""
+        for message in messages:
+            parsed = keys.parse(message.key)
+            if parsed is None:
+                self.malformed += 1
+            elif parsed.kind == "alive":
+                who = (parsed.fields["role"], parsed.fields["id"])
+                (self.alive.add if message.payload == b"1" else self.alive.discard)(who)
+            else:
+                self._take_json(parsed, message.payload)
+
+    def of(self, role: str) -> dict[str, Fields]:
+        """Statistics of every instance of a role, by id."""
+        return {identifier: fields for (kind, identifier), fields in sorted(self.roles.items()) if kind == role}
+
+    def total(self, role: str, name: str) -> float:
+        """Sum of a field over a role's instances."""
+        return sum(float(fields.get(name, 0)) for fields in self.of(role).values())
+
+    def lag_versions(self) -> dict[Level, int]:
+        """How many versions the oldest weights that act are behind their learner, by level."""
+        lags = {}
+        for level in Level:
+            newest = self.of("learner").get(level.value, {}).get("weight_version", 0)
+            acting = [fields[f"{level}_weight_version"] for fields in self.of("actor").values() if f"{level}_weight_version" in fields]
+            lags[level] = max(0, int(newest - min(acting, default=newest)))
+        return lags
+
+    def row(self) -> Fields:
+        """One flat line of figures for `metrics.jsonl` and TensorBoard."""
+        scheduler = next(iter(self.of("scheduler").values()), {})
+        replay = next(iter(self.of("replay").values()), {})
+        row: Fields = {name: value for name, value in scheduler.items() if name not in ("role", "id", "host", "pid", "epoch")}
+        row |= {f"actors_{name}": self.total("actor", name) for name in ("env_steps", "cars_driving", "waiting_credit_s")}
+        row["env_steps_per_s"] = self.total("actor", "env_steps_per_s")
+        for level, learner in self.of("learner").items():
+            for name in ("learner_updates", "weight_version", "loss", "q_mean", "waiting_data_s", "updates_per_s"):
+                if name in learner:
+                    row[f"{level}_{name}"] = learner[name]
+        for name, value in replay.items():
+            if name.startswith(("high_", "low_")):
+                row[f"replay_{name}"] = value
+        for level, lag in self.lag_versions().items():
+            row[f"{level}_lag_versions"] = lag
+        return row
+
+    def _take_json(self, parsed: keys.ParsedKey, payload: bytes) -> None:
+        try:
+            fields = json.loads(payload)
+        except ValueError:
+            self.malformed += 1
+            return
+        if not isinstance(fields, dict):
+            self.malformed += 1
+        elif parsed.kind == "events":
+            self.events = [*self.events[-99:], fields]
+        elif parsed.kind == "stats":
+            self.roles[parsed.fields["role"], parsed.fields["id"]] = fields
+            self.max_lag_versions = max(self.max_lag_versions, *self.lag_versions().values())
