@@ -1,0 +1,98 @@
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from zsdist.evaluation import metrics
+from zsdist.evaluation.metrics import EpisodeRecord
+from zsdist.types import Outcome, Pose
+
+RECORD = EpisodeRecord(
+    scene="one",
+    outcome=Outcome.SUCCESS,
+    steps=25,
+    fewest_steps=20,
+    path_m=20.0,
+    shortest_m=15.0,
+    remaining_m=0.0,
+    min_clearance_m=0.4,
+    static=True,
+    decision_ms=(1.0,) * 25,
+    shield_changes=0,
+    poses=(Pose(0, 0, 0), Pose(3, 4, 0)),
+)
+
+
+def record(**changes) -> EpisodeRecord:
+    return dataclasses.replace(RECORD, **changes)
+
+
+def test_spl_is_the_shortest_over_the_driven_length():
+    assert metrics.spl(RECORD) == pytest.approx(0.75)
+
+
+def test_spl_never_exceeds_1_for_a_path_shorter_than_the_planners():
+    assert metrics.spl(record(path_m=14.0)) == 1.0
+
+
+@pytest.mark.parametrize("outcome", [Outcome.COLLISION, Outcome.TIMEOUT])
+def test_spl_of_a_failure_is_0_whatever_its_length(outcome):
+    assert metrics.spl(record(outcome=outcome, path_m=15.0)) == 0.0
+
+
+def test_soft_spl_equals_spl_at_success():
+    assert metrics.soft_spl(RECORD) == metrics.spl(RECORD)
+
+
+def test_soft_spl_credits_the_way_made_good():
+    half_way = record(outcome=Outcome.TIMEOUT, remaining_m=7.5, path_m=7.5)
+    assert metrics.soft_spl(half_way) == pytest.approx(0.5)
+    assert metrics.soft_spl(dataclasses.replace(half_way, path_m=30.0)) == pytest.approx(0.25)
+
+
+def test_soft_spl_of_a_car_that_ends_farther_away_is_0():
+    assert metrics.soft_spl(record(outcome=Outcome.TIMEOUT, remaining_m=18.0)) == 0.0
+
+
+def test_path_efficiency_counts_steps_of_successes_only():
+    assert metrics.path_efficiency(RECORD) == pytest.approx(0.8)
+    assert metrics.path_efficiency(record(outcome=Outcome.TIMEOUT)) is None
+
+
+def test_path_length_sums_the_legs():
+    poses = (Pose(0, 0, 0), Pose(3, 4, 0), Pose(3, 4, 1.57), Pose(3, 5, 0))
+    assert metrics.path_length_m(poses) == pytest.approx(6.0)
+
+
+def test_summary_of_a_mixed_evaluation():
+    records = [
+        RECORD,
+        record(scene="two", outcome=Outcome.COLLISION, min_clearance_m=0.0, remaining_m=15.0, decision_ms=(3.0,)),
+        record(scene="three", outcome=Outcome.TIMEOUT, remaining_m=15.0),
+        record(scene="four", path_m=15.0, steps=20),
+    ]
+    summary = metrics.summarise(records, np.random.default_rng(0))
+    assert (summary["success"], summary["collision"], summary["timeout"]) == (0.5, 0.25, 0.25)
+    assert summary["spl"] == pytest.approx((0.75 + 1.0) / 4)
+    assert summary["path_efficiency"] == pytest.approx(0.9)
+    assert summary["min_clearance_m"] == pytest.approx(0.3)
+    assert summary["decision_ms"]["p50"] == 1.0 and summary["decision_ms"]["p99"] > 1.0
+    for name, (low, high) in summary["confidence_95"].items():
+        assert low <= summary[name] <= high, name
+    assert [row["scene"] for row in summary["per_scene"]] == ["one", "two", "three", "four"]
+    assert set(summary["per_scene"][0]) == {"scene", "outcome", "steps", "path_m", "shortest_m", "min_clearance_m"}
+    json.dumps(summary, allow_nan=False)
+
+
+def test_scenes_in_which_something_moves_are_left_out_of_spl():
+    moving = record(static=False, path_m=60.0)
+    assert metrics.summarise([RECORD, moving], np.random.default_rng(0))["spl"] == pytest.approx(0.75)
+    alone = metrics.summarise([moving], np.random.default_rng(0))
+    assert alone["spl"] is None and "spl" not in alone["confidence_95"]
+
+
+def test_a_scene_without_a_known_way_counts_as_driven_without_detour():
+    unknown = record(shortest_m=None, fewest_steps=None, remaining_m=None)
+    assert metrics.spl(unknown) == 1.0 and metrics.path_efficiency(unknown) is None
+    assert metrics.soft_spl(dataclasses.replace(unknown, outcome=Outcome.TIMEOUT)) == 0.0

@@ -1,0 +1,49 @@
+"""What all commands share: one-line errors, exit statuses, Ctrl-C."""
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from typing import NoReturn
+
+from zsdist.errors import ZsdistError
+
+REFUSED = 2
+INTERRUPTED = 130
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose complaint is one line, without the usage of every option before it."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the complaint and leave with status 2."""
+        self.exit(REFUSED, f"{self.prog}: error: {message} (--help lists what is allowed)\n")
+
+
+def execute(
+    main: Callable[[argparse.Namespace], int],
+    parser: argparse.ArgumentParser,
+    arguments: Sequence[str] | None = None,
+) -> NoReturn:
+    """Run a command and leave with its status; a `--debug` option is added to the parser.
+
+    A `ZsdistError` is one line on the standard error stream and status 2 (`--debug`: the traceback, status 1); Ctrl-C
+    is status 130. Any other exception is a defect and keeps its traceback.
+
+    Args:
+        main: the command; returns its exit status.
+        parser: of the command's own options.
+        arguments: instead of those of the process.
+    """
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    options = parser.parse_args(arguments)
+    try:
+        status = main(options)
+    except ZsdistError as error:
+        if options.debug:
+            raise
+        print(f"{parser.prog}: error: {' '.join(str(error).split())}", file=sys.stderr)
+        status = REFUSED
+    except KeyboardInterrupt:
+        print(f"{parser.prog}: interrupted", file=sys.stderr)
+        status = INTERRUPTED
+    sys.exit(status)

@@ -1,0 +1,1 @@
+"""Greedy episodes, their metrics and the baselines they are held against."""

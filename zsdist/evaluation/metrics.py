@@ -1,0 +1,124 @@
+"""What an evaluation says of its episodes. Pure functions of records; lengths in metres, rates in [0, 1]."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from zsdist.evaluation.statistics import bootstrap_95, wilson_95
+from zsdist.types import Outcome, Pose
+
+
+@dataclass(frozen=True)
+class EpisodeRecord:
+    """One driven episode.
+
+    Attributes:
+        scene: its name.
+        outcome: how it ended.
+        steps: actions taken.
+        fewest_steps: fewest actions that reach the goal from the start; None where the planner knows no way.
+        path_m: length of the driven path.
+        shortest_m: length of the shortest drivable path; None where the planner knows no way.
+        remaining_m: shortest drivable length from the last pose that had a way to the goal; None as above.
+        min_clearance_m: least distance of the car's box from an obstacle's surface or a wall; 0 in contact.
+        static: whether nothing in the scene moves.
+        decision_ms: `(steps,)`, time of each decision, vision included.
+        shield_changes: decisions that the shield changed.
+        poses: the driven path, start included.
+    """
+
+    scene: str
+    outcome: Outcome
+    steps: int
+    fewest_steps: int | None
+    path_m: float
+    shortest_m: float | None
+    remaining_m: float | None
+    min_clearance_m: float
+    static: bool
+    decision_ms: tuple[float, ...]
+    shield_changes: int
+    poses: tuple[Pose, ...]
+
+
+def spl(record: EpisodeRecord) -> float:
+    """Success weighted by path length: 1 for the shortest path, 0 for a failure."""
+    return _detour(record) if record.outcome is Outcome.SUCCESS else 0.0
+
+
+def soft_spl(record: EpisodeRecord) -> float:
+    """As `spl`, with the share of the way that was made good in place of success."""
+    if record.outcome is Outcome.SUCCESS:
+        return _detour(record)
+    if not record.shortest_m or record.remaining_m is None:
+        return 0.0
+    return max(0.0, 1.0 - record.remaining_m / record.shortest_m) * _detour(record)
+
+
+def path_efficiency(record: EpisodeRecord) -> float | None:
+    """Fewest possible steps over the steps taken (the paper's step cost against the shortest path, inverted).
+
+    None for a failure, whose steps lead nowhere, and where the planner knows no way.
+    """
+    if record.outcome is not Outcome.SUCCESS or record.fewest_steps is None or record.steps == 0:
+        return None
+    return record.fewest_steps / record.steps
+
+
+def path_length_m(poses: Sequence[Pose]) -> float:
+    """Length of the polyline through the poses' positions."""
+    return sum(math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) for a, b in pairwise(poses))
+
+
+def summarise(records: Sequence[EpisodeRecord], rng: np.random.Generator) -> dict[str, object]:
+    """The figures of an evaluation's JSON, from `success` to `per_scene`.
+
+    SPL and SoftSPL are over the scenes in which nothing moves, `path_efficiency` over the successful episodes; a figure
+    without any such episode is None and has no interval.
+
+    Args:
+        records: at least one.
+        rng: of the bootstrap.
+    """
+    static = [record for record in records if record.static]
+    efficiencies = [value for record in records if (value := path_efficiency(record)) is not None]
+    means = {
+        "spl": [spl(record) for record in static],
+        "soft_spl": [soft_spl(record) for record in static],
+        "path_efficiency": efficiencies,
+        "min_clearance_m": [record.min_clearance_m for record in records],
+    }
+    counts = {outcome.value: sum(record.outcome is outcome for record in records) for outcome in Outcome}
+    decisions = np.concatenate([record.decision_ms for record in records])
+    p50, p99 = np.quantile(decisions, (0.5, 0.99)) if len(decisions) else (0.0, 0.0)
+    return {
+        **{name: count / len(records) for name, count in counts.items()},
+        **{name: float(np.mean(values)) if values else None for name, values in means.items()},
+        "decision_ms": {"p50": float(p50), "p99": float(p99)},
+        "confidence_95": {
+            **{name: list(wilson_95(count, len(records))) for name, count in counts.items()},
+            **{name: list(bootstrap_95(np.array(values), rng)) for name, values in means.items() if values},
+        },
+        "per_scene": [
+            {
+                "scene": record.scene,
+                "outcome": record.outcome.value,
+                "steps": record.steps,
+                "path_m": record.path_m,
+                "shortest_m": record.shortest_m,
+                "min_clearance_m": record.min_clearance_m,
+            }
+            for record in records
+        ],
+    }
+
+
+def _detour(record: EpisodeRecord) -> float:
+    """Shortest over driven length, at most 1; 1 where the car did what the planner holds impossible."""
+    if record.shortest_m is None:
+        return 1.0
+    longest = max(record.path_m, record.shortest_m)
+    return record.shortest_m / longest if longest > 0 else 1.0
