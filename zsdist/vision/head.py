@@ -1,0 +1,164 @@
+"""The trained part of the visual-act model, in torch: action queries and camera rays on the tokens of an encoder."""
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from zsdist.vision.labels import SECTOR_HALF_RAD
+from zsdist.vision.rays import BINS, RAYS, ray_angles_rad
+
+ACTIONS = 3
+MASK_MARGIN = 2  # token columns of the neighbouring directions that an action's query may also look at
+
+
+def attention(queries: Tensor, keys: Tensor, values: Tensor, allowed: Tensor) -> Tensor:
+    """Masked attention, Eq. (4): `softmax(Q K^T / sqrt(d_k)) V`, with no weight where `allowed` is false.
+
+    Args:
+        queries: `(..., Q, d_k)`.
+        keys: `(..., T, d_k)`.
+        values: `(..., T, d_v)`.
+        allowed: `(Q, T)` bool, which tokens each query may look at; every row holds a true one.
+
+    Returns:
+        `(..., Q, d_v)`.
+    """
+    scores = queries @ keys.transpose(-1, -2) / keys.shape[-1] ** 0.5
+    return scores.masked_fill(~allowed, float("-inf")).softmax(-1) @ values
+
+
+class ActionAttention(nn.Module):
+    """Multi-head attention with one learned query for each action, on tokens that carry a learned position.
+
+    A query is masked to the token columns of its action's direction and a margin, so that what stands on the left
+    cannot be taken for what stands on the right.
+    """
+
+    def __init__(self, features: int, side: int, heads: int, field_of_view_rad: float) -> None:
+        super().__init__()
+        self.heads = heads
+        self.positions = nn.Parameter(0.02 * torch.randn(side * side, features))
+        self.queries = nn.Parameter(features**-0.5 * torch.randn(ACTIONS, features))
+        self.keys_values = nn.Linear(features, 2 * features)
+        self.register_buffer("allowed", _allowed(side, field_of_view_rad), persistent=False)
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        """Features of each action `(B, 3, features)` from tokens `(B, side * side, features)`."""
+        batch, count, features = tokens.shape
+        keys, values = self.keys_values(tokens + self.positions).chunk(2, -1)
+        keys = keys.reshape(batch, count, self.heads, -1).transpose(1, 2)
+        values = values.reshape(batch, count, self.heads, -1).transpose(1, 2)
+        queries = self.queries.reshape(ACTIONS, self.heads, -1).transpose(0, 1)
+        mixed = attention(queries, keys, values, self.allowed)
+        return mixed.transpose(1, 2).reshape(batch, ACTIONS, features)
+
+
+class Residual1d(nn.Module):
+    """Two convolutions over the columns of the view, added to what goes in."""
+
+    def __init__(self, features: int) -> None:
+        super().__init__()
+        self.convolutions = nn.Sequential(
+            nn.Conv1d(features, features, 3, padding=1),
+            nn.ReLU(),
+            nn.Conv1d(features, features, 3, padding=1),
+        )
+
+    def forward(self, columns: Tensor) -> Tensor:
+        """`(B, features, columns)` to the same."""
+        return torch.relu(columns + self.convolutions(columns))
+
+
+class VisualActHead(nn.Module):
+    """From tokens to the clearance and kind of what is nearest in each action's direction, and to distances along rays.
+
+    Args:
+        features: of a token.
+        side: tokens to a side of the image.
+        field_of_view_rad: of the camera, which tells the columns of each direction.
+        width: features of a token inside the head.
+        column_width: features of a column of the view inside the head.
+        heads: of the attention.
+    """
+
+    def __init__(
+        self,
+        features: int,
+        side: int,
+        field_of_view_rad: float,
+        width: int = 64,
+        column_width: int = 96,
+        heads: int = 4,
+    ) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(features))
+        self.register_buffer("scale", torch.ones(features))
+        self.project = nn.Linear(features, width)
+        self.mix = nn.Conv2d(width, width, 3, padding=1)
+        self.attention = ActionAttention(width, side, heads, field_of_view_rad)
+        # the action-specific networks O_a: clearance over the distance bins, and one more for "dynamic"
+        self.action_networks = nn.ModuleList(
+            nn.Sequential(nn.Linear(2 * width, width), nn.ReLU(), nn.Linear(width, BINS + 1)) for _ in range(ACTIONS)
+        )
+        # a column keeps its width: its tokens, top to bottom, become its features
+        self.fold = nn.Linear(side * width, column_width)
+        self.register_buffer("spread", _spread(side, RAYS), persistent=False)
+        self.context = nn.Linear(column_width, column_width)
+        self.columns = nn.Sequential(Residual1d(column_width), Residual1d(column_width))
+        self.ray_bins = nn.Conv1d(column_width, BINS, 1)
+
+    def normalise_to(self, mean: np.ndarray, deviation: np.ndarray) -> None:
+        """Sets the mean and standard deviation `(features,)` of the tokens that the head is to expect."""
+        self.mean.copy_(torch.from_numpy(mean))
+        self.scale.copy_(1 / torch.from_numpy(np.maximum(deviation, 1e-6)))
+
+    def forward(self, tokens: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Logits of the clearance `(B, 3, BINS)`, of "dynamic" `(B, 3)` and of the rays `(B, RAYS, BINS)`.
+
+        Args:
+            tokens: `(B, side, side, features)`.
+        """
+        batch, side = tokens.shape[:2]
+        x = torch.relu(self.project((tokens - self.mean) * self.scale))
+        x = torch.relu(x + self.mix(x.permute(0, 3, 1, 2)).permute(0, 2, 3, 1))
+        flat = x.reshape(batch, side * side, -1)
+        looked = torch.cat([self.attention(flat), flat.mean(1, keepdim=True).expand(-1, ACTIONS, -1)], -1)
+        actions = torch.stack([network(looked[:, a]) for a, network in enumerate(self.action_networks)], 1)
+        columns = self.fold(x.transpose(1, 2).reshape(batch, side, -1))
+        columns = self.spread @ torch.relu(columns + self.context(columns.mean(1, keepdim=True)))
+        rays = self.ray_bins(self.columns(columns.transpose(1, 2))).transpose(1, 2)
+        return actions[..., :BINS], actions[..., BINS], rays
+
+
+class Probabilities(nn.Module):
+    """The head as it is used: probabilities instead of logits."""
+
+    def __init__(self, head: VisualActHead) -> None:
+        super().__init__()
+        self.head = head
+
+    def forward(self, tokens: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Probabilities in the shapes of `VisualActHead.forward`."""
+        clearance, dynamic, rays = self.head(tokens)
+        return clearance.softmax(-1), dynamic.sigmoid(), rays.softmax(-1)
+
+
+def _allowed(side: int, field_of_view_rad: float) -> Tensor:
+    """`(3, side * side)` bool, the tokens each action may look at."""
+    edge = np.tan(SECTOR_HALF_RAD) / np.tan(field_of_view_rad / 2)
+    column = np.arange(side)
+    left_of, right_of = (1 - edge) / 2 * side, (1 + edge) / 2 * side  # of the middle sector's borders, in columns
+    columns = np.stack(
+        [
+            (column + 1 > left_of - MASK_MARGIN) & (column < right_of + MASK_MARGIN),
+            column < left_of + MASK_MARGIN,
+            column + 1 > right_of - MASK_MARGIN,
+        ]
+    )
+    return torch.from_numpy(np.tile(columns, (1, side)))
+
+
+def _spread(side: int, rays: int) -> Tensor:
+    """`(rays, side)` weights that carry features of token columns to ray columns, linear between their centres."""
+    position = np.clip((np.arange(rays) + 0.5) * side / rays - 0.5, 0, side - 1)
+    return torch.from_numpy(np.clip(1 - np.abs(position[:, None] - np.arange(side)), 0, None).astype(np.float32))

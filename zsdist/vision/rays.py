@@ -1,0 +1,60 @@
+"""Distance along camera rays as a distribution over bins: angles, edges, labels and quantiles.
+
+A distance is horizontal, from the camera to the nearest surface below the height of the car. It falls into one of
+`BINS - 1` bins, equal in the logarithm of the distance, or into the last one, "free": nothing within `RANGE_M`.
+"""
+
+import numpy as np
+
+RAYS = 32
+BINS = 25
+NEAREST_M = 0.25  # whatever is nearer counts into the first bin
+RANGE_M = 5.0
+BIN_EDGES_M = np.geomspace(NEAREST_M, RANGE_M, BINS).astype(np.float32)
+"""`(BINS,)` edges of the first `BINS - 1` bins."""
+
+BIN_CENTRES_M = np.append(np.sqrt(BIN_EDGES_M[:-1] * BIN_EDGES_M[1:]), RANGE_M).astype(np.float32)
+"""`(BINS,)` the distance each bin stands for; that of "free" is the range."""
+
+_LABEL_WIDTH_BINS = 0.7  # a label a little wider than its bin says that the next bin is nearly right
+
+
+def ray_angles_rad(rays: int, field_of_view_rad: float) -> np.ndarray:
+    """Angles of `rays` equal pixel columns from the camera's axis, `(rays,)` float32, left positive, leftmost first."""
+    columns = 1 - 2 * (np.arange(rays) + 0.5) / rays
+    return np.arctan(np.tan(field_of_view_rad / 2) * columns).astype(np.float32)
+
+
+def soft_labels(distance_m: np.ndarray) -> np.ndarray:
+    """Distributions `(..., BINS)` float32 that training aims at, for true distances `(...)` in metres.
+
+    A normal curve about the distance in units of bins; a distance of `RANGE_M` or more is "free" and nothing else.
+    """
+    distance_m = np.asarray(distance_m, np.float64)
+    step = np.log(RANGE_M / NEAREST_M) / (BINS - 1)
+    position = np.log(np.clip(distance_m, NEAREST_M, RANGE_M) / NEAREST_M) / step - 0.5
+    labels = np.zeros((*distance_m.shape, BINS))
+    labels[..., :-1] = np.exp(-0.5 * ((np.arange(BINS - 1) - position[..., None]) / _LABEL_WIDTH_BINS) ** 2)
+    free = distance_m >= RANGE_M
+    labels[free] = 0.0
+    labels[free, -1] = 1.0
+    return (labels / labels.sum(-1, keepdims=True)).astype(np.float32)
+
+
+def quantile_m(probabilities: np.ndarray, share: float) -> np.ndarray:
+    """The distance `(...)` in metres below which lies `share` of each distribution `(..., BINS)`.
+
+    Within a bin the mass is spread evenly; in "free" the answer is `RANGE_M`. A low share is a cautious reading.
+
+    Raises:
+        ValueError: `share` is not inside (0, 1).
+    """
+    if not 0 < share < 1:
+        raise ValueError(f"the share of a quantile is {share}; allowed is between 0 and 1, exclusive")
+    below = np.cumsum(probabilities, axis=-1)
+    index = np.minimum((below < share).sum(-1), BINS - 1)
+    mass = np.take_along_axis(probabilities, index[..., None], -1)[..., 0]
+    before = np.take_along_axis(below, index[..., None], -1)[..., 0] - mass
+    part = np.clip((share - before) / np.maximum(mass, 1e-9), 0.0, 1.0)
+    upper = np.append(BIN_EDGES_M[1:], RANGE_M)
+    return (BIN_EDGES_M[index] + part * (upper - BIN_EDGES_M)[index]).astype(np.float32)
