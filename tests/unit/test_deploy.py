@@ -53,10 +53,8 @@ def test_kuberay_pods_are_no_root_and_have_memory_limits():
     for group in (MANIFEST["spec"]["headGroupSpec"], *MANIFEST["spec"]["workerGroupSpecs"]):
         assert group["template"]["spec"]["securityContext"]["runAsNonRoot"]
     for container in containers():
-        assert (
-            container["resources"]["limits"]["memory"]
+        assert container["resources"]["limits"]["memory"]
         assert not container["securityContext"]["allowPrivilegeEscalation"]
-        )
 
 
 def test_network_policy_lets_only_the_cluster_in():
