@@ -1,0 +1,38 @@
+"""The on-board camera: one interface, two back ends over the same shapes."""
+
+from typing import Protocol
+
+import numpy as np
+
+from zsdist.config import CameraConfig
+from zsdist.sim.camera.appearance import of_scene
+from zsdist.sim.camera.caster import CasterCamera, Look
+from zsdist.sim.scene import Scene
+from zsdist.types import Pose
+
+__all__ = ["Camera", "Look", "make_camera"]
+
+
+class Camera(Protocol):
+    """What both back ends can do; arguments and results as of `CasterCamera`."""
+
+    config: CameraConfig
+
+    def render(
+        self, scene: Scene, pose: Pose, roll_rad: float = 0.0, pitch_rad: float = 0.0, people: np.ndarray | None = None
+    ) -> np.ndarray:
+        """The picture `(size_px, size_px, 3)` uint8."""
+
+    def render_labelled(
+        self, scene: Scene, pose: Pose, roll_rad: float = 0.0, pitch_rad: float = 0.0, people: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The picture, depth in metres `(size_px, size_px)` float32, segments `(size_px, size_px)` uint8."""
+
+
+def make_camera(config: CameraConfig, look: Look = of_scene) -> Camera:
+    """The camera that `config.back_end` names: `caster`, or `pybullet` (TinyRenderer, the reference; 20 times slower)."""
+    if config.back_end == "pybullet":
+        from zsdist.sim.camera.tiny import TinyCamera  # starts a PyBullet client, which the default never needs
+
+        return TinyCamera(config, look)
+    return CasterCamera(config, look)

@@ -1,0 +1,191 @@
+"""What a scene looks like: colours, textures, ground, sky and sun, always the same for the same scene.
+
+`of_scene` is how a scene looks when the car drives through it. `varied` is for training pictures: anything may have
+any colour, any texture and any ground, so that a network must learn from shape and place rather than from colour.
+"""
+
+import colorsys
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from zsdist.sim.camera.primitives import Part, Primitives
+from zsdist.sim.kinds import GROUNDS, KINDS, WALL_COLOUR
+from zsdist.sim.scene import Obstacle, Scene
+
+
+class Texture(IntEnum):
+    """Of a surface."""
+
+    PLAIN = 0
+    BARK = 1  # noise drawn out along the vertical
+    BRICK = 2
+    WINDOWS = 3
+    BANDS = 4
+
+
+class Pattern(IntEnum):
+    """Of the ground, over its noise."""
+
+    NONE = 0
+    TILES = 1
+    STRIPES = 2
+    CHECKER = 3
+    LANES = 4
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """Numbers the shading reads; colours in 0 to 1.
+
+    Attributes:
+        materials: `(P, 11)` a row for each primitive: colour, second colour, `Texture`, strength of its noise, size of
+            a noise texel in metres, offset of the texture in metres, period of its figure in metres.
+        ground: `(17,)` colour, second colour that patches tend to, `Pattern`, strength of the noise, texel in metres,
+            period in metres, cosine and sine of the pattern's direction, contrast of the patches, strength of the
+            pattern, its colour.
+        sky: `(7,)` colour at the horizon, colour overhead, amount of cloud.
+        light: `(7,)` unit direction to the sun, ambient and sun light, distance in metres at which haze is one half,
+            gain of the camera.
+    """
+
+    materials: np.ndarray
+    ground: np.ndarray
+    sky: np.ndarray
+    light: np.ndarray
+
+
+_SURFACES: dict[str, tuple[Texture, float, float]] = {  # texture, noise strength, texel in metres
+    "tree": (Texture.BARK, 0.5, 0.02),
+    "person": (Texture.PLAIN, 0.15, 0.01),
+    "sand_pile": (Texture.PLAIN, 0.25, 0.015),
+    "rock": (Texture.PLAIN, 0.5, 0.02),
+    "bush": (Texture.PLAIN, 0.9, 0.03),
+    "pole": (Texture.PLAIN, 0.12, 0.01),
+    "box": (Texture.PLAIN, 0.2, 0.02),
+    "car": (Texture.PLAIN, 0.06, 0.02),
+}
+_CROWN: tuple[tuple[float, float, float], float, float] = ((0.22, 0.40, 0.14), 0.9, 0.04)
+_GLASS = (0.10, 0.13, 0.16)
+_SKIN = (0.72, 0.54, 0.43)
+_TROUSERS = (0.18, 0.20, 0.28)
+_STREET_FURNITURE_M = 1.2  # boxes higher than this get bricks or windows
+
+
+def of_scene(scene: Scene, primitives: Primitives) -> Appearance:
+    """The look of a scene, drawn from its hash: each kind's own colour and surface, a little different each time."""
+    rng = np.random.default_rng(int(scene.hash(), 16))
+    obstacles = [_own_colours(obstacle, rng) for obstacle in scene.obstacles]
+    wall = _row(_near(WALL_COLOUR, rng, 0.02, 0.1), Texture.BRICK, 0.2, 0.03, rng)
+    materials = [
+        wall if owner < 0 else obstacles[owner].get(part, obstacles[owner][Part.BODY])
+        for owner, part in zip(primitives.owners, primitives.parts, strict=True)
+    ]
+    ground = GROUNDS[scene.ground]
+    colour = _near(ground.base_colour, rng, 0.02, 0.12)
+    second = _near(ground.base_colour, rng, 0.05, 0.25)
+    pattern = Pattern.LANES if scene.ground == "asphalt" and rng.random() < 0.5 else Pattern.NONE
+    return Appearance(
+        np.array(materials), _ground(colour, second, pattern, ground.roughness, rng, (0.85, 0.85, 0.82)), _sky(rng),
+        _light(rng, (0.4, 0.6), 0.1),
+    )
+
+
+def varied(scene: Scene, primitives: Primitives, rng: np.random.Generator) -> Appearance:
+    """A look drawn without mercy: half of the time the kinds' own colours, else any colour, texture and ground."""
+    natural = rng.random() < 0.5
+    obstacles = [_own_colours(o, rng) if natural and rng.random() < 0.8 else _any_colours(rng) for o in scene.obstacles]
+    wall = _any_colours(rng)[Part.BODY]
+    materials = [
+        wall if owner < 0 else obstacles[owner].get(part, obstacles[owner][Part.BODY])
+        for owner, part in zip(primitives.owners, primitives.parts, strict=True)
+    ]
+    base = GROUNDS[scene.ground].base_colour if natural else _any_colour(rng)
+    colour, second = _near(base, rng, 0.08, 0.25), _near(base, rng, 0.15, 0.4)
+    pattern = Pattern(rng.integers(len(Pattern)))
+    ground = _ground(colour, second, pattern, rng.uniform(0.1, 1.0), rng, _any_colour(rng))
+    sky = _sky(rng)
+    if not natural:
+        sky[:6] = np.clip(sky[:6] * np.tile(rng.uniform(0.5, 1.2, 3), 2), 0, 1)
+    return Appearance(np.array(materials), ground, sky, _light(rng, (0.3, 0.75), 0.3))
+
+
+def _own_colours(obstacle: Obstacle, rng: np.random.Generator) -> dict[Part, np.ndarray]:
+    """Rows of `materials` for the parts of one obstacle, near its kind's base colour."""
+    kind = KINDS[obstacle.kind]
+    texture, noise, texel = _SURFACES[kind.name]
+    if kind.name == "box" and obstacle.size_m[2] > _STREET_FURNITURE_M:
+        texture = Texture(rng.choice([Texture.PLAIN, Texture.BRICK, Texture.WINDOWS]))
+    if kind.name == "pole" and rng.random() < 0.3:
+        texture = Texture.BANDS
+    if kind.name in ("person", "car"):  # clothes and paint have any hue
+        colour = _any_colour(rng)
+    else:
+        colour = _near(kind.base_colour, rng, 0.04, 0.2)
+    parts = {Part.BODY: _row(colour, texture, noise, texel, rng)}
+    if kind.shape == "tree":
+        parts[Part.TOP] = _row(_near(_CROWN[0], rng, 0.05, 0.2), Texture.PLAIN, _CROWN[1], _CROWN[2], rng)
+    elif kind.shape == "car":
+        parts[Part.TOP] = _row(_near(_GLASS, rng, 0.02, 0.1), Texture.PLAIN, 0.05, texel, rng)
+    elif kind.shape == "capsule":
+        parts[Part.TOP] = _row(_near(_SKIN, rng, 0.02, 0.3), Texture.PLAIN, 0.1, texel, rng)
+        parts[Part.LEGS] = _row(_near(_TROUSERS, rng, 0.3, 0.3), Texture.PLAIN, 0.15, texel, rng)
+    return parts
+
+
+def _any_colours(rng: np.random.Generator) -> dict[Part, np.ndarray]:
+    return {
+        part: _row(_any_colour(rng), Texture(rng.integers(len(Texture))), rng.uniform(0, 0.9), rng.uniform(0.01, 0.05), rng)
+        for part in Part
+    }
+
+
+def _row(
+    colour: tuple[float, ...], texture: Texture, noise: float, texel_m: float, rng: np.random.Generator
+) -> np.ndarray:
+    second = _near(colour, rng, 0.05, 0.35) if texture is not Texture.WINDOWS else _near(_GLASS, rng, 0.05, 0.2)
+    if texture is Texture.BANDS:
+        second = _any_colour(rng)
+    return np.array([*colour, *second, texture, noise, texel_m, rng.uniform(0, 10), rng.uniform(0.4, 1.6)])
+
+
+def _ground(
+    colour: tuple[float, ...], second: tuple[float, ...], pattern: Pattern, roughness: float,
+    rng: np.random.Generator, figure: tuple[float, ...],
+) -> np.ndarray:
+    angle = rng.uniform(0, math.pi)
+    texel, period = rng.uniform(0.01, 0.025), rng.uniform(0.5, 3.0)
+    return np.array(
+        [*colour, *second, pattern, 0.15 + 0.4 * roughness, texel, period, math.cos(angle), math.sin(angle),
+         rng.uniform(0.2, 0.8), rng.uniform(0.3, 0.9), *figure]
+    )  # fmt: skip
+
+
+def _sky(rng: np.random.Generator) -> np.ndarray:
+    overcast = rng.random()
+    zenith = np.array([0.25, 0.45, 0.80]) * (1 - overcast) + 0.68 * overcast
+    horizon = np.array([0.75, 0.84, 0.93]) * (1 - overcast) + 0.80 * overcast
+    return np.array([*horizon, *zenith, rng.uniform(0, 1.5)])
+
+
+def _light(rng: np.random.Generator, ambient: tuple[float, float], gain: float) -> np.ndarray:
+    azimuth, height = rng.uniform(0, math.tau), rng.uniform(0.5, 1.2)
+    sun = (math.cos(height) * math.cos(azimuth), math.cos(height) * math.sin(azimuth), math.sin(height))
+    shade = rng.uniform(*ambient)
+    return np.array([*sun, shade, 1.15 - shade, rng.uniform(40, 150), rng.uniform(1 - gain, 1 + gain)])
+
+
+def _any_colour(rng: np.random.Generator) -> tuple[float, float, float]:
+    return colorsys.hsv_to_rgb(rng.random(), rng.random() ** 1.5, rng.uniform(0.1, 0.95))
+
+
+def _near(colour: tuple[float, ...], rng: np.random.Generator, hue: float, rest: float) -> tuple[float, float, float]:
+    """A colour whose hue differs by up to `hue` (of a turn) and whose saturation and value by up to `rest`, relatively."""
+    h, s, v = colorsys.rgb_to_hsv(*colour)
+    return colorsys.hsv_to_rgb(
+        (h + rng.uniform(-hue, hue)) % 1.0,
+        min(s * (1 + rng.uniform(-rest, rest)), 1.0),
+        min(v * (1 + rng.uniform(-rest, rest)), 1.0),
+    )

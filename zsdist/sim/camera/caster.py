@@ -1,0 +1,110 @@
+"""The default camera: a ray caster over the scene's own shapes, in numba, on one core and without OpenGL."""
+
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from zsdist.config import CameraConfig
+from zsdist.sim.camera.appearance import Appearance, of_scene
+from zsdist.sim.camera.kernels import SKY_DEPTH_M, cast, shadow_map
+from zsdist.sim.camera.optics import mount
+from zsdist.sim.camera.primitives import ARENA_HALF_M, Primitives, primitives_of
+from zsdist.sim.camera.shading import noise_pyramid, shade
+from zsdist.sim.kinds import SEGMENT_GROUND, SEGMENT_SKY
+from zsdist.sim.scene import Scene
+from zsdist.types import Pose
+
+Look = Callable[[Scene, Primitives], Appearance]
+
+_SHADOW_CELLS = 384  # a side; 6.5 cm each
+_SCENES_KEPT = 32  # prepared scenes: one for each car of an actor, and some
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    scene: Scene  # held, so that its identity stays its own
+    primitives: Primitives
+    appearance: Appearance
+    shadow: np.ndarray
+    segments: np.ndarray  # of index + 2: sky, ground, then each primitive
+
+
+class CasterCamera:
+    """Draws what the car's camera sees. What a scene needs is prepared at its first picture and kept.
+
+    Args:
+        config: resolution, field of view and mount.
+        look: the appearance of a scene; `appearance.of_scene` unless training varies it.
+    """
+
+    def __init__(self, config: CameraConfig, look: Look = of_scene) -> None:
+        self.config = config
+        self._look = look
+        self._tangent = float(np.tan(np.deg2rad(config.field_of_view_deg) / 2))
+        self._kept: OrderedDict[int, _Prepared] = OrderedDict()
+        size = config.size_px
+        self._depth = np.empty((size, size), np.float32)
+        self._index = np.empty((size, size), np.int16)
+
+    def render(
+        self, scene: Scene, pose: Pose, roll_rad: float = 0.0, pitch_rad: float = 0.0, people: np.ndarray | None = None
+    ) -> np.ndarray:
+        """The picture `(size_px, size_px, 3)` uint8, RGB.
+
+        Args:
+            scene: what stands in the arena.
+            pose: of the car.
+            roll_rad: of its body, positive: right side down.
+            pitch_rad: of its body, positive: nose down.
+            people: `(W, 2)` places of the walking obstacles, in order of those with a path; None: where they start.
+        """
+        return self._draw(scene, pose, roll_rad, pitch_rad, people)[0]
+
+    def render_labelled(
+        self, scene: Scene, pose: Pose, roll_rad: float = 0.0, pitch_rad: float = 0.0, people: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The picture as of `render`, depth `(size_px, size_px)` float32 and segments `(size_px, size_px)` uint8.
+
+        Depth is in metres along the camera's axis, infinite for the sky; segments are `Kind.segment_id` and the
+        `SEGMENT_` numbers of `kinds`.
+        """
+        image, prepared = self._draw(scene, pose, roll_rad, pitch_rad, people)
+        depth = np.where(self._depth >= SKY_DEPTH_M, np.float32(np.inf), self._depth)
+        return image, depth, prepared.segments[self._index + 2]
+
+    def _draw(
+        self, scene: Scene, pose: Pose, roll_rad: float, pitch_rad: float, people: np.ndarray | None
+    ) -> tuple[np.ndarray, _Prepared]:
+        prepared = self._prepare(scene)
+        primitives, look = prepared.primitives, prepared.appearance
+        rows = primitives.rows_at(people)
+        origin, axes = mount(pose, self.config.forward_m, self.config.height_m, roll_rad, pitch_rad)
+        discs = rows[primitives.walkers[:, 0]][:, [0, 1, 4]]  # what walks has no shadow in the map
+        image = np.empty((*self._depth.shape, 3), np.uint8)
+        cast(primitives.forms, rows, origin, axes, self._tangent, self._depth, self._index)
+        shade(
+            primitives.forms, rows, look.materials, look.ground, look.sky, look.light, prepared.shadow, ARENA_HALF_M,
+            discs, noise_pyramid(), origin, axes, self._tangent, self._depth, self._index, image,
+        )  # fmt: skip
+        return image, prepared
+
+    def _prepare(self, scene: Scene) -> _Prepared:
+        prepared = self._kept.get(id(scene))
+        if prepared is not None:
+            self._kept.move_to_end(id(scene))
+            return prepared
+        primitives = primitives_of(scene)
+        appearance = self._look(scene, primitives)
+        fixed = np.ones(len(primitives.forms), bool)
+        for first, last in primitives.walkers:
+            fixed[first:last] = False
+        shadow = np.empty((_SHADOW_CELLS, _SHADOW_CELLS), np.float32)
+        shadow_map(primitives.forms, primitives.rows, fixed, appearance.light[:3].copy(), ARENA_HALF_M, shadow)
+        segments = np.concatenate([[SEGMENT_SKY, SEGMENT_GROUND], primitives.segments]).astype(np.uint8)
+        prepared = _Prepared(scene, primitives, appearance, shadow, segments)
+        self._kept[id(scene)] = prepared
+        if len(self._kept) > _SCENES_KEPT:
+            self._kept.popitem(last=False)
+        return prepared

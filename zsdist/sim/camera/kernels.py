@@ -1,0 +1,209 @@
+"""Numba kernels of the ray caster: intersection with a z-buffer, shading, and the ground's shadow map.
+
+A pixel's ray is `forward + a left + b up` with `a = tan (1 - 2 (column + .5) / n)` and `b` likewise by row, so the
+parameter `t` of a point on it is its depth along the camera's axis. Each primitive is drawn into the screen rectangle
+of its bounding box only.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from zsdist.sim.camera.primitives import Form
+
+# Finite arithmetic only; nothing here may produce inf or NaN, sky has depth SKY_DEPTH_M.
+_FAST = {"contract", "arcp", "afn", "reassoc", "nsz"}
+SKY_DEPTH_M = 1e6
+NEAR_M = 0.02
+SKY, GROUND = -2, -1  # in the index image; primitives count from 0
+
+_FRUSTUM, _ELLIPSOID, _BOX = int(Form.FRUSTUM), int(Form.ELLIPSOID), int(Form.BOX)
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def _enter(form, row, ox, oy, oz, dx, dy, dz):  # noqa: ANN001, ANN202 (numba infers them)
+    """Depth at which a ray in the primitive's own frame (origin at its row's place) first meets it; -1: never."""
+    if form == _FRUSTUM:
+        height, r0 = row[3], row[4]
+        k = (row[5] - r0) / height
+        at = r0 + k * oz
+        a = dx * dx + dy * dy - k * k * dz * dz
+        b = ox * dx + oy * dy - k * dz * at
+        c = ox * ox + oy * oy - at * at
+        discriminant = b * b - a * c
+        best = -1.0
+        if discriminant >= 0.0 and a != 0.0:
+            root = math.sqrt(discriminant)
+            near, far = (-b - root) / a, (-b + root) / a
+            if near > far:
+                near, far = far, near
+            if near > NEAR_M and 0.0 <= oz + near * dz <= height:
+                best = near
+            elif far > NEAR_M and 0.0 <= oz + far * dz <= height:
+                best = far
+        if oz > height and dz < 0.0:
+            t = (height - oz) / dz
+            px, py = ox + t * dx, oy + t * dy
+            if px * px + py * py <= row[5] * row[5] and (best < 0.0 or t < best):
+                best = t
+        return best
+    if form == _ELLIPSOID:
+        sx, sy, sz = 1.0 / row[3], 1.0 / row[4], 1.0 / row[5]
+        ox, oy, oz, dx, dy, dz = ox * sx, oy * sy, oz * sz, dx * sx, dy * sy, dz * sz
+        a = dx * dx + dy * dy + dz * dz
+        b = ox * dx + oy * dy + oz * dz
+        c = ox * ox + oy * oy + oz * oz - 1.0
+        discriminant = b * b - a * c
+        if discriminant < 0.0:
+            return -1.0
+        t = (-b - math.sqrt(discriminant)) / a
+        return t if t > NEAR_M else -1.0
+    enter, leave = NEAR_M, SKY_DEPTH_M
+    for o, d, low, high in ((ox, dx, -row[4], row[4]), (oy, dy, -row[5], row[5]), (oz, dz, 0.0, row[3])):
+        if abs(d) < 1e-12:
+            if o < low or o > high:
+                return -1.0
+        else:
+            t0, t1 = (low - o) / d, (high - o) / d
+            enter, leave = max(enter, min(t0, t1)), min(leave, max(t0, t1))
+    return enter if NEAR_M < enter <= leave else -1.0
+
+
+@njit(cache=True)
+def _extents(form, row):  # noqa: ANN001, ANN202
+    """Half extents in x and y and the z range of a primitive's bounding box, in its own frame."""
+    if form == _FRUSTUM:
+        r = max(row[4], row[5])
+        return r, r, 0.0, row[3]
+    if form == _ELLIPSOID:
+        return row[3], row[4], -row[5], row[5]
+    return row[4], row[5], 0.0, row[3]
+
+
+@njit(cache=True)
+def _rectangle(form, row, o, f, left, up, tangent, size):  # noqa: ANN001, ANN202
+    """Pixel rectangle (first and last row, first and last column, ends excluded) that holds the primitive's image."""
+    hx, hy, z0, z1 = _extents(form, row)
+    corners = np.empty((8, 3))
+    for i in range(8):
+        x = (hx if i & 1 else -hx) - o[0]
+        y = (hy if i & 2 else -hy) - o[1]
+        z = (z1 if i & 4 else z0) - o[2]
+        corners[i, 0] = f[0] * x + f[1] * y + f[2] * z
+        corners[i, 1] = left[0] * x + left[1] * y + left[2] * z
+        corners[i, 2] = up[0] * x + up[1] * y + up[2] * z
+    a0, a1, b0, b1 = 1e9, -1e9, 1e9, -1e9
+    for i in range(8):
+        for bit in (1, 2, 4):
+            j = i | bit
+            if j == i:
+                continue
+            ti, tj = corners[i, 0], corners[j, 0]
+            if ti < NEAR_M and tj < NEAR_M:
+                continue
+            for end in range(2):
+                t, share = (ti, 0.0) if end == 0 else (tj, 1.0)
+                if t < NEAR_M:
+                    t, share = NEAR_M, (NEAR_M - ti) / (tj - ti)
+                a = (corners[i, 1] + share * (corners[j, 1] - corners[i, 1])) / t
+                b = (corners[i, 2] + share * (corners[j, 2] - corners[i, 2])) / t
+                a0, a1, b0, b1 = min(a0, a), max(a1, a), min(b0, b), max(b1, b)
+    if a0 > a1:
+        return 0, 0, 0, 0
+    scale = size / (2.0 * tangent)
+    limit = tangent * 1.01
+    a0, a1 = max(a0, -limit), min(a1, limit)
+    b0, b1 = max(b0, -limit), min(b1, limit)
+    column0 = max(int(math.floor(size / 2 - a1 * scale - 0.5)), 0)
+    column1 = min(int(math.ceil(size / 2 - a0 * scale + 0.5)), size)
+    row0 = max(int(math.floor(size / 2 - b1 * scale - 0.5)), 0)
+    row1 = min(int(math.ceil(size / 2 - b0 * scale + 0.5)), size)
+    return row0, row1, column0, column1
+
+
+@njit(cache=True)
+def _local(row, vector, out):  # noqa: ANN001, ANN202
+    """A world vector turned into the primitive's frame."""
+    c, s = math.cos(row[6]), math.sin(row[6])
+    out[0] = c * vector[0] + s * vector[1]
+    out[1] = c * vector[1] - s * vector[0]
+    out[2] = vector[2]
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def cast(forms, rows, origin, axes, tangent, depth, index):  # noqa: ANN001, ANN201
+    """Fill `depth` `(n, n)` and `index` `(n, n)` with the nearest primitive, `GROUND` or `SKY` of every pixel."""
+    n = depth.shape[0]
+    step = 2.0 * tangent / n
+    for i in range(n):
+        b = tangent - step * (i + 0.5)
+        for j in range(n):
+            a = tangent - step * (j + 0.5)
+            dz = axes[0, 2] + a * axes[1, 2] + b * axes[2, 2]
+            if dz < -1e-5:
+                depth[i, j] = -origin[2] / dz
+                index[i, j] = GROUND
+            else:
+                depth[i, j] = SKY_DEPTH_M
+                index[i, j] = SKY
+    o, f, left, up = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for p in range(len(forms)):
+        row, form = rows[p], forms[p]
+        _local(row, origin - row[:3], o)
+        _local(row, axes[0], f)
+        _local(row, axes[1], left)
+        _local(row, axes[2], up)
+        row0, row1, column0, column1 = _rectangle(form, row, o, f, left, up, tangent, n)
+        for i in range(row0, row1):
+            b = tangent - step * (i + 0.5)
+            bx, by, bz = f[0] + b * up[0], f[1] + b * up[1], f[2] + b * up[2]
+            for j in range(column0, column1):
+                a = tangent - step * (j + 0.5)
+                t = _enter(form, row, o[0], o[1], o[2], bx + a * left[0], by + a * left[1], bz + a * left[2])
+                if 0.0 < t < depth[i, j]:
+                    depth[i, j] = t
+                    index[i, j] = p
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def shadow_map(forms, rows, fixed, sun, half, out):  # noqa: ANN001, ANN201
+    """How much light reaches the ground, `out` `(n, n)` `[iy, ix]` float32 over plus and minus `half` metres.
+
+    Sunlight is blocked by what stands in its way; close to an obstacle the sky is hidden too (contact shadow).
+    `fixed` `(P,)` bool leaves out what moves.
+    """
+    n = out.shape[0]
+    cell = 2.0 * half / n
+    out[:] = 1.0
+    o, d = np.empty(3), np.empty(3)
+    for p in range(len(forms)):
+        if not fixed[p]:
+            continue
+        row, form = rows[p], forms[p]
+        hx, hy, _, z1 = _extents(form, row)
+        reach = math.sqrt(hx * hx + hy * hy)
+        _local(row, sun, d)
+        length = (row[2] + z1) / sun[2]  # of the shadow along -sun, per unit of sun's horizontal part
+        ex, ey = row[0] - sun[0] * length, row[1] - sun[1] * length
+        spread = reach + 0.6
+        x0 = max(int((min(row[0], ex) - spread + half) / cell), 0)
+        x1 = min(int((max(row[0], ex) + spread + half) / cell) + 1, n)
+        y0 = max(int((min(row[1], ey) - spread + half) / cell), 0)
+        y1 = min(int((max(row[1], ey) + spread + half) / cell) + 1, n)
+        place = np.empty(3)
+        for iy in range(y0, y1):
+            for ix in range(x0, x1):
+                place[0] = -half + (ix + 0.5) * cell - row[0]
+                place[1] = -half + (iy + 0.5) * cell - row[1]
+                place[2] = -row[2]
+                _local(row, place, o)
+                if _enter(form, row, o[0], o[1], o[2], d[0], d[1], d[2]) > 0.0:
+                    out[iy, ix] = min(out[iy, ix], 0.55)
+                if row[2] < 0.05:
+                    qx, qy = max(abs(o[0]) - hx, 0.0), max(abs(o[1]) - hy, 0.0)
+                    gap = math.sqrt(qx * qx + qy * qy)
+                    if form != _BOX:
+                        gap = max(math.sqrt(o[0] * o[0] + o[1] * o[1]) - hx, 0.0)
+                    if gap < 0.5:
+                        out[iy, ix] *= 0.62 + 0.38 * min(gap / 0.5, 1.0)

@@ -1,0 +1,33 @@
+"""Where the camera is and which way each of its axes points."""
+
+import math
+
+import numpy as np
+
+from zsdist.types import Pose
+
+
+def mount(
+    pose: Pose, forward_m: float, height_m: float, roll_rad: float = 0.0, pitch_rad: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """The camera's position and axes for a pose of the car.
+
+    The camera is fixed to the body, `forward_m` ahead of the car's centre and `height_m` above the ground. The body's
+    rotation is heading about z, then pitch about its left axis (positive: nose down), then roll about its forward
+    axis (positive: right side down), the order and signs of PyBullet's Euler angles.
+
+    Returns:
+        `(3,)` position in metres and `(3, 3)` unit rows: forward, left and up in the world.
+    """
+    cy, sy = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
+    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
+    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
+    axes = np.array(
+        [
+            [cy * cp, sy * cp, -sp],
+            [cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr],
+            [cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr],
+        ]
+    )
+    position = np.array([pose.x_m, pose.y_m, 0.0]) + forward_m * axes[0] + height_m * axes[2]
+    return position, axes

@@ -1,0 +1,197 @@
+"""Numba kernel that colours what the ray caster found: light, shadow, texture, haze."""
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+
+from zsdist.sim.camera.appearance import Pattern, Texture
+from zsdist.sim.camera.kernels import _FAST, GROUND, SKY
+from zsdist.sim.camera.primitives import Form
+
+_FRUSTUM, _ELLIPSOID = int(Form.FRUSTUM), int(Form.ELLIPSOID)
+_TILES, _STRIPES, _CHECKER, _LANES = int(Pattern.TILES), int(Pattern.STRIPES), int(Pattern.CHECKER), int(Pattern.LANES)
+_BARK, _BRICK, _WINDOWS, _BANDS = int(Texture.BARK), int(Texture.BRICK), int(Texture.WINDOWS), int(Texture.BANDS)
+
+_NOISE_SIZE = 512
+_NOISE_LEVELS = 8
+_SPECTRA = (1.6, 0.8, 0.25)  # exponents of 1 / frequency: clouds, earth, grain
+CLOUDS, EARTH, GRAIN = range(3)
+
+
+@lru_cache(maxsize=1)
+def noise_pyramid() -> np.ndarray:
+    """Tiling noise of each spectrum and its halvings, `(3, sum of sizes)` float32, about -1 to 1; always the same."""
+    rng = np.random.default_rng(20240229)
+    frequency = np.fft.fftfreq(_NOISE_SIZE)
+    radius = np.hypot(frequency[:, None], frequency[None, :])
+    radius[0, 0] = np.inf
+    rows = []
+    for exponent in _SPECTRA:
+        white = np.fft.fft2(rng.standard_normal((_NOISE_SIZE, _NOISE_SIZE)))
+        level = np.fft.ifft2(white * radius**-exponent).real
+        level = np.clip(level / (2.5 * level.std()), -1, 1)
+        levels = [level]
+        while len(levels) < _NOISE_LEVELS:
+            level = level.reshape(level.shape[0] // 2, 2, -1, 2).mean((1, 3))
+            levels.append(level)
+        rows.append(np.concatenate([level.ravel() for level in levels]))
+    return np.array(rows, np.float32)
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy", inline="always")
+def _noise(pyramid, spectrum, u, v, texel, footprint):  # noqa: ANN001, ANN202 (numba infers them)
+    """Noise at a place in metres, from the halving whose texel is about the size of the pixel there."""
+    size, start, level = _NOISE_SIZE, 0, 1
+    while texel < footprint and level < _NOISE_LEVELS:
+        start += size * size
+        size //= 2
+        texel *= 2.0
+        level += 1
+    i = int(math.floor(v / texel)) & (size - 1)
+    j = int(math.floor(u / texel)) & (size - 1)
+    return pyramid[spectrum, start + i * size + j]
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def _figure(texture, u, v, period):  # noqa: ANN001, ANN202
+    """Whether a place on a surface bears the texture's second colour, 0 to 1."""
+    if texture == _BRICK:
+        course = math.floor(v / 0.2)
+        along = u / 0.45 + 0.5 * (course - 2.0 * math.floor(course / 2.0))
+        return 1.0 if v / 0.2 - course < 0.12 or along - math.floor(along) < 0.06 else 0.0
+    if texture == _WINDOWS:
+        across, up = u / period, v / 1.1
+        across, up = across - math.floor(across), up - math.floor(up)
+        return 1.0 if 0.25 < across < 0.75 and 0.35 < up < 0.85 else 0.0
+    if texture == _BANDS:
+        up = v / period
+        return 1.0 if up - math.floor(up) < 0.5 else 0.0
+    return 0.0
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def _ground_figure(pattern, x, y, period):  # noqa: ANN001, ANN202
+    """Whether a place on the ground bears the pattern's second colour, 0 to 1."""
+    u, v = x / period, y / period
+    u, v = u - math.floor(u), v - math.floor(v)
+    if pattern == _TILES:
+        return 1.0 if u < 0.05 or v < 0.05 else 0.0
+    if pattern == _STRIPES:
+        return 1.0 if u < 0.5 else 0.0
+    if pattern == _CHECKER:
+        return 1.0 if (u < 0.5) == (v < 0.5) else 0.0
+    if pattern == _LANES:
+        return 1.0 if u < 0.12 / period and v < 0.6 else 0.0
+    return 0.0
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def shade(  # noqa: ANN201
+    forms, rows, materials, ground, sky, light, shadow, shadow_half, discs, pyramid, origin, axes, tangent,  # noqa: ANN001
+    depth, index, image,  # noqa: ANN001
+):
+    """Fill `image` `(n, n, 3)` uint8 from `depth` and `index`; the other arrays are those of `Appearance`."""
+    n = depth.shape[0]
+    step = 2.0 * tangent / n
+    sun_x, sun_y, sun_z, ambient, sunlight, haze_m, gain = light[0], light[1], light[2], light[3], light[4], light[5], light[6]
+    cells = shadow.shape[0]
+    cell = 2.0 * shadow_half / cells
+    for i in range(n):
+        b = tangent - step * (i + 0.5)
+        for j in range(n):
+            a = tangent - step * (j + 0.5)
+            dx = axes[0, 0] + a * axes[1, 0] + b * axes[2, 0]
+            dy = axes[0, 1] + a * axes[1, 1] + b * axes[2, 1]
+            dz = axes[0, 2] + a * axes[1, 2] + b * axes[2, 2]
+            t, p = depth[i, j], index[i, j]
+            if p == SKY:
+                up = max(dz, 0.02) / math.sqrt(dx * dx + dy * dy + dz * dz)
+                cloud = sky[6] * max(_noise(pyramid, CLOUDS, dx / up, dy / up, 0.03, 0.02 / up) + 0.2, 0.0)
+                for c in range(3):
+                    value = sky[c] + (sky[3 + c] - sky[c]) * up
+                    value += (sky[c] - value) * min(cloud, 1.0)
+                    image[i, j, c] = np.uint8(min(max(value * gain, 0.0), 1.0) * 255.0)
+                continue
+            x, y, z = origin[0] + t * dx, origin[1] + t * dy, origin[2] + t * dz
+            footprint = t * step
+            if p == GROUND:
+                lit = 1.0
+                gx, gy = (x + shadow_half) / cell - 0.5, (y + shadow_half) / cell - 0.5
+                if 0.0 <= gx < cells - 1 and 0.0 <= gy < cells - 1:
+                    ix, iy = int(gx), int(gy)
+                    fx, fy = gx - ix, gy - iy
+                    lit = (1 - fy) * ((1 - fx) * shadow[iy, ix] + fx * shadow[iy, ix + 1]) + fy * (
+                        (1 - fx) * shadow[iy + 1, ix] + fx * shadow[iy + 1, ix + 1]
+                    )
+                for k in range(len(discs)):
+                    gap = math.sqrt((x - discs[k, 0]) ** 2 + (y - discs[k, 1]) ** 2) / discs[k, 2]
+                    if gap < 2.0:
+                        lit *= 0.55 + 0.45 * max(gap - 1.0, 0.0)
+                lit *= gain * (ambient + sunlight * sun_z)
+                cos, sin = ground[10], ground[11]
+                u, v = cos * x + sin * y, cos * y - sin * x
+                patch = 0.5 + ground[12] * _noise(pyramid, CLOUDS, u, v, 0.06, footprint)
+                share = min(max(patch, 0.0), 1.0)
+                figure = 0.0
+                # A figure finer than two pixels is left out: it would shimmer.
+                if ground[6] != 0.0 and footprint < 0.25 * ground[9]:
+                    figure = ground[13] * _ground_figure(int(ground[6]), u, v, ground[9])
+                grain = 1.0 + ground[7] * _noise(pyramid, EARTH, u, v, ground[8], footprint)
+                grain += ground[7] * 0.8 * _noise(pyramid, GRAIN, v, u, ground[8], footprint)
+                fog = t / (t + haze_m)
+                for c in range(3):
+                    value = ground[c] + (ground[3 + c] - ground[c]) * share
+                    value += (ground[14 + c] - value) * figure
+                    value *= grain * lit
+                    value += (sky[c] * gain - value) * fog
+                    image[i, j, c] = np.uint8(min(max(value, 0.0), 1.0) * 255.0)
+                continue
+            row = rows[p]
+            co, si = math.cos(row[6]), math.sin(row[6])
+            wx, wy = x - row[0], y - row[1]
+            lx, ly, lz = co * wx + si * wy, co * wy - si * wx, z - row[2]
+            nx, ny, nz = 0.0, 0.0, 0.0
+            if forms[p] == _FRUSTUM:
+                if lz > row[3] - 1e-4:
+                    nz = 1.0
+                else:
+                    slope = (row[5] - row[4]) / row[3]
+                    nx, ny, nz = lx, ly, -slope * math.sqrt(lx * lx + ly * ly)
+            elif forms[p] == _ELLIPSOID:
+                nx, ny, nz = lx / (row[3] * row[3]), ly / (row[4] * row[4]), lz / (row[5] * row[5])
+            else:
+                qx, qy, qz = abs(lx) - row[4], abs(ly) - row[5], lz - row[3]
+                if qz > qx and qz > qy:
+                    nz = 1.0
+                elif qx > qy:
+                    nx = math.copysign(1.0, lx)
+                else:
+                    ny = math.copysign(1.0, ly)
+            norm = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-12)
+            nx, ny, nz = nx * norm, ny * norm, nz * norm
+            facing = (co * nx - si * ny) * sun_x + (si * nx + co * ny) * sun_y + nz * sun_z
+            lit = gain * (ambient * (0.75 + 0.25 * nz) + sunlight * max(facing, 0.0))
+            lit *= 0.6 + 0.4 * min(z / 0.35, 1.0)  # near the ground the sky is half hidden
+            material = materials[p]
+            if abs(nz) > 0.7:
+                u, v = lx, ly
+            elif abs(nx) > abs(ny):
+                u, v = ly, lz
+            else:
+                u, v = lx, lz
+            u, v = u + material[9], v
+            texture = int(material[6])
+            figure = 0.0
+            if texture > _BARK and abs(nz) < 0.7 and footprint < 0.1:
+                figure = _figure(texture, u, v, material[10])
+            stretch = 0.2 if texture == _BARK else 1.0
+            grain = 1.0 + material[7] * _noise(pyramid, EARTH, u, v * stretch, material[8], footprint * stretch)
+            grain += material[7] * 0.5 * _noise(pyramid, GRAIN, v * stretch, u, material[8], footprint * stretch)
+            fog = t / (t + haze_m)
+            for c in range(3):
+                value = material[c] + (material[3 + c] - material[c]) * figure
+                value *= grain * lit
+                value += (sky[c] * gain - value) * fog
+                image[i, j, c] = np.uint8(min(max(value, 0.0), 1.0) * 255.0)
