@@ -87,9 +87,9 @@ class Grid:
         Raises:
             ValueError: the point is off the grid.
         """
-        if not self.contains(x_m, y_m):
-            raise ValueError(f"point ({x_m}, {y_m}) is off the grid; allowed is -{self.side_m / 2} to {self.side_m / 2} m")
         half = self.side_m / 2
+        if not self.contains(x_m, y_m):
+            raise ValueError(f"point ({x_m}, {y_m}) is off the grid; allowed is -{half} to below {half} m")
         last = self.cells - 1  # a point just below the upper edge may round up to `cells`
         return (
             min(int((x_m + half) / self.cell_size_m), last),

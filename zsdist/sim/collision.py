@@ -54,7 +54,14 @@ def clearance_m(
 
 @njit(cache=True)
 def _clearance(
-    x: float, y: float, heading: float, half_l: float, half_w: float, circles: np.ndarray, boxes: np.ndarray, wall: float
+    x: float,
+    y: float,
+    heading: float,
+    half_l: float,
+    half_w: float,
+    circles: np.ndarray,
+    boxes: np.ndarray,
+    wall: float,
 ) -> float:
     cos, sin = math.cos(heading), math.sin(heading)
     nearest = min(
@@ -74,7 +81,8 @@ def _clearance(
         if far < nearest:
             turn = boxes[i, 4] - heading
             along, across = dx * cos + dy * sin, dy * cos - dx * sin
-            nearest = min(nearest, _box_gap(along, across, math.cos(turn), math.sin(turn), half_l, half_w, half_l2, half_w2))
+            gap = _box_gap(along, across, math.cos(turn), math.sin(turn), half_l, half_w, half_l2, half_w2)
+            nearest = min(nearest, gap)
     return max(nearest, 0.0)
 
 

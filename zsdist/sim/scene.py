@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from reprlib import repr as show
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,7 @@ class Start:
     @property
     def pose(self) -> Pose:
         """The same as a pose, heading in radians within (-pi, pi]."""
-        return Pose(self.x_m, self.y_m, -((math.pi - math.radians(self.heading_deg)) % math.tau - math.pi))
+        return Pose(self.x_m, self.y_m, math.pi - (math.pi - math.radians(self.heading_deg)) % math.tau)
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ class Scene:
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
     def boxes(self) -> np.ndarray:
-        """Collision boxes `(M, 5)`: x, y, length, width in metres, heading in radians; the arena's walls not among them."""
+        """Collision boxes `(M, 5)`: x, y, length, width (m) and heading (rad), without the arena's walls."""
         rows = [
             (o.x_m, o.y_m, o.size_m[0], o.size_m[1], math.radians(o.heading_deg))
             for o in self.obstacles
@@ -161,16 +162,17 @@ def check(scene: Scene, grid: Grid = DEFAULT_GRID) -> None:
             raise SceneError(f"{what} ({x_m:g}, {y_m:g}) is outside the grid; allowed is -{side:g} to below {side:g} m")
     goal = Pose(*scene.goal, 0.0)
     for index, obstacle in enumerate(scene.obstacles):
-        label = f"obstacles[{index}] ({obstacle.kind})"
+        label = f"obstacles[{index}], {obstacle.kind} at ({obstacle.x_m:g}, {obstacle.y_m:g}),"
         for x_m, y_m in ((obstacle.x_m, obstacle.y_m), *obstacle.path):
             if max(abs(x_m), abs(y_m)) > half:
-                raise SceneError(f"{label}: point ({x_m:g}, {y_m:g}) is outside the arena; allowed is -{half:g} to {half:g} m")
+                place = f"point ({x_m:g}, {y_m:g})"
+                raise SceneError(f"{label} {place} is outside the arena; allowed is -{half:g} to {half:g} m")
         alone = Scene("", scene.ground, scene.start, scene.goal, (obstacle,))
         circles, boxes = alone.circles(), alone.boxes()
         if clearance_m(scene.start.pose, circles, boxes) <= 0:
-            raise SceneError(f"{label} at ({obstacle.x_m:g}, {obstacle.y_m:g}) stands on the start; move one of the two")
+            raise SceneError(f"{label} stands on the start; move one of the two")
         if not obstacle.walks and clearance_m(goal, circles, boxes, length_m=0.0, width_m=0.0) <= 0:
-            raise SceneError(f"{label} at ({obstacle.x_m:g}, {obstacle.y_m:g}) covers the goal; move one of the two")
+            raise SceneError(f"{label} covers the goal; move one of the two")
 
 
 def read(path: str | Path, grid: Grid = DEFAULT_GRID) -> Scene:
@@ -187,7 +189,7 @@ def read(path: str | Path, grid: Grid = DEFAULT_GRID) -> Scene:
         check(scene, grid)
     except OSError as error:
         raise SceneError(f"scene file {path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: no UTF-8, or a number PyYAML cannot read
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: text that is no UTF-8
         raise SceneError(f"scene file {path} is not valid YAML: {' '.join(str(error).split())}") from error
     except SceneError as error:
         raise SceneError(f"scene file {path}: {error}") from error
@@ -250,10 +252,10 @@ class _Loader(yaml.SafeLoader):
 def _scene(tree: Any) -> Scene:
     _keys(tree, "the file", ("version", "name", "ground", "start", "goal", "obstacles"))
     if type(tree["version"]) is not int or tree["version"] != 1:
-        raise SceneError(f"version is {tree['version']!r}; allowed is 1")
+        raise SceneError(f"version is {show(tree['version'])}; allowed is 1")
     name = tree["name"]
     if not isinstance(name, str) or not re.fullmatch(r"\w[\w. -]{0,99}", name):
-        raise SceneError(f"name is {name!r}; allowed are up to 100 letters, digits, spaces, '_', '.' and '-'")
+        raise SceneError(f"name is {show(name)}; allowed are up to 100 letters, digits, spaces, '_', '.' and '-'")
     _one_of(tree["ground"], "ground", GROUNDS)
     _keys(tree["start"], "start", ("x", "y", "heading_deg"))
     _keys(tree["goal"], "goal", ("x", "y"))
@@ -261,14 +263,15 @@ def _scene(tree: Any) -> Scene:
     goal = (_number(tree["goal"]["x"], "goal.x"), _number(tree["goal"]["y"], "goal.y"))
     entries = tree["obstacles"]
     if not isinstance(entries, list) or len(entries) > MAX_OBSTACLES:
-        found = f"{len(entries)} entries" if isinstance(entries, list) else repr(entries)
+        found = f"{len(entries)} entries" if isinstance(entries, list) else show(entries)
         raise SceneError(f"obstacles is {found}; allowed is a list of up to {MAX_OBSTACLES}")
-    return Scene(name, tree["ground"], start, goal, tuple(_obstacle(e, f"obstacles[{i}]") for i, e in enumerate(entries)))
+    obstacles = tuple(_obstacle(entry, f"obstacles[{index}]") for index, entry in enumerate(entries))
+    return Scene(name, tree["ground"], start, goal, obstacles)
 
 
 def _obstacle(entry: Any, label: str) -> Obstacle:
     if not isinstance(entry, dict) or "kind" not in entry:
-        raise SceneError(f"{label} is {entry!r}; allowed is a mapping with a kind")
+        raise SceneError(f"{label} is {show(entry)}; allowed is a mapping with a kind")
     kind = _one_of(entry["kind"], f"{label}.kind", KINDS)
     radius_m, size_m = None, None
     if KINDS[kind].round:
@@ -291,7 +294,7 @@ def _obstacle(entry: Any, label: str) -> Obstacle:
 
 def _path(value: Any, label: str, place: tuple[float, float]) -> tuple[tuple[float, float], ...]:
     if not isinstance(value, list) or len(value) < 2:
-        raise SceneError(f"{label} is {value!r}; allowed is a list of two or more points [x, y]")
+        raise SceneError(f"{label} is {show(value)}; allowed is a list of two or more points [x, y]")
     points = tuple(_numbers(point, f"{label}[{i}]", 2) for i, point in enumerate(value))
     if points[0] != place:
         raise SceneError(f"{label} begins at {list(points[0])}; allowed is the person's own place, {list(place)}")
@@ -304,7 +307,7 @@ def _path(value: Any, label: str, place: tuple[float, float]) -> tuple[tuple[flo
 def _keys(tree: Any, label: str, needed: tuple[str, ...], optional: tuple[str, ...] = ()) -> None:
     allowed = (*needed, *optional)
     if not isinstance(tree, dict):
-        raise SceneError(f"{label} is {tree!r}; allowed is a mapping with the keys {', '.join(allowed)}")
+        raise SceneError(f"{label} is {show(tree)}; allowed is a mapping with the keys {', '.join(allowed)}")
     unknown = [key for key in tree if key not in allowed]
     if unknown:
         raise SceneError(f"{label} has the unknown key {unknown[0]!r}; allowed are {', '.join(allowed)}")
@@ -315,19 +318,19 @@ def _keys(tree: Any, label: str, needed: tuple[str, ...], optional: tuple[str, .
 
 def _one_of(value: Any, label: str, allowed: dict[str, Any]) -> str:
     if not isinstance(value, str) or value not in allowed:
-        raise SceneError(f"{label} is {value!r}; allowed are {', '.join(allowed)}")
+        raise SceneError(f"{label} is {show(value)}; allowed are {', '.join(allowed)}")
     return value
 
 
 def _number(value: Any, label: str, above: float = -MAX_NUMBER, most: float = MAX_NUMBER) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise SceneError(f"{label} is {value!r}; allowed is a number")
+        raise SceneError(f"{label} is {show(value)}; allowed is a number")
     if not above < value <= most:  # NaN fails every comparison
-        raise SceneError(f"{label} is {value!r}; allowed is a number above {above:g}, at most {most:g}")
+        raise SceneError(f"{label} is {show(value)}; allowed is a number above {above:g}, at most {most:g}")
     return float(value)
 
 
 def _numbers(value: Any, label: str, count: int, above: float = -MAX_NUMBER, most: float = MAX_NUMBER) -> tuple:
     if not isinstance(value, list) or len(value) != count:
-        raise SceneError(f"{label} is {value!r}; allowed is a list of {count} numbers")
+        raise SceneError(f"{label} is {show(value)}; allowed is a list of {count} numbers")
     return tuple(_number(item, f"{label}[{i}]", above, most) for i, item in enumerate(value))
