@@ -1,0 +1,138 @@
+"""A transport within one process: what is sent is in the receivers' mailboxes when the call returns, in a fixed order."""
+
+from collections.abc import Callable
+from functools import lru_cache
+
+from zsdist.errors import TransportError
+from zsdist.transport.base import Mailbox, Message, Transport
+
+
+class MemoryBroker:
+    """Where the memory transports of one process meet. Deliveries follow the order of subscription. For one thread."""
+
+    def __init__(self) -> None:
+        """Nobody is connected at first."""
+        self.transports: list[MemoryTransport] = []
+
+    def retained(self, pattern: str) -> list[Message]:
+        """The last retained value of each key that matches, in the order of the keys' first publication."""
+        last: dict[str, Message] = {}
+        for transport in self.transports:
+            last |= {key: message for key, message in transport.kept.items() if matches(pattern, key)}
+        return list(last.values())
+
+
+class MemoryTransport(Transport):
+    """One role's access to a `MemoryBroker`.
+
+    Attributes:
+        name: whose it is, for messages to people.
+        kept, tokens, subscriptions, services, watches: what it holds at the broker; read by its peers.
+    """
+
+    def __init__(self, broker: MemoryBroker, name: str = "") -> None:
+        """Connects to `broker`."""
+        self.name = name
+        self.kept: dict[str, Message] = {}
+        self.tokens: list[str] = []
+        self.subscriptions: list[tuple[str, Mailbox]] = []
+        self.services: list[tuple[str, Mailbox]] = []
+        self.watches: list[tuple[str, Mailbox]] = []
+        self._broker = broker
+        self._open = True
+        broker.transports.append(self)
+
+    def publish(self, key: str, payload: bytes, *, retained: bool = False, json: bool = False) -> None:
+        """See `Transport.publish`; `json` is of no consequence here."""
+        self._require_open()
+        message = Message(key, bytes(payload))
+        if retained:
+            self.kept[key] = message
+        for transport in tuple(self._broker.transports):
+            _deliver(transport.subscriptions, message)
+
+    def subscribe(self, pattern: str, mailbox: Mailbox, *, retained: bool = False) -> None:
+        """See `Transport.subscribe`."""
+        self._require_open()
+        if retained:
+            for message in self._broker.retained(pattern):
+                mailbox.append(message)
+        self.subscriptions.append((pattern, mailbox))
+
+    def serve(self, pattern: str, mailbox: Mailbox) -> None:
+        """See `Transport.serve`."""
+        self._require_open()
+        self.services.append((pattern, mailbox))
+
+    def request(self, key: str, payload: bytes, mailbox: Mailbox, *, timeout_s: float) -> None:
+        """See `Transport.request`. There is no clock here: an answer that comes late still comes."""
+        self._require_open()
+        message = Message(key, bytes(payload), self._once(key, mailbox))
+        for transport in tuple(self._broker.transports):
+            if _deliver(transport.services, message, first=True):
+                return
+
+    def declare_alive(self, key: str) -> None:
+        """See `Transport.declare_alive`."""
+        self._require_open()
+        self.tokens.append(key)
+        self._announce(key, b"1")
+
+    def watch_alive(self, pattern: str, mailbox: Mailbox) -> None:
+        """See `Transport.watch_alive`."""
+        self._require_open()
+        for transport in tuple(self._broker.transports):
+            for key in transport.tokens:
+                if matches(pattern, key):
+                    mailbox.append(Message(key, b"1"))
+        self.watches.append((pattern, mailbox))
+
+    def close(self) -> None:
+        """See `Transport.close`."""
+        if self._open:
+            self._open = False
+            self._broker.transports.remove(self)
+            for key in self.tokens:
+                self._announce(key, b"0")
+
+    def _announce(self, key: str, payload: bytes) -> None:
+        for transport in tuple(self._broker.transports):
+            _deliver(transport.watches, Message(key, payload))
+
+    def _once(self, key: str, mailbox: Mailbox) -> Callable[[bytes], None]:
+        waiting = [mailbox]
+
+        def reply(payload: bytes) -> None:
+            if waiting and self._open:
+                waiting.pop().append(Message(key, bytes(payload)))
+
+        return reply
+
+    def _require_open(self) -> None:
+        if not self._open:
+            raise TransportError(f"memory transport {self.name!r} is closed")
+
+
+@lru_cache(maxsize=65_536)
+def matches(pattern: str, key: str) -> bool:
+    """Whether the key expression `pattern` covers `key`."""
+    return _covers(pattern.split("/"), key.split("/"))
+
+
+def _covers(pattern: list[str], parts: list[str]) -> bool:
+    if not pattern:
+        return not parts
+    if pattern[0] == "**":
+        return any(_covers(pattern[1:], parts[skipped:]) for skipped in range(len(parts) + 1))
+    return bool(parts) and pattern[0] in ("*", parts[0]) and _covers(pattern[1:], parts[1:])
+
+
+def _deliver(places: list[tuple[str, Mailbox]], message: Message, *, first: bool = False) -> bool:
+    found = False
+    for pattern, mailbox in places:
+        if matches(pattern, message.key):
+            mailbox.append(message)
+            found = True
+            if first:
+                break
+    return found
