@@ -149,5 +149,9 @@ class State:
     meta: dict[str, Any]
     arrays: dict[str, np.ndarray]
 
+    def part(self, prefix: str) -> dict[str, np.ndarray]:
+        """The arrays whose names begin with `prefix`, under the rest of their names."""
+        return {name.removeprefix(prefix): array for name, array in self.arrays.items() if name.startswith(prefix)}
+
 
 AnyMessage = Push | Records | Ack | SampleRequest | SampleReply | WeightsMessage | Candidate | Orders | Jobs | State
