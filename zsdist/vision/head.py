@@ -5,7 +5,7 @@ import torch
 from torch import Tensor, nn
 
 from zsdist.vision.labels import SECTOR_HALF_RAD
-from zsdist.vision.rays import BINS, RAYS, ray_angles_rad
+from zsdist.vision.rays import BINS, RAYS
 
 ACTIONS = 3
 MASK_MARGIN = 2  # token columns of the neighbouring directions that an action's query may also look at
