@@ -1,0 +1,251 @@
+"""One deep Q-learner: a policy network, a target network and an optimiser, fed batches.
+
+All weights of a network lie in one vector of which its tensors are views, so that the optimiser, the clipping and the
+copy into the target network are one operation each, whatever the number of layers.
+"""
+
+import copy
+from collections.abc import Iterable
+from typing import Protocol
+
+import numpy as np
+import torch
+
+from zsdist.config import LevelConfig
+from zsdist.dqn import losses, network
+from zsdist.errors import RunError, WeightsError
+from zsdist.types import NO_GUIDE, Batch, Parameters
+
+_DISTIL_MARGIN_WEIGHT = 1.0
+
+
+class Mirror(Protocol):
+    """The left-right reflection of a state and its actions; applied twice it changes nothing.
+
+    Attributes:
+        state_index: `(D,)` int, feature that takes each feature's place.
+        state_sign: `(D,)` float32, +1 or -1, applied after.
+        action_index: `(A,)` int, action that takes each action's place.
+    """
+
+    state_index: np.ndarray
+    state_sign: np.ndarray
+    action_index: np.ndarray
+
+
+class DqnLearner:
+    """Learns one network from batches, one gradient step at a time.
+
+    Equal seeds and equal batches give equal bits, on one thread and one kind of device.
+
+    Args:
+        state_size: features of a state, `D`.
+        actions: number of actions, `A`.
+        config: rates, losses and sizes.
+        seed: of the initial weights and of which rows are reflected.
+        mirror: reflects half of each batch; None: no augmentation.
+        device: where to compute; None: CUDA where there is one, else the CPU.
+    """
+
+    def __init__(
+        self,
+        state_size: int,
+        actions: int,
+        config: LevelConfig,
+        seed: int,
+        mirror: Mirror | None = None,
+        device: str | torch.device | None = None,
+    ) -> None:
+        self.updates = 0
+        self._state_size, self._actions = state_size, actions
+        self._config = config
+        self._mirror = mirror
+        self._rng = np.random.default_rng([seed, 1])
+        self._device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+        parameters = network.initial_parameters(state_size, actions, config.hidden, seed)
+        self._online = network.policy_network(parameters).to(self._device)
+        self._target = network.target_network(parameters).to(self._device)
+        self._weights, self._gradient = _flatten(self._online)
+        self._target_weights, _ = _flatten(self._target)
+        self._restart_optimiser()
+
+    def update(self, batch: Batch) -> dict[str, float]:
+        """One gradient step of the policy network on `batch`, then a soft copy into the target network: Eq. (11).
+
+        Deviation: Adam with a clipped gradient in place of the plain step; Huber loss where so configured.
+
+        Returns:
+            `loss`, `q_mean` (mean value of all actions) and `gradient_norm` (before clipping).
+        """
+        figures = self._step(batch, self._config.guide_margin_weight)
+        if self._config.target_tau:
+            self._target_weights.lerp_(self._weights, self._config.target_tau)
+        self.updates += 1
+        return dict(zip(("loss", "q_mean", "gradient_norm"), figures.tolist(), strict=True))
+
+    def distilled(self, batches: Iterable[Batch]) -> Parameters:
+        """Parameters of a copy that took one step on each of `batches` with the large-margin loss on guide actions.
+
+        The temporal-difference loss stays on beside it, so that values keep their scale. This learner is unchanged.
+        """
+        student = copy.copy(self)
+        student._rng = copy.deepcopy(self._rng)
+        student._online = network.policy_network(self.parameters()).to(self._device)
+        student._weights, student._gradient = _flatten(student._online)
+        student._restart_optimiser()
+        for batch in batches:
+            student._step(batch, _DISTIL_MARGIN_WEIGHT)
+        return student.parameters()
+
+    def promote(self, parameters: Parameters, reset_online: bool) -> None:
+        """Makes `parameters` the target network; with `reset_online` the policy network too, with a new optimiser.
+
+        Raises:
+            WeightsError: they belong to another network.
+        """
+        self._load(self._target, parameters)
+        if reset_online:
+            self._load(self._online, parameters)
+            self._restart_optimiser()
+
+    def parameters(self) -> Parameters:
+        """A copy of the policy network's parameters."""
+        return self._online.parameters_numpy()
+
+    def target_parameters(self) -> Parameters:
+        """A copy of the target network's parameters."""
+        return self._target.parameters_numpy()
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that the next update depends on: a learner that restores it goes on as if it had never stopped."""
+        moments = self._optimiser.state[self._weights]
+        arrays = {f"online/{name}": value for name, value in self.parameters().items()}
+        arrays |= {f"target/{name}": value for name, value in self.target_parameters().items()}
+        arrays |= {f"adam/{name}": moments[name].cpu().numpy().copy() for name in ("step", "exp_avg", "exp_avg_sq")}
+        return arrays | {"updates": np.array(self.updates, np.int64), "generator": _generator_words(self._rng)}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Takes over a `state()`.
+
+        Raises:
+            RunError: an entry is missing or misshapen.
+            WeightsError: its weights belong to another network.
+        """
+        expected = {name: value.shape for name, value in self.state().items() if "/" not in name or "adam/" in name}
+        for name, shape in expected.items():
+            found = np.shape(state[name]) if name in state else "missing"
+            if found != shape:
+                raise RunError(f"learner state {name} is {found}; allowed is an array of shape {shape}")
+        for prefix, module in (("online/", self._online), ("target/", self._target)):
+            self._load(module, {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)})
+        moments = self._optimiser.state[self._weights]
+        for name in ("step", "exp_avg", "exp_avg_sq"):
+            moments[name].copy_(torch.from_numpy(np.array(state[f"adam/{name}"])))
+        self.updates = int(state["updates"])
+        _set_generator(self._rng, state["generator"])
+
+    def _step(self, batch: Batch, margin_weight: float) -> torch.Tensor:
+        config = self._config
+        if self._mirror is not None:
+            batch = reflected(batch, self._mirror, self._rng.random(len(batch)) < 0.5)
+        states, next_states, actions, rewards, discounts, next_masks = (
+            torch.from_numpy(column).to(self._device)
+            for column in (
+                batch.states,
+                batch.next_states,
+                batch.actions,
+                batch.rewards,
+                batch.discounts,
+                batch.next_masks,
+            )
+        )
+        with torch.no_grad():
+            targets = losses.td_targets(
+                rewards * config.reward_scale,
+                discounts,
+                self._target(next_states),
+                next_masks,
+                self._online(next_states) if config.double else None,
+            )
+        q = self._online(states)
+        loss = losses.td_loss(q, actions, targets, config.huber)
+        if margin_weight:
+            masks, guides = (torch.from_numpy(column).to(self._device) for column in (batch.masks, batch.guides))
+            loss = loss + margin_weight * losses.margin_loss(q, masks, guides, config.guide_margin)
+        self._gradient.zero_()
+        loss.backward()
+        norm = torch.linalg.vector_norm(self._gradient)
+        self._gradient.mul_((config.max_gradient_norm / (norm + 1e-6)).clamp(max=1.0))
+        self._optimiser.step()
+        return torch.stack((loss.detach(), q.detach().mean(), norm))
+
+    def _load(self, module: network.QNetwork, parameters: Parameters) -> None:
+        network.check(parameters, self._state_size, self._actions)
+        for name, tensor in zip(module.names, module.tensors, strict=True):
+            if name not in parameters or tuple(tensor.shape) != parameters[name].shape:
+                found = parameters[name].shape if name in parameters else "missing"
+                raise WeightsError(f"network weight {name} is {found}; allowed is shape {tuple(tensor.shape)}")
+            tensor.data.copy_(torch.from_numpy(parameters[name]))
+
+    def _restart_optimiser(self) -> None:
+        self._optimiser = torch.optim.Adam([self._weights], lr=self._config.learning_rate, fused=True)
+        # Made here rather than at the first step, so that a checkpoint has the same entries whenever it is taken.
+        self._optimiser.state[self._weights] = {
+            "step": torch.zeros((), device=self._device),
+            "exp_avg": torch.zeros_like(self._weights),
+            "exp_avg_sq": torch.zeros_like(self._weights),
+        }
+
+
+def reflected(batch: Batch, mirror: Mirror, rows: np.ndarray) -> Batch:
+    """`batch` with the given rows (`(B,)` bool) reflected left to right."""
+    chosen = rows[:, None]
+    swap = mirror.action_index
+    guides = np.where(batch.guides >= 0, swap[batch.guides], NO_GUIDE)
+
+    def state(columns: np.ndarray) -> np.ndarray:
+        return np.where(chosen, columns[:, mirror.state_index] * mirror.state_sign, columns)
+
+    return Batch(
+        states=state(batch.states),
+        actions=np.where(rows, swap[batch.actions], batch.actions),
+        rewards=batch.rewards,
+        discounts=batch.discounts,
+        next_states=state(batch.next_states),
+        next_masks=np.where(chosen, batch.next_masks[:, swap], batch.next_masks),
+        masks=np.where(chosen, batch.masks[:, swap], batch.masks),
+        guides=np.where(rows, guides, batch.guides),
+    )
+
+
+def _flatten(module: network.QNetwork) -> tuple[torch.Tensor, torch.Tensor]:
+    """Moves a network's weights and gradients into two vectors of which its tensors become views."""
+    weights = torch.cat([tensor.detach().reshape(-1) for tensor in module.tensors])
+    gradient = torch.zeros_like(weights)
+    start = 0
+    for tensor in module.tensors:
+        stop = start + tensor.numel()
+        tensor.data = weights[start:stop].view_as(tensor)
+        if tensor.requires_grad:
+            tensor.grad = gradient[start:stop].view_as(tensor)
+        start = stop
+    weights.grad = gradient
+    return weights, gradient
+
+
+def _generator_words(rng: np.random.Generator) -> np.ndarray:
+    """State of a PCG64 generator as `(6,)` uint64: two 128-bit numbers and the cached half draw."""
+    state = rng.bit_generator.state
+    low = 2**64 - 1
+    words = [half for key in ("state", "inc") for half in divmod(state["state"][key], low + 1)]
+    return np.array([*words, state["has_uint32"], state["uinteger"]], np.uint64)
+
+
+def _set_generator(rng: np.random.Generator, words: np.ndarray) -> None:
+    high, low, inc_high, inc_low, has_uint32, uinteger = (int(word) for word in words)
+    rng.bit_generator.state = {
+        "bit_generator": "PCG64",
+        "state": {"state": high << 64 | low, "inc": inc_high << 64 | inc_low},
+        "has_uint32": has_uint32,
+        "uinteger": uinteger,
+    }

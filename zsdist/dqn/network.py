@@ -1,0 +1,148 @@
+"""The Q-network: one architecture, a torch form that learns and a numpy form that acts.
+
+Shapes: `B` states, `D` features, `A` actions. Each hidden layer is linear, layer-normalised, then ReLU: with the
+paper's learning rate of 0.002 the normalisation keeps activations, and so values far from the data, bounded.
+"""
+
+import hashlib
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch.nn import functional
+
+from zsdist.errors import WeightsError
+from zsdist.types import Parameters
+
+_NORM_EPSILON = 1e-5
+_OUTPUT_SCALE = 0.1  # initial values near zero, so that the first targets are the rewards
+
+
+class QNetwork(torch.nn.Module):
+    """Q(s, ·) as a multilayer perceptron holding given parameters; `(B, D)` to `(B, A)`, float32."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        super().__init__()
+        depth = _depth(parameters)
+        tensors = {name: torch.nn.Parameter(torch.from_numpy(value.copy())) for name, value in parameters.items()}
+        self._layers = [
+            tuple(tensors[f"hidden{i}.{part}"] for part in ("weight", "bias", "norm_scale", "norm_shift"))
+            for i in range(depth)
+        ]
+        self._head = (tensors["output.weight"], tensors["output.bias"])
+        self.names = tuple(tensors)
+        self.tensors = torch.nn.ParameterList(tensors.values())
+
+    def forward(self, states: torch.Tensor) -> torch.Tensor:
+        """Values of all actions `(B, A)` in `states` `(B, D)`."""
+        x = states
+        for weight, bias, scale, shift in self._layers:
+            x = functional.linear(x, weight, bias)
+            x = functional.relu(functional.layer_norm(x, bias.shape, scale, shift, _NORM_EPSILON))
+        return functional.linear(x, *self._head)
+
+    def parameters_numpy(self) -> Parameters:
+        """A copy of the parameters, by name."""
+        return {name: t.detach().cpu().numpy().copy() for name, t in zip(self.names, self.tensors, strict=True)}
+
+
+def policy_network(parameters: Parameters) -> QNetwork:
+    """The network that acts and learns, Q(s, a; theta): Eq. (8)."""
+    return QNetwork(parameters)
+
+
+def target_network(parameters: Parameters) -> QNetwork:
+    """The network that targets are computed from, Q'(s, a; theta^-); takes no gradient: Eq. (9)."""
+    return QNetwork(parameters).requires_grad_(False)
+
+
+def initial_parameters(state_size: int, actions: int, hidden: Sequence[int], seed: int) -> Parameters:
+    """Fresh parameters: He-uniform weights, zero biases, a small output layer; equal for equal seeds."""
+    rng = np.random.default_rng(seed)
+    parameters: Parameters = {}
+    fan_in = state_size
+    for i, width in enumerate(hidden):
+        parameters[f"hidden{i}.weight"] = _he_uniform(rng, width, fan_in)
+        parameters[f"hidden{i}.bias"] = np.zeros(width, np.float32)
+        parameters[f"hidden{i}.norm_scale"] = np.ones(width, np.float32)
+        parameters[f"hidden{i}.norm_shift"] = np.zeros(width, np.float32)
+        fan_in = width
+    parameters["output.weight"] = _he_uniform(rng, actions, fan_in) * np.float32(_OUTPUT_SCALE)
+    parameters["output.bias"] = np.zeros(actions, np.float32)
+    return parameters
+
+
+def apply(parameters: Parameters, states: np.ndarray) -> np.ndarray:
+    """Values `(B, A)` float32 of `states` `(B, D)` float32, without torch: what actors act with."""
+    x = states
+    for i in range(_depth(parameters)):
+        x = x @ parameters[f"hidden{i}.weight"].T + parameters[f"hidden{i}.bias"]
+        x -= x.mean(axis=1, keepdims=True)
+        x /= np.sqrt(np.square(x).mean(axis=1, keepdims=True) + np.float32(_NORM_EPSILON))
+        x = np.maximum(x * parameters[f"hidden{i}.norm_scale"] + parameters[f"hidden{i}.norm_shift"], 0)
+    return x @ parameters["output.weight"].T + parameters["output.bias"]
+
+
+def greedy(q: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Best allowed action in each row, `(B,)` int64; the lowest number wins a tie.
+
+    Args:
+        q: `(B, A)` values.
+        mask: `(B, A)` bool, allowed actions; each row must allow one.
+
+    Raises:
+        ValueError: a row allows no action.
+    """
+    if not mask.any(axis=1).all():
+        raise ValueError(f"row {int(np.argmin(mask.any(axis=1)))} of the mask allows no action; at least one is needed")
+    return np.where(mask, q, -np.inf).argmax(axis=1)
+
+
+def check(parameters: Parameters, state_size: int, actions: int) -> None:
+    """Holds that these are finite float32 weights of a network from `state_size` features to `actions` values.
+
+    Raises:
+        WeightsError: naming the first weight that is missing, superfluous, misshapen, or not finite float32.
+    """
+    expected = _shapes(parameters, state_size, actions)
+    if set(parameters) != set(expected):
+        raise WeightsError(f"network weights are named {sorted(parameters)}; allowed are exactly {sorted(expected)}")
+    for name, shape in expected.items():
+        value = parameters[name]
+        if value.shape != shape or value.dtype != np.float32:
+            raise WeightsError(
+                f"network weight {name} is {value.dtype} of shape {value.shape}; allowed is float32 of shape {shape}"
+            )
+        if not np.isfinite(value).all():
+            raise WeightsError(f"network weight {name} holds values that are not finite; allowed are finite ones")
+
+
+def sha256(parameters: Parameters) -> str:
+    """Hex digest of names, shapes and values, independent of the order of names."""
+    digest = hashlib.sha256()
+    for name in sorted(parameters):
+        value = np.ascontiguousarray(parameters[name], dtype="<f4")
+        digest.update(f"{name}{value.shape}".encode())
+        digest.update(value.tobytes())
+    return digest.hexdigest()
+
+
+def _he_uniform(rng: np.random.Generator, fan_out: int, fan_in: int) -> np.ndarray:
+    bound = np.sqrt(6.0 / fan_in)
+    return rng.uniform(-bound, bound, (fan_out, fan_in)).astype(np.float32)
+
+
+def _depth(parameters: Parameters) -> int:
+    return sum(name.endswith(".norm_scale") for name in parameters)
+
+
+def _shapes(parameters: Parameters, state_size: int, actions: int) -> dict[str, tuple[int, ...]]:
+    """Names and shapes a network of this many hidden layers has; widths are those of its biases."""
+    shapes: dict[str, tuple[int, ...]] = {}
+    fan_in = state_size
+    for i in range(_depth(parameters)):
+        width = np.size(parameters.get(f"hidden{i}.bias", ()))
+        shapes[f"hidden{i}.weight"] = (width, fan_in)
+        shapes |= {f"hidden{i}.{part}": (width,) for part in ("bias", "norm_scale", "norm_shift")}
+        fan_in = width
+    return shapes | {"output.weight": (actions, fan_in), "output.bias": (actions,)}

@@ -1,0 +1,218 @@
+"""A ring of transitions by column, with uniform sampling.
+
+State and successor lie side by side in each row. Sharing the states between rows would save nothing where it matters:
+a trajectory of one transition has two states, so a ring of shared states needs the same bound, and indices besides.
+20,000 rows of 120 features are 19 MiB.
+"""
+
+import numpy as np
+
+from zsdist.errors import RunError
+from zsdist.types import NO_GUIDE, Batch, Behaviour, Trajectory
+
+# Why a transition is refused, in the order in which it is looked for; each counts under the first that applies.
+REASONS = (
+    "shape",
+    "dtype",
+    "successor",
+    "state",
+    "reward",
+    "discount",
+    "action",
+    "action_masked",
+    "guide",
+    "behaviour",
+    "dead_end",
+)
+_DTYPES = {
+    "states": np.float32,
+    "actions": np.uint8,
+    "rewards": np.float32,
+    "discounts": np.float32,
+    "successors": np.uint16,
+    "masks": np.bool_,
+    "guides": np.int8,
+    "behaviours": np.uint8,
+}
+
+
+class RingBuffer:
+    """The newest `capacity` transitions. Insert and sample cost what they move, never the capacity.
+
+    Args:
+        state_size: features of a state, `D`.
+        actions: number of actions, `A`.
+        capacity: transitions held at most.
+    """
+
+    def __init__(self, state_size: int, actions: int, capacity: int) -> None:
+        self._state_size, self._actions = state_size, actions
+        self._columns = _allocate(state_size, actions, capacity)
+        self.capacity = capacity
+        self._size = 0
+        self._head = 0  # row that is written next
+
+    def __len__(self) -> int:
+        return self._size
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all columns at full capacity: `capacity * row_bytes(...)`."""
+        return sum(column.nbytes for column in self._columns.values())
+
+    @property
+    def oldest_version(self) -> int | None:
+        """Weight version that chose the oldest stored transition; None: nothing is stored."""
+        return int(self._columns["versions"][(self._head - self._size) % self.capacity]) if self._size else None
+
+    def insert(self, trajectory: Trajectory) -> tuple[int, dict[str, int]]:
+        """Stores the sound transitions of `trajectory`, evicting the oldest.
+
+        Returns:
+            `(stored, rejected)`: how many were stored, and how many were refused by reason (`REASONS`), together the
+            number offered.
+        """
+        offered = int(np.size(trajectory.actions))
+        reason = self._malformed(trajectory, offered)
+        if reason:
+            return 0, {reason: offered}
+        sound, rejected = self._judge(trajectory)
+        rows = np.flatnonzero(sound)
+        stored = len(rows)
+        rows = rows[-self.capacity :]
+        successors = trajectory.successors[rows]
+        places = (self._head + np.arange(len(rows))) % self.capacity
+        columns = self._columns
+        columns["states"][places] = trajectory.states[rows]
+        columns["next_states"][places] = trajectory.states[successors]
+        columns["masks"][places] = trajectory.masks[rows]
+        columns["next_masks"][places] = trajectory.masks[successors]
+        for name in ("actions", "rewards", "discounts", "guides"):
+            columns[name][places] = getattr(trajectory, name)[rows]
+        columns["versions"][places] = trajectory.weight_version
+        self._head = (self._head + len(rows)) % self.capacity
+        self._size = min(self._size + len(rows), self.capacity)
+        return stored, rejected
+
+    def sample(self, rng: np.random.Generator, batch_size: int) -> Batch:
+        """`batch_size` stored transitions, each drawn uniformly and independently.
+
+        Raises:
+            ValueError: nothing is stored.
+        """
+        if not self._size:
+            raise ValueError("cannot sample from a replay buffer that holds 0 transitions; at least 1 is needed")
+        places = rng.integers(0, self._size, batch_size)  # rows 0 to size - 1 are those in use, wherever the head is
+        taken = {name: column.take(places, axis=0) for name, column in self._columns.items() if name != "versions"}
+        taken["actions"] = taken["actions"].astype(np.int64)
+        taken["guides"] = taken["guides"].astype(np.int64)
+        return Batch(**taken)
+
+    def resize(self, capacity: int) -> None:
+        """Changes the capacity, keeping the newest transitions that fit."""
+        kept = min(self._size, capacity)
+        places = (self._head - kept + np.arange(kept)) % self.capacity
+        columns = _allocate(self._state_size, self._actions, capacity)
+        for name, column in self._columns.items():
+            columns[name][:kept] = column[places]
+        self._columns, self.capacity, self._size, self._head = columns, capacity, kept, kept % capacity
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Everything stored, in place, so that a restored buffer gives the same samples to the same generator."""
+        arrays = {name: column[: self._size].copy() for name, column in self._columns.items()}
+        arrays["capacity"] = np.array(self.capacity, np.int64)
+        arrays["head"] = np.array(self._head, np.int64)
+        return arrays
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Takes over a `state()`.
+
+        Raises:
+            RunError: an entry is missing, or belongs to a buffer of other shapes.
+        """
+        missing = sorted({*self._columns, "capacity", "head"} - set(state))
+        if missing:
+            raise RunError(f"replay state lacks {', '.join(missing)}")
+        capacity, head, size = int(state["capacity"]), int(state["head"]), len(state["actions"])
+        if not (size <= capacity and 0 <= head < capacity and (size == capacity or head == size)):
+            raise RunError(f"replay state has capacity {capacity}, head {head}, {size} rows; they disagree")
+        columns = _allocate(self._state_size, self._actions, capacity)
+        for name, column in columns.items():
+            found = state[name]
+            if found.dtype != column.dtype or found.shape != (size, *column.shape[1:]):
+                raise RunError(
+                    f"replay state {name} is {found.dtype} of shape {found.shape}; "
+                    f"allowed is {column.dtype} of shape {(size, *column.shape[1:])}"
+                )
+            column[:size] = found
+        self._columns, self.capacity, self._size, self._head = columns, capacity, size, head
+
+    def check_valid(self) -> None:
+        """Asserts what always holds of what is stored; for tests, after any operation."""
+        columns = {name: column[: self._size] for name, column in self._columns.items()}
+        assert 0 <= self._size <= self.capacity
+        assert 0 <= self._head < self.capacity
+        assert self._size == self.capacity or self._head == self._size
+        assert all(len(column) == self.capacity for column in self._columns.values())
+        assert self.nbytes == self.capacity * row_bytes(self._state_size, self._actions)
+        for name in ("states", "next_states", "rewards", "discounts"):
+            assert np.isfinite(columns[name]).all(), name
+        assert columns["masks"][np.arange(self._size), columns["actions"]].all()
+        assert (columns["next_masks"].any(axis=1) | (columns["discounts"] == 0)).all()
+
+    def _malformed(self, trajectory: Trajectory, offered: int) -> str | None:
+        n, d, a = offered, self._state_size, self._actions
+        shapes = {"states": (n + 1, d), "masks": (n + 1, a)}
+        for name in _DTYPES:
+            if np.shape(getattr(trajectory, name)) != shapes.get(name, (n,)):
+                return "shape"
+        if any(getattr(trajectory, name).dtype != dtype for name, dtype in _DTYPES.items()):
+            return "dtype"
+        return None
+
+    def _judge(self, t: Trajectory) -> tuple[np.ndarray, dict[str, int]]:
+        """Which transitions to store, `(n,)` bool, and how many of the others were refused by reason."""
+        n, a = len(t.actions), self._actions
+        rows = np.arange(n)
+        known = t.successors <= n
+        successors = np.where(known, t.successors, 0)
+        finite = np.isfinite(t.states).all(axis=1)
+        allowed = t.masks[rows, np.minimum(t.actions, a - 1)]
+        guided = (t.guides >= 0) & (t.guides < a) & t.masks[rows, np.clip(t.guides, 0, a - 1)]
+        checks = {
+            "successor": known,
+            "state": finite[:n] & finite[successors],
+            "reward": np.isfinite(t.rewards),
+            "discount": (t.discounts >= 0) & (t.discounts <= 1),
+            "action": t.actions < a,
+            "action_masked": allowed,
+            "guide": guided | (t.guides == NO_GUIDE),
+            "behaviour": t.behaviours < len(Behaviour),
+            "dead_end": t.masks[successors].any(axis=1) | (t.discounts == 0),  # nothing to bootstrap from
+        }
+        sound, rejected = np.ones(n, bool), {}
+        for reason, holds in checks.items():
+            refused = int(np.count_nonzero(sound & ~holds))
+            if refused:
+                rejected[reason] = refused
+            sound &= holds
+        return sound, rejected
+
+
+def row_bytes(state_size: int, actions: int) -> int:
+    """Bytes one stored transition takes."""
+    return sum(column.nbytes for column in _allocate(state_size, actions, 1).values())
+
+
+def _allocate(state_size: int, actions: int, capacity: int) -> dict[str, np.ndarray]:
+    return {
+        "states": np.empty((capacity, state_size), np.float32),
+        "actions": np.empty(capacity, np.uint8),
+        "rewards": np.empty(capacity, np.float32),
+        "discounts": np.empty(capacity, np.float32),
+        "next_states": np.empty((capacity, state_size), np.float32),
+        "next_masks": np.empty((capacity, actions), np.bool_),
+        "masks": np.empty((capacity, actions), np.bool_),
+        "guides": np.empty(capacity, np.int8),
+        "versions": np.empty(capacity, np.int64),
+    }
