@@ -6,12 +6,13 @@ Shared memory is off: it can drop in silence when a receiver stalls.
 """
 
 import json as json_codec
+import secrets
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import zenoh
-import zenoh.ext
 
 from zsdist.errors import TransportError
 from zsdist.transport.base import Mailbox, Message, Transport
@@ -20,6 +21,8 @@ CONNECT_TIMEOUT_S = 3.0
 LEASE_S = 5.0  # after which a stopped process counts as gone; a killed one is gone at once
 PORTS_TRIED = 100
 _RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
+_RETAINED = "@retained/"  # prefix of the tokens of keys with a retained value; no `**` of anybody's covers it
+_STAMP_IDENTITY = 8  # bytes
 _DROP = zenoh.CongestionControl.DROP
 
 
@@ -66,7 +69,8 @@ class ZenohTransport(Transport):
         """
         _split(endpoint)
         self.endpoint = endpoint
-        self._retained: dict[str, Any] = {}  # advanced publishers, each with the last value of its key
+        self._retained: dict[str, _Retained] = {}
+        self._identity = secrets.token_bytes(_STAMP_IDENTITY)
         self._entities: list[Any] = []  # subscribers, services and tokens live as long as they are referred to
         self._open = threading.Event()
         try:
@@ -78,26 +82,49 @@ class ZenohTransport(Transport):
     def publish(self, key: str, payload: bytes, *, retained: bool = False, json: bool = False) -> None:
         """See `Transport.publish`."""
         encoding = zenoh.Encoding.APPLICATION_JSON if json else zenoh.Encoding.ZENOH_BYTES
-        if not retained:
-            self._try(lambda: self._session.put(key, payload, encoding=encoding, congestion_control=_DROP), key)
-            return
-        if key not in self._retained:
-            self._retained[key] = self._try(lambda: self._declare_retained(key), key)
-        self._try(lambda: self._retained[key].put(payload, encoding=encoding), key)
+        stamp = None
+        if retained:
+            kept = self._retained.get(key)
+            number = 1 if kept is None else kept.number + 1
+            stamp = self._identity + number.to_bytes(8, "big")
+            self._retained[key] = _Retained(number, stamp, payload, encoding)
+            if number == 1:
+                self._keep(lambda: self._session.declare_queryable(key, self._tell_retained), key)
+        self._try(
+            lambda: self._session.put(key, payload, encoding=encoding, attachment=stamp, congestion_control=_DROP), key
+        )
+        if retained and number == 1:
+            self._keep(lambda: self._session.liveliness().declare_token(_RETAINED + key), key)
 
     def subscribe(self, pattern: str, mailbox: Mailbox, *, retained: bool = False) -> None:
         """See `Transport.subscribe`."""
 
-        def arrived(sample: zenoh.Sample) -> None:
-            self._put(mailbox, Message(str(sample.key_expr), sample.payload.to_bytes()))
-
-        if retained:  # asks publishers for their last values, now and whenever one appears or comes back
-            history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+        if not retained:
             self._keep(
-                lambda: zenoh.ext.declare_advanced_subscriber(self._session, pattern, arrived, history=history), pattern
+                lambda: self._session.declare_subscriber(
+                    pattern, lambda sample: self._put(mailbox, Message(str(sample.key_expr), sample.payload.to_bytes()))
+                ),
+                pattern,
             )
-        else:
-            self._keep(lambda: self._session.declare_subscriber(pattern, arrived), pattern)
+            return
+        newest = _Newest()
+
+        def arrived(sample: zenoh.Sample) -> None:
+            key = str(sample.key_expr)
+            if sample.attachment is None or newest.is_new(key, sample.attachment.to_bytes()):
+                self._put(mailbox, Message(key, sample.payload.to_bytes()))
+
+        def appeared(token: zenoh.Sample) -> None:  # a publisher that is there, comes, or comes back after the hub
+            if token.kind == zenoh.SampleKind.PUT and self._open.is_set():
+                key = str(token.key_expr).removeprefix(_RETAINED)
+                self._session.get(
+                    key, lambda reply: None if reply.ok is None else arrived(reply.ok), congestion_control=_DROP
+                )
+
+        self._keep(lambda: self._session.declare_subscriber(pattern, arrived), pattern)
+        self._keep(
+            lambda: self._session.liveliness().declare_subscriber(_RETAINED + pattern, appeared, history=True), pattern
+        )
 
     def serve(self, pattern: str, mailbox: Mailbox) -> None:
         """See `Transport.serve`."""
@@ -154,11 +181,10 @@ class ZenohTransport(Transport):
 
         return reply
 
-    def _declare_retained(self, key: str) -> Any:
-        cache = zenoh.ext.CacheConfig(max_samples=1)
-        return zenoh.ext.declare_advanced_publisher(
-            self._session, key, cache=cache, publisher_detection=True, congestion_control=_DROP
-        )
+    def _tell_retained(self, query: zenoh.Query) -> None:
+        kept = self._retained.get(str(query.key_expr))
+        if kept is not None:
+            query.reply(query.key_expr, kept.payload, encoding=kept.encoding, attachment=kept.stamp)
 
     def _keep(self, declare: Callable[[], Any], key: str) -> None:
         self._entities.append(self._try(declare, key))
@@ -170,6 +196,33 @@ class ZenohTransport(Transport):
             return action()
         except zenoh.ZError as error:
             raise TransportError(f"{key} at {self.endpoint}: {_brief(error)}") from error
+
+
+@dataclass(frozen=True)
+class _Retained:
+    """The last value of a key, and the stamp by which a receiver knows it: sender, then number."""
+
+    number: int
+    stamp: bytes
+    payload: bytes
+    encoding: zenoh.Encoding
+
+
+class _Newest:
+    """Tells retained values that are new from those that came before; used from zenoh's threads."""
+
+    def __init__(self) -> None:
+        self._stamps: dict[str, bytes] = {}
+        self._lock = threading.Lock()
+
+    def is_new(self, key: str, stamp: bytes) -> bool:
+        """Whether nothing as new has come from the same sender; another sender's value is always new."""
+        with self._lock:
+            last = self._stamps.get(key, b"")
+            if last[:_STAMP_IDENTITY] == stamp[:_STAMP_IDENTITY] and stamp <= last:
+                return False
+            self._stamps[key] = stamp
+            return True
 
 
 def _config(
@@ -184,7 +237,6 @@ def _config(
         "connect/retry": _RETRY,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
-        "timestamping/enabled": True,  # by which a retained value is told from one already had
         "transport/link/tx/lease": int(1000 * LEASE_S),
         "transport/link/tx/queue/size/data": 16,  # batches of 64 KiB; the most that zenoh allows
         "transport/shared_memory/enabled": False,
