@@ -59,7 +59,12 @@ def cost_to_go(blocked: np.ndarray, goals: np.ndarray, action_costs: np.ndarray)
 
     Returns:
         `[iy, ix, heading]` `(cells, cells, 8)` float32; infinite where no goal cell can be reached.
+
+    Raises:
+        ValueError: an action costs nothing or less.
     """
+    if not np.min(action_costs) > 0:
+        raise ValueError(f"the least action cost is {np.min(action_costs)}; allowed is above 0")
     return _dijkstra(blocked, goals, np.asarray(action_costs, dtype=np.float64), _TURNS, _ADVANCES, STEPS)
 
 
@@ -73,7 +78,7 @@ def path(cost: np.ndarray, blocked: np.ndarray, start: LatticeState, action_cost
         action_costs: `(8, 5)`.
 
     Raises:
-        ValueError: no goal cell can be reached from `start`.
+        ValueError: no goal cell can be reached from `start`, or the field is of another `blocked`.
     """
     if not math.isfinite(cost[start.iy, start.ix, start.heading]):
         raise ValueError(f"no way leads from {start} to the goal")
@@ -88,6 +93,8 @@ def path(cost: np.ndarray, blocked: np.ndarray, start: LatticeState, action_cost
             total = float(cost[end.iy, end.ix, end.heading]) + float(action_costs[state.heading, action])
             if total < best:
                 best, choice, following = total, action, end
+        if math.isinf(best):
+            raise ValueError(f"every action from {state} is blocked; the costs belong to another map")
         state = following
         states.append(state)
         actions.append(choice)
