@@ -1,0 +1,20 @@
+"""What cameras do to a picture: gain, colour cast, contrast, blur and noise, drawn at random for training pictures."""
+
+import cv2
+import numpy as np
+
+
+def worn(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A picture `(H, W, 3)` uint8 as a worse camera would have taken it; one in five is left as it is."""
+    if rng.random() < 0.2:
+        return image
+    if rng.random() < 0.5:
+        image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.3, 1.6))
+    values = image.astype(np.float32)
+    contrast, cast = rng.uniform(0.7, 1.3), rng.uniform(0.85, 1.15, 3).astype(np.float32)
+    values = (values - 127.0) * (contrast * cast) + 127.0 + rng.uniform(-30, 30)
+    if rng.random() < 0.2:  # towards grey
+        values += rng.uniform(0.3, 1.0) * (values.mean(-1, keepdims=True) - values)
+    if rng.random() < 0.6:
+        values += rng.standard_normal(values.shape, np.float32) * rng.uniform(1, 14)
+    return np.clip(values, 0, 255).astype(np.uint8)
