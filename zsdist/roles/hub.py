@@ -4,23 +4,16 @@ import resource
 
 from zsdist.roles.base import STATISTICS_EVERY_S, Context, Role
 from zsdist.roles.snapshot import Fields
-from zsdist.wire import keys
-from zsdist.wire.messages import Orders
 
 
 class Hub(Role):
-    """Holds no state; ends when the scheduler says that the run is over."""
+    """Holds no state; its runner ends it after all the others."""
 
     def __init__(self, context: Context, endpoint: str) -> None:
         super().__init__(context)
         self.endpoint = endpoint
-        self._orders = self.mailbox("orders")
-        self.transport.subscribe(keys.control(context.run, "hub"), self._orders, retained=True)
 
     def work(self, now: float) -> float:
-        for _, orders in self.messages(self._orders):
-            if isinstance(orders, Orders):
-                self.finished = orders.content["stop"]
         return now + STATISTICS_EVERY_S
 
     def statistics(self) -> Fields:

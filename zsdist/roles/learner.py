@@ -3,8 +3,6 @@
 import itertools
 from collections import deque
 
-import numpy as np
-
 from zsdist.dqn import network
 from zsdist.dqn.learner import DqnLearner
 from zsdist.roles.base import Context, Role
@@ -92,11 +90,8 @@ class Learner(Role):
         return State(self.context.name, meta, arrays)
 
     def _restore(self, state: State) -> None:
-        def part(prefix: str) -> dict[str, np.ndarray]:
-            return {name.removeprefix(prefix): array for name, array in state.arrays.items() if name.startswith(prefix)}
-
-        self.dqn.restore(part("dqn/"))
-        self._best = part("best/") or None
+        self.dqn.restore(state.part("dqn/"))
+        self._best = state.part("best/") or None
         self.version, self.updates, self.merge = (state.meta[name] for name in ("version", "updates", "merge"))
         self._offered = self.merge
 

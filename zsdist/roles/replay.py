@@ -8,7 +8,6 @@ import numpy as np
 from zsdist.config import Config
 from zsdist.replay.buffer import RingBuffer
 from zsdist.replay.limiter import Limiter
-from zsdist.replay.sizing import AdaptiveSizing
 from zsdist.protocol.inbox import Inbox
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.transport.base import Message
@@ -32,8 +31,8 @@ class Shelf:
 
     def __init__(self, level: Level, shape: Shape, config: Config) -> None:
         self.level = level
-        self.sizing = AdaptiveSizing(config.replay)
-        self.buffer = RingBuffer(shape.state_size, shape.actions, self.sizing.size)
+        self.batch_size = config.replay.batch_initial
+        self.buffer = RingBuffer(shape.state_size, shape.actions, config.replay.size_initial)
         self.inbox = Inbox(level)
         learning = config.high if level is Level.HIGH else config.low
         grain = config.agent.option_max_steps if level is Level.HIGH else 1
@@ -63,7 +62,7 @@ class Shelf:
                 self.stored += stored
                 for reason, count in reasons.items():
                     self.rejected[reason] = self.rejected.get(reason, 0) + count
-            self.limiter.inserted(stream, sum(len(trajectory) for trajectory in frame.trajectories))
+                self.limiter.inserted(stream, stored, sum(reasons.values()))
             if frame.closes:
                 self.limiter.close(stream)
 
@@ -77,7 +76,7 @@ class Shelf:
             asked_s, message = self.waiting[0]
             batch = None
             if len(self.buffer) and self.limiter.may_sample():
-                size = min(self.sizing.batch_size, len(self.buffer))
+                size = min(self.batch_size, len(self.buffer))
                 batch = self.buffer.sample(self.rng, size)
                 self.limiter.sampled()
                 self.sampled += size
@@ -86,11 +85,11 @@ class Shelf:
             self.waiting.popleft()
             message.reply(codec.encode(SampleReply(self.level, batch, {"stored": len(self.buffer)})))
 
-    def resize(self, finished: int, mean_return: float) -> None:
-        """Follows the reward (Table 2's rates towards the sizes of the adaptive rule)."""
-        self.sizing.finished_episodes(finished, mean_return)
-        if self.sizing.size != self.buffer.capacity:
-            self.buffer.resize(self.sizing.size)
+    def resize(self, buffer_size: int, batch_size: int) -> None:
+        """Takes over the sizes that the scheduler derives from the returns (`zsdist.replay.sizing`)."""
+        self.batch_size = batch_size
+        if buffer_size != self.buffer.capacity:
+            self.buffer.resize(buffer_size)
 
     def books(self) -> dict[str, int]:
         """What was produced and what became of it; `produced = stored + rejected` once all epochs are closed."""
@@ -154,7 +153,7 @@ class Replay(Role):
             fields |= books | {
                 f"{level}_size": len(shelf.buffer),
                 f"{level}_capacity": shelf.buffer.capacity,
-                f"{level}_batch_size": shelf.sizing.batch_size,
+                f"{level}_batch_size": shelf.batch_size,
                 f"{level}_updates_served": shelf.limiter.updates,
                 f"{level}_samples_per_insert": round(shelf.sampled / max(1, shelf.stored), 3),
                 f"{level}_waiting_requests": len(shelf.waiting),
@@ -170,8 +169,7 @@ class Replay(Role):
         meta, arrays = {}, {}
         for level, shelf in self.shelves.items():
             meta[level.value] = {
-                "sizing": shelf.sizing.state(),
-                "limiter": shelf.limiter.state(),
+                "batch_size": shelf.batch_size,
                 "inbox": shelf.inbox.state(),
                 "stored": shelf.stored,
                 "rejected": shelf.rejected,
@@ -180,25 +178,24 @@ class Replay(Role):
                 "books": shelf.books(),
                 "open": len(shelf.inbox.open_streams()),
             }
-            arrays |= {f"{level}/{name}": array for name, array in shelf.buffer.state().items()}
+            parts = {"buffer": shelf.buffer.state(), "limiter": shelf.limiter.state()}
+            arrays |= {f"{level}/{part}/{name}": array for part, some in parts.items() for name, array in some.items()}
         return State("replay", meta, arrays)
 
     def _restore(self, state: State) -> None:
         for level, shelf in self.shelves.items():
             meta = state.meta[level.value]
-            shelf.sizing.restore(meta["sizing"])
-            shelf.limiter.restore(meta["limiter"])
+            shelf.batch_size = meta["batch_size"]
             shelf.inbox.restore(meta["inbox"])
             shelf.stored, shelf.rejected, shelf.sampled = meta["stored"], dict(meta["rejected"]), meta["sampled"]
             shelf.rng.bit_generator.state = meta["rng"]
-            prefix = f"{level}/"
-            arrays = {name.removeprefix(prefix): array for name, array in state.arrays.items() if name.startswith(prefix)}
-            shelf.buffer.restore(arrays)
+            shelf.buffer.restore(state.part(f"{level}/buffer/"))
+            shelf.limiter.restore(state.part(f"{level}/limiter/"))
 
     def _follow(self, content: dict) -> None:
         for actor, epoch in content["epochs"].items():
             for shelf in self.shelves.values():
                 shelf.issue(actor, epoch)
         for shelf in self.shelves.values():
-            shelf.resize(content["finished"], content["mean_return"])
+            shelf.resize(content["buffer_size"], content["batch_size"])
         self.finished = content["stop"]

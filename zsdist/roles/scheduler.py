@@ -3,10 +3,9 @@
 from enum import StrEnum
 from typing import Protocol
 
-import numpy as np
-
 from zsdist.dqn.exploration import epsilon
 from zsdist.protocol.inbox import Inbox
+from zsdist.replay.sizing import AdaptiveSizing
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.leases import Leases
 from zsdist.roles.merge import BEST, DISTILLED, RECENT, Merge, Phase
@@ -44,6 +43,9 @@ class Ledger(Protocol):
     def summary(self, fields: dict) -> None:
         """Writes the end of the run."""
 
+    def wall_s(self) -> float:
+        """How long the run has taken in real time, earlier sittings included."""
+
 
 class Scheduler(Role):
     """Counts finished episodes; exploration and merges follow this one count."""
@@ -57,11 +59,10 @@ class Scheduler(Role):
         self.merge: Merge | None = None
         self.merges: list[dict] = []
         self.outcomes = dict.fromkeys(Outcome, 0)
-        self.returns: list[float] = []  # of the last episodes, for the adaptive replay
+        self.sizing = AdaptiveSizing(context.config.replay)
         self.env_steps = 0
         self.restarts: dict[str, int] = {}
-        self._wall_s = 0.0
-        self._started_s: float | None = None
+        self.recent: list[Outcome] = []  # of the last episodes, for watchers
         self._epochs: dict[str, int] = {}
         self._interrupted = False
         self._inboxes = {stream: Inbox(stream) for stream in (EPISODES, EVALUATION)}
@@ -74,7 +75,7 @@ class Scheduler(Role):
         self._next_orders_s = 0.0
         self._next_metrics_s = 0.0
         if restored is not None:
-            self._restore(restored.meta)
+            self._restore(restored)
         run = context.run
         self._reports = self.mailbox("records")
         self._learners = self.mailbox("weights")
@@ -94,7 +95,6 @@ class Scheduler(Role):
         return self.config.run.episodes
 
     def work(self, now: float) -> float:
-        self._started_s = now if self._started_s is None else self._started_s
         self._obey_supervisor()
         self._take_reports(now)
         self._take_offers()
@@ -109,7 +109,6 @@ class Scheduler(Role):
 
     def statistics(self) -> Fields:
         finished = len(self.leases.finished)
-        recent = self.returns[-self.config.replay.average_episodes :]
         fields: Fields = {
             "stage": self.stage.value,
             "episodes": finished,
@@ -120,8 +119,12 @@ class Scheduler(Role):
             "episodes_in_flight": len(self.leases.holders),
             **{outcome.value: count for outcome, count in self.outcomes.items()},
         }
-        if recent:
-            fields["mean_return"] = round(float(np.mean(recent)), 3)
+        if self.sizing.average_return is not None:
+            fields["mean_return"] = round(self.sizing.average_return, 3)
+            fields["average_reward"] = round(self.sizing.average_reward, 4)
+        if self.recent:
+            fields["recent_success"] = round(self.recent.count(Outcome.SUCCESS) / len(self.recent), 3)
+            fields["recent_collision"] = round(self.recent.count(Outcome.COLLISION) / len(self.recent), 3)
         if self.merge is not None:
             fields["drives_left"] = len(self.merge.outstanding())
         return fields
@@ -161,7 +164,8 @@ class Scheduler(Role):
             return  # the lease had been given to another
         self.outcomes[Outcome(record["outcome"])] += 1
         self.env_steps += record["steps"]
-        self.returns = [*self.returns[-199:], record["return"]]
+        self.sizing.episode_finished(record["return"], record["steps"])
+        self.recent = [*self.recent[-49:], Outcome(record["outcome"])]
         self.ledger.episode(record | {"finished_as": len(self.leases.finished)})
 
     def _take_drive(self, actor: str, record: dict) -> None:
@@ -235,7 +239,7 @@ class Scheduler(Role):
             self.stage = Stage.SAVING
         if not self._save(now, final=True):
             return
-        self.ledger.summary(self._summary(now))
+        self.ledger.summary(self._summary())
         self.stage, self._next_orders_s = Stage.DONE, 0.0
 
     def _save(self, now: float, final: bool = False) -> bool:
@@ -250,7 +254,7 @@ class Scheduler(Role):
         missing = [name for name in CHECKPOINTED if name not in self._states]
         if not missing:
             finished = len(self.leases.finished)
-            self.ledger.checkpoint(finished, {**self._states, "scheduler": self.state(now)})
+            self.ledger.checkpoint(finished, {**self._states, "scheduler": self.state()})
             self._final_states, self._states = self._states, {}
             self._ask_again_s, self._saved_at = 0.0, finished
             return True
@@ -280,7 +284,6 @@ class Scheduler(Role):
 
     def _orders(self) -> dict[str, dict]:
         finished = len(self.leases.finished)
-        recent = self.returns[-self.config.replay.average_episodes :]
         merge = self.merge
         done = self.stage is Stage.DONE
         ending = self.stage in (Stage.CLOSING, Stage.SAVING, Stage.DONE)
@@ -295,8 +298,8 @@ class Scheduler(Role):
             },
             "replay": {
                 "epochs": self._epochs,
-                "finished": finished,
-                "mean_return": float(np.mean(recent)) if recent else None,
+                "buffer_size": self.sizing.buffer_size,
+                "batch_size": self.sizing.batch_size,
                 "stop": done,
             },
             "learner": {
@@ -318,37 +321,36 @@ class Scheduler(Role):
 
     # -- state --------------------------------------------------------------------------------------------------
 
-    def state(self, now: float) -> State:
+    def state(self) -> State:
         """Everything the next process needs to go on counting."""
         merges = [*self.merges, *([self.merge.summary()] if self.merge is not None else [])]
         meta = {
             "finished": sorted(self.leases.finished),
             "outcomes": {outcome.value: count for outcome, count in self.outcomes.items()},
-            "returns": self.returns,
+            "recent": [outcome.value for outcome in self.recent],
             "env_steps": self.env_steps,
             "merges": merges,
             "restarts": self.restarts,
             "max_lag_versions": self.snapshot.max_lag_versions,
-            "wall_s": self._elapsed_s(now),
+            "wall_s": self.ledger.wall_s(),
         }
-        return State("scheduler", meta, {})
+        return State("scheduler", meta, self.sizing.state())
 
-    def _restore(self, meta: dict) -> None:
+    def _restore(self, state: State) -> None:
+        meta = state.meta
+        self.sizing.restore(state.arrays)
+        self.recent = [Outcome(name) for name in meta["recent"]]
         self.leases = Leases(meta["finished"])
         self.outcomes = {Outcome(name): count for name, count in meta["outcomes"].items()}
-        self.returns, self.env_steps = list(meta["returns"]), meta["env_steps"]
+        self.env_steps = meta["env_steps"]
         self.merges, self.restarts = list(meta["merges"]), dict(meta["restarts"])
         self.snapshot.max_lag_versions = meta["max_lag_versions"]
-        self._wall_s = meta["wall_s"]
         self._saved_at = len(self.leases.finished)
 
-    def _elapsed_s(self, now: float) -> float:
-        return round(self._wall_s + now - (self._started_s if self._started_s is not None else now), 3)
-
-    def _summary(self, now: float) -> dict:
+    def _summary(self) -> dict:
         learners = {level: self._final_states[f"learner-{level}"].meta for level in Level}
         books = {level.value: self._final_states["replay"].meta[level.value]["books"] for level in Level}
-        wall_s = self._elapsed_s(now)
+        wall_s = self.ledger.wall_s()
         return {
             "episodes": len(self.leases.finished),
             "ended": "interrupted" if self._interrupted else "complete",

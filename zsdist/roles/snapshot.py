@@ -1,6 +1,7 @@
 """The latest statistics of every role, as anybody who subscribes to a run can put them together."""
 
 import json
+from collections import deque
 from collections.abc import Iterable
 
 from zsdist.transport.base import Message
@@ -19,6 +20,7 @@ class Snapshot:
         self.events: list[Fields] = []
         self.malformed = 0
         self.max_lag_versions = 0
+        self._history: dict[tuple[str, str], deque[Fields]] = {}
 
     def take(self, messages: Iterable[Message]) -> None:
         """Takes statistics, events and liveliness changes in."""
@@ -40,6 +42,25 @@ class Snapshot:
         """Sum of a field over a role's instances."""
         return sum(float(fields.get(name, 0)) for fields in self.of(role).values())
 
+    def rate(self, role: str, name: str, identifier: str | None = None) -> float:
+        """Growth of a counter a second over the last statistics, summed over a role's instances (or of one)."""
+        total = 0.0
+        for (kind, one), past in self._history.items():
+            span_s = float(past[-1]["time_s"]) - float(past[0]["time_s"])
+            if kind == role and identifier in (None, one) and span_s > 0:
+                total += (float(past[-1].get(name, 0)) - float(past[0].get(name, 0))) / span_s
+        return total
+
+    def waits(self) -> list[str]:
+        """Who spent most of the last seconds waiting, and for what."""
+        waits = []
+        if self.rate("actor", "waiting_credit_s") > 0.5 * max(1, len(self.of("actor"))):
+            waits.append("actors for credit")
+        waits += [
+            f"learner {level} for data" for level in Level if self.rate("learner", "waiting_data_s", level.value) > 0.5
+        ]
+        return waits
+
     def lag_versions(self) -> dict[Level, int]:
         """How many versions the oldest weights that act are behind their learner, by level."""
         lags = {}
@@ -55,11 +76,12 @@ class Snapshot:
         replay = next(iter(self.of("replay").values()), {})
         row: Fields = {name: value for name, value in scheduler.items() if name not in ("role", "id", "host", "pid", "epoch")}
         row |= {f"actors_{name}": self.total("actor", name) for name in ("env_steps", "cars_driving", "waiting_credit_s")}
-        row["env_steps_per_s"] = self.total("actor", "env_steps_per_s")
+        row["env_steps_per_s"] = round(self.rate("actor", "env_steps"), 2)
         for level, learner in self.of("learner").items():
-            for name in ("learner_updates", "weight_version", "loss", "q_mean", "waiting_data_s", "updates_per_s"):
+            for name in ("learner_updates", "weight_version", "loss", "q_mean", "waiting_data_s"):
                 if name in learner:
                     row[f"{level}_{name}"] = learner[name]
+            row[f"{level}_updates_per_s"] = round(self.rate("learner", "learner_updates", level), 2)
         for name, value in replay.items():
             if name.startswith(("high_", "low_")):
                 row[f"replay_{name}"] = value
@@ -78,5 +100,7 @@ class Snapshot:
         elif parsed.kind == "events":
             self.events = [*self.events[-99:], fields]
         elif parsed.kind == "stats":
-            self.roles[parsed.fields["role"], parsed.fields["id"]] = fields
+            who = (parsed.fields["role"], parsed.fields["id"])
+            self.roles[who] = fields
+            self._history.setdefault(who, deque(maxlen=8)).append(fields)
             self.max_lag_versions = max(self.max_lag_versions, *self.lag_versions().values())

@@ -1,0 +1,148 @@
+"""`python -m zsdist.launch`: trains, shows how it goes, evaluates, and leaves a run directory behind."""
+
+import argparse
+import json
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+from rich.console import Console
+
+from zsdist import cli, config
+from zsdist.config import Config
+from zsdist.errors import ConfigError, RunError
+from zsdist.evaluation import closing
+from zsdist.run import directory, inline, program
+from zsdist.run.display import Display
+from zsdist.run.program import Setting
+
+
+def main(options: argparse.Namespace) -> int:
+    """Trains as the options say; 0 once the work is done, 130 where it was interrupted."""
+    console = Console()
+    setting = _resume(options) if options.resume else _start(options)
+    console.print(f"zsdist run [bold]{setting.folder}[/bold] (seed {setting.config.seed})", highlight=False)
+    with _interruptible() as interruption:
+        summary = _train(setting, interruption, console, prefer_lines=options.plain)
+    _check_books(summary)
+    if summary["ended"] == "interrupted":
+        closing.figures(setting.folder)
+        console.print(
+            f"interrupted after {summary['episodes']} episodes; everything is saved, go on with\n"
+            f"  python -m zsdist.launch --resume {setting.folder}",
+            highlight=False,
+        )
+        return cli.INTERRUPTED
+    closing.report(setting.folder, setting.config, summary, console)
+    return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's options."""
+    options = cli.Parser(prog="zsdist.launch", description="Train the hierarchical policy with distributed actors.")
+    options.add_argument("--actors", type=int, metavar="N", help="actor processes (run.actors)")
+    options.add_argument("--episodes", type=int, metavar="N", help="episodes in all, also with --resume (run.episodes)")
+    options.add_argument("--seed", type=int, metavar="S", help="of scenes, exploration and initial weights")
+    options.add_argument("--config", type=Path, metavar="FILE", help="YAML configuration; see configs/")
+    options.add_argument("--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="one setting; repeatable")
+    options.add_argument("--single-process", action="store_true", help="all roles in this process, on a virtual clock")
+    options.add_argument("--run-dir", type=Path, metavar="DIR", help="folder of the run; default: a new one in runs/")
+    options.add_argument("--resume", type=Path, metavar="DIR", help="go on with the run in DIR, and append to its files")
+    options.add_argument("--address", metavar="RAY", help="Ray cluster to run on: ray://HOST:PORT or auto")
+    options.add_argument("--plain", action="store_true", help="progress as lines, also on a terminal")
+    return options
+
+
+def _overrides(options: argparse.Namespace) -> tuple[str, ...]:
+    flags = {
+        "run.actors": options.actors,
+        "run.episodes": options.episodes,
+        "seed": options.seed,
+        "run.address": options.address,
+    }
+    overrides = [*options.set, *(f"{key}={json.dumps(value)}" for key, value in flags.items() if value is not None)]
+    if options.single_process:
+        overrides += ["placement=inline", "transport.kind=memory"]
+    return tuple(overrides)
+
+
+def _start(options: argparse.Namespace) -> Setting:
+    settings = config.load(options.config, _overrides(options))
+    _check_parts(settings)
+    folder = directory.create(options.run_dir, settings).resolve()
+    return Setting(settings, directory.key_name(folder), folder, {})
+
+
+def _resume(options: argparse.Namespace) -> Setting:
+    for name in ("config", "seed", "run_dir"):
+        if getattr(options, name) is not None:
+            raise ConfigError(f"--{name.replace('_', '-')} cannot go with --resume: the run in {options.resume} has its own")
+    settings, states = directory.reopen(options.resume, _overrides(options))
+    finished = len(states["scheduler"].meta["finished"])
+    if settings.run.episodes <= finished:
+        raise RunError(
+            f"the run in {options.resume} has finished {finished} episodes and --episodes is {settings.run.episodes}; "
+            f"allowed is more than {finished}"
+        )
+    _check_parts(settings)
+    folder = options.resume.resolve()
+    directory.rewind(folder, settings, states)
+    return Setting(settings, directory.key_name(folder), folder, states)
+
+
+def _check_parts(settings: Config) -> None:
+    """Finds out before anything is written or started whether scenes and vision weights are there."""
+    program.simulation(settings)
+
+
+def _train(setting: Setting, interruption: "Interruption", console: Console, *, prefer_lines: bool) -> dict:
+    runner = inline
+    if setting.config.placement == "ray":
+        from zsdist.run import ray as runner  # Ray takes a second to import, and the test mode does without
+    epochs = directory.issue_epochs(setting.folder, program.epoch_count(setting.config))
+    (setting.folder / "summary.json").unlink(missing_ok=True)
+    with Display(setting.run, console, prefer_lines=prefer_lines) as display:
+        runner.run(setting, epochs, interrupted=interruption, watch=display.refresh)
+    return json.loads((setting.folder / "summary.json").read_text())
+
+
+def _check_books(summary: dict) -> None:
+    for level, books in summary["transitions"].items():
+        if books["produced"] != books["stored"] + books["rejected"]:
+            raise RunError(
+                f"the books of level {level} do not balance: {books['produced']} transitions produced, "
+                f"{books['stored']} stored, {books['rejected']} rejected"
+            )
+
+
+class Interruption:
+    """Whether Ctrl-C was pressed; a second time stops at once, without saving."""
+
+    def __init__(self) -> None:
+        self.heard = False
+
+    def __call__(self) -> bool:
+        return self.heard
+
+    def hear(self, signal_number: int, frame: FrameType | None) -> None:
+        """The signal handler."""
+        if self.heard:
+            raise KeyboardInterrupt
+        self.heard = True
+
+
+@contextmanager
+def _interruptible() -> Iterator[Interruption]:
+    interruption = Interruption()
+    before = {number: signal.signal(number, interruption.hear) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield interruption
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+if __name__ == "__main__":
+    cli.execute(main, parser())

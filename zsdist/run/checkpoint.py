@@ -1,0 +1,65 @@
+"""From a run directory or a checkpoint to a policy that can drive."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from zsdist import config
+from zsdist.config import Config
+from zsdist.dqn import network
+from zsdist.errors import ConfigError, WeightsError
+from zsdist.run import directory
+from zsdist.types import Level, Parameters
+from zsdist.wire.messages import State
+
+
+@dataclass(frozen=True)
+class Policy:
+    """Both levels' networks and the configuration that they were trained under.
+
+    Attributes:
+        config: of the run that made it.
+        parameters: online networks by level.
+        sha256: of both networks together, 64 hex digits.
+        source: where it was read from.
+    """
+
+    config: Config
+    parameters: dict[Level, Parameters]
+    sha256: str
+    source: str
+
+
+def load_policy(path: Path) -> Policy:
+    """The policy of a run directory (its newest checkpoint) or of one checkpoint folder.
+
+    Raises:
+        WeightsError: there are no weights there, or they are damaged.
+    """
+    checkpoint = path if (path / "manifest.json").is_file() else None
+    try:
+        if checkpoint is None:
+            checkpoint = directory.newest_checkpoint(path)
+        states = directory.read_checkpoint(checkpoint)
+        settings = config.load(checkpoint.parent.parent / "config.yaml")
+    except ConfigError as error:
+        raise WeightsError(f"policy {path}: {error}") from error
+    except directory.RunError as error:
+        raise WeightsError(f"policy {path} has no weights to drive with: {error}") from error
+    missing = [level for level in Level if f"learner-{level}" not in states]
+    if missing:
+        raise WeightsError(f"policy {path}: checkpoint {checkpoint} lacks the {missing[0]} level's network")
+    return policy_of(settings, states, str(checkpoint))
+
+
+def policy_of(settings: Config, states: dict[str, State], source: str) -> Policy:
+    """The policy in the states of a checkpoint."""
+    parameters = {level: states[f"learner-{level}"].part("online/") for level in Level}
+    return make_policy(settings, parameters, source)
+
+
+def make_policy(settings: Config, parameters: dict[Level, Parameters], source: str) -> Policy:
+    """A policy of given networks."""
+    digest = hashlib.sha256("".join(network.sha256(parameters[level]) for level in Level).encode()).hexdigest()
+    return Policy(settings, parameters, digest, source)
+

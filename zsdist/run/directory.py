@@ -1,0 +1,188 @@
+"""The run directory: what a run leaves behind, and what it is resumed from. The scheduler alone writes to it."""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import time
+from pathlib import Path
+
+from zsdist import __version__, config
+from zsdist.config import Config
+from zsdist.errors import ConfigError, DecodeError, RunError
+from zsdist.wire import codec
+from zsdist.wire.messages import State
+
+CHECKPOINTS_KEPT = 3
+
+
+def create(path: Path | None, settings: Config, root: Path = Path("runs")) -> Path:
+    """Makes the folder of a new run and writes `config.yaml`.
+
+    Args:
+        path: where; None: a folder under `root`, named by configuration and time.
+        settings: resolved configuration.
+        root: parent of unnamed runs.
+
+    Raises:
+        RunError: `path` holds a run already, or cannot be made.
+    """
+    folder = path or root / f"{settings.run.name}-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
+    if (folder / "config.yaml").exists():
+        raise RunError(f"run directory {folder} already holds a run; allowed are a new folder, or --resume {folder}")
+    if folder.exists() and not folder.is_dir():
+        raise RunError(f"run directory {folder} is a file; allowed is a folder")
+    try:
+        for name in ("checkpoints", "figures", "logs"):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+        rewrite_config(folder, settings)
+    except OSError as error:
+        raise RunError(f"run directory {folder} cannot be written: {error.strerror}") from error
+    return folder
+
+
+def reopen(folder: Path, overrides: tuple[str, ...] = ()) -> tuple[Config, dict[str, State]]:
+    """Configuration (with overrides) and newest checkpoint of an earlier run. Nothing is changed yet.
+
+    Raises:
+        RunError: there is no run, or no whole checkpoint in it.
+    """
+    if not (folder / "config.yaml").is_file():
+        raise RunError(f"resume folder {folder} holds no run: there is no config.yaml in it")
+    try:
+        settings = config.load(folder / "config.yaml", overrides)
+    except ConfigError as error:
+        raise RunError(f"resume folder {folder}: {error}") from error
+    return settings, read_checkpoint(newest_checkpoint(folder))
+
+
+def rewind(folder: Path, settings: Config, states: dict[str, State]) -> None:
+    """Makes the folder of a run that is gone on with agree with its checkpoint: later episodes are struck out."""
+    rewrite_config(folder, settings)
+    _strike_out(folder / "episodes.jsonl", set(states["scheduler"].meta["finished"]))
+
+
+def key_name(folder: Path) -> str:
+    """The run's name on the key space: the folder's, with what a key cannot hold replaced."""
+    return re.sub(r"[^A-Za-z0-9._-]", "-", folder.resolve().name)[:64] or "run"
+
+
+def rewrite_config(folder: Path, settings: Config) -> None:
+    """Writes `config.yaml`: the resolved configuration, with the version that wrote it."""
+    head = f"# zsdist {__version__}, seed {settings.seed}\n"
+    _replace(folder / "config.yaml", (head + config.dump(settings)).encode())
+
+
+def newest_checkpoint(folder: Path) -> Path:
+    """The newest checkpoint of a run directory; raises `RunError` where there is none."""
+    found = sorted(folder.glob("checkpoints/*/manifest.json"))
+    if not found:
+        raise RunError(f"run directory {folder} holds no checkpoint to go on from")
+    return found[-1].parent
+
+
+def read_checkpoint(checkpoint: Path) -> dict[str, State]:
+    """The states of all roles in a checkpoint folder, each held against the manifest's hash.
+
+    Raises:
+        RunError: a file is missing or damaged.
+    """
+    try:
+        manifest = json.loads((checkpoint / "manifest.json").read_text())
+        states = {}
+        for name, digest in manifest["sha256"].items():
+            payload = (checkpoint / f"{name}.state").read_bytes()
+            if hashlib.sha256(payload).hexdigest() != digest:
+                raise RunError(f"checkpoint file {checkpoint / name}.state is damaged: its SHA-256 is not the manifest's")
+            states[name] = codec.decode(payload, expect=State)
+    except OSError as error:
+        raise RunError(f"checkpoint {checkpoint}: {error.filename}: {error.strerror}") from error
+    except (ValueError, KeyError, DecodeError) as error:
+        raise RunError(f"checkpoint {checkpoint} is damaged: {error}") from error
+    return states
+
+
+def issue_epochs(folder: Path, count: int) -> range:
+    """`count` fresh epochs, never issued before in this run directory (its resumes included)."""
+    path = folder / "epochs"
+    first = int(path.read_text()) if path.exists() else 0
+    _replace(path, str(first + count).encode())
+    return range(first, first + count)
+
+
+class RunDirectory:
+    """The scheduler's ledger on disk (see `zsdist.roles.scheduler.Ledger`)."""
+
+    def __init__(self, folder: Path, earlier_s: float = 0.0) -> None:
+        """Opens the files of `folder`; `earlier_s` is what earlier sittings of this run took."""
+        from torch.utils.tensorboard import SummaryWriter  # imports slowly, and only the scheduler's process needs it
+
+        self.folder = folder
+        self._earlier_s = earlier_s
+        self._opened_s = time.monotonic()
+        self._episodes = (folder / "episodes.jsonl").open("a", buffering=1)
+        self._metrics = (folder / "metrics.jsonl").open("a", buffering=1)
+        self._board = SummaryWriter(str(folder / "tensorboard"))
+
+    def episode(self, record: dict) -> None:
+        """Appends one line to `episodes.jsonl`."""
+        self._episodes.write(json.dumps(record, allow_nan=False) + "\n")
+        for name in ("return", "steps", "epsilon"):
+            self._board.add_scalar(f"episode/{name}", record[name], record["finished_as"])
+
+    def metrics(self, row: dict) -> None:
+        """Appends one line to `metrics.jsonl`, and TensorBoard events over env steps."""
+        self._metrics.write(json.dumps(row, allow_nan=False) + "\n")
+        step = int(row.get("actors_env_steps", 0))
+        for name, value in row.items():
+            if isinstance(value, int | float) and name != "time_s":
+                self._board.add_scalar(f"run/{name}", value, step)
+
+    def checkpoint(self, episodes: int, states: dict[str, State]) -> None:
+        """Writes `checkpoints/{episodes}`, complete or not at all, and removes the oldest beyond those kept."""
+        payloads = {name: codec.encode(state) for name, state in states.items()}
+        final = self.folder / "checkpoints" / f"{episodes:08d}"
+        partial = final.with_name(f".{final.name}.partial")
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+        for name, payload in payloads.items():
+            (partial / f"{name}.state").write_bytes(payload)
+        hashes = {name: hashlib.sha256(payload).hexdigest() for name, payload in payloads.items()}
+        manifest = {"zsdist": __version__, "episodes": episodes, "sha256": hashes}
+        (partial / "manifest.json").write_text(json.dumps(manifest, indent=1))
+        shutil.rmtree(final, ignore_errors=True)
+        partial.rename(final)
+        for old in sorted(final.parent.glob("[0-9]*"))[:-CHECKPOINTS_KEPT]:
+            shutil.rmtree(old)
+
+    def wall_s(self) -> float:
+        """Real seconds that the run has taken so far, earlier sittings included."""
+        return round(self._earlier_s + time.monotonic() - self._opened_s, 3)
+
+    def summary(self, fields: dict) -> None:
+        """Writes `summary.json` and closes the books."""
+        _replace(self.folder / "summary.json", json.dumps(fields, indent=1, allow_nan=False).encode())
+        for file in (self._episodes, self._metrics):
+            file.flush()
+        self._board.flush()
+
+
+def _strike_out(path: Path, finished: set[int]) -> None:
+    if not path.exists():
+        return
+    kept = []
+    for line in path.read_text().splitlines():
+        try:
+            if json.loads(line)["episode"] in finished:
+                kept.append(line)
+        except (ValueError, KeyError):
+            continue  # the line a killed process did not finish; its episode is driven again
+    _replace(path, "".join(line + "\n" for line in kept).encode())
+
+
+def _replace(path: Path, payload: bytes) -> None:
+    """Writes a file whole or not at all."""
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_bytes(payload)
+    partial.replace(path)

@@ -1,0 +1,173 @@
+"""The composition root: which roles a run has, and how each is built. No role knows where it lives."""
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+
+from zsdist.agent import features
+from zsdist.agent.hierarchy import HierarchicalAgent
+from zsdist.config import Config
+from zsdist.dqn.learner import DqnLearner
+from zsdist.roles.actor import Actor, VisualAct
+from zsdist.roles.base import Context, Role
+from zsdist.roles.cars import Car
+from zsdist.roles.hub import Hub
+from zsdist.roles.learner import Learner
+from zsdist.roles.replay import Replay, Shape
+from zsdist.roles.scheduler import Scheduler
+from zsdist.run.directory import RunDirectory
+from zsdist.sim import families, scene
+from zsdist.sim.env import CarNavigation
+from zsdist.sim.scene import Scene
+from zsdist.transport.base import Transport
+from zsdist.types import Level
+from zsdist.vision.visual_act import VisualAct as PretrainedVisualAct
+from zsdist.wire.messages import State
+
+SHAPES = {
+    Level.HIGH: Shape(features.HIGH_STATE_SIZE, features.HIGH_ACTIONS),
+    Level.LOW: Shape(features.LOW_STATE_SIZE, features.LOW_ACTIONS),
+}
+
+
+@dataclass(frozen=True)
+class Place:
+    """One role of a program: its kind, which of them, and the epoch of this incarnation."""
+
+    role: str
+    id: str
+    epoch: int
+
+    @property
+    def name(self) -> str:
+        """Such as `actor-0`."""
+        return f"{self.role}-{self.id}"
+
+
+def roles(config: Config, epochs: Sequence[int]) -> list[Place]:
+    """All roles that do the run's work, in the order in which an inline run steps them."""
+    names = [("scheduler", "0"), ("replay", "0"), ("learner", "high"), ("learner", "low")]
+    names += [("actor", str(index)) for index in range(config.run.actors)]
+    return [Place(role, identifier, epoch) for (role, identifier), epoch in zip(names, epochs, strict=True)]
+
+
+def role_count(config: Config) -> int:
+    """How many roles `roles` lists."""
+    return 4 + config.run.actors
+
+
+def epoch_count(config: Config) -> int:
+    """Epochs that a start takes: one for the runner, one for the hub, one a role, in this order."""
+    return 2 + role_count(config)
+
+
+class Itinerary:
+    """Scenes by number, a pure function of the seed. Training and validation scenes have seeds of their own."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._sources = [_source(name) for name in config.scenes.train]
+
+    def training(self, number: int) -> Scene:
+        """Scene of training episode `number`: families in turn, scenes drawn from `train_scenes` of each."""
+        source = self._sources[number % len(self._sources)]
+        index = int(np.random.default_rng([self._config.seed, number, 2]).integers(self._config.scenes.train_scenes))
+        return source("train", index)
+
+    def validation(self, merge: int, index: int) -> Scene:
+        """Validation scene `index` of a merge: the same for all its candidates, fresh for each merge."""
+        source = self._sources[index % len(self._sources)]
+        return source("validation", merge * 10_000 + index)
+
+
+def _source(name: str) -> Callable[[str, int], Scene]:
+    """Scenes of a family, or of a folder of scene files (which has no split: its files serve every purpose)."""
+    if name in families.FAMILIES:
+        return lru_cache(maxsize=64)(lambda split, index: families.draw(name, split, index))
+    scenes = scene.read_folder(Path(name))
+    return lambda split, index: scenes[index % len(scenes)]
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What an actor is made of besides its agent."""
+
+    make_env: Callable[[], gymnasium.Env]
+    visual_act: VisualAct
+    itinerary: Itinerary
+
+
+def simulation(config: Config) -> Parts:
+    """The real thing: PyBullet cars, the camera, the shipped visual-act model."""
+    return Parts(
+        make_env=lambda: CarNavigation.from_config(config),
+        visual_act=PretrainedVisualAct.load(config.vision, config.camera),
+        itinerary=Itinerary(config),
+    )
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What every role of a run shares, wherever it lives.
+
+    Attributes:
+        config: resolved.
+        run: name on the key space.
+        folder: the run directory.
+        states: of the checkpoint that is gone on from, by role name; empty for a new run.
+        make_parts: what actors are made of; tests put a kinematic car in the place of the simulation.
+    """
+
+    config: Config
+    run: str
+    folder: Path
+    states: dict[str, State]
+    make_parts: Callable[[Config], Parts] = simulation
+
+    def context(self, place: Place, transport: Transport, wake: threading.Event) -> Context:
+        """The context of one role."""
+        return Context(self.config, self.run, place.role, place.id, place.epoch, transport, wake)
+
+    def build(self, place: Place, transport: Transport, wake: threading.Event) -> Role:
+        """One role, with its state restored where the run is gone on with."""
+        context, config = self.context(place, transport, wake), self.config
+        match place.role:
+            case "scheduler":
+                restored = self.states.get("scheduler")
+                earlier_s = restored.meta["wall_s"] if restored else 0.0
+                return Scheduler(context, RunDirectory(self.folder, earlier_s), restored)
+            case "replay":
+                return Replay(context, SHAPES, self.states.get("replay"))
+            case "learner":
+                level = Level(place.id)
+                return Learner(context, level, make_learner(config, level), self.states.get(place.name))
+            case "actor":
+                parts = self.make_parts(config)
+                cars = [Car(parts.make_env(), HierarchicalAgent(config)) for _ in range(config.run.cars_per_actor)]
+                return Actor(context, cars, parts.visual_act, parts.itinerary)
+        raise ValueError(f"no role is called {place.role!r}")
+
+
+def make_learner(config: Config, level: Level) -> DqnLearner:
+    """The DQN of one level, untrained; its initial weights follow from the run's seed."""
+    shape, settings = SHAPES[level], config.high if level is Level.HIGH else config.low
+    seed = 2 * config.seed + (level is Level.HIGH)
+    return DqnLearner(shape.state_size, shape.actions, settings, seed=seed, mirror=features.mirror(level))
+
+
+def make_hub(setting: Setting, place: Place, transport: Transport, wake: threading.Event, endpoint: str) -> Hub:
+    """The hub's role, beside the router that its process holds."""
+    return Hub(setting.context(place, transport, wake), endpoint)
+
+
+def supervision(setting: Setting, places: Sequence[Place], *, interrupted: bool) -> dict:
+    """What a runner tells the scheduler, again and again: the actors' newest epochs, and whether to stop early."""
+    return {
+        "epochs": {place.name: place.epoch for place in places if place.role == "actor"},
+        "interrupted": interrupted,
+    }

@@ -1,0 +1,230 @@
+"""Every role in a Ray actor of its own, on this machine or on a cluster. The only file that knows Ray."""
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+import ray
+from ray.exceptions import RayError
+from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+from zsdist.errors import RunError, ZsdistError
+from zsdist.roles.base import HEARTBEAT_S, Role
+from zsdist.run import program
+from zsdist.run.directory import issue_epochs
+from zsdist.run.program import Place, Setting
+from zsdist.transport.base import Transport
+from zsdist.transport.zenoh import ZenohHub, ZenohTransport
+from zsdist.wire import codec, keys
+from zsdist.wire.messages import Orders
+
+RESTARTS_ALLOWED = 20  # of one actor, before the run is given up
+LEAVE_WITHIN_S = 5.0  # roles have so long to end by themselves once the run is over
+LOOPBACK = ("127.", "localhost", "[::1]")
+
+Watch = Callable[[Transport, float], None]
+
+
+class RoleHost:
+    """Lives in a Ray actor: builds one role there and steps it until it has finished."""
+
+    def __init__(self, setting: Setting, place: Place) -> None:
+        import torch
+
+        torch.set_num_threads(1)
+        self.setting, self.place = setting, place
+        self.wake = threading.Event()
+        self._stop = False
+        self._hub: ZenohHub | None = None
+        self._redirect_output()
+
+    def open_hub(self) -> str:
+        """Opens the router in this process and returns the endpoint at which it listens."""
+        self._hub = ZenohHub(self.setting.config.transport.endpoint)
+        return self._hub.endpoint
+
+    def drive(self, endpoint: str) -> str:
+        """Builds the role and steps it to its end; returns an empty string, or in one line why it could not go on."""
+        transport = ZenohTransport(endpoint)
+        try:
+            if self._hub is None:
+                role = self.setting.build(self.place, transport, self.wake)
+            else:
+                role = program.make_hub(self.setting, self.place, transport, self.wake, endpoint)
+            self._step(role)
+        except ZsdistError as error:
+            return f"{self.place.name}: {error}"
+        finally:
+            transport.close()
+            if self._hub is not None:
+                self._hub.close()
+        return ""
+
+    def stop(self) -> None:
+        """Has `drive` return after the current step; called from another of the actor's threads."""
+        self._stop = True
+        self.wake.set()
+
+    def _step(self, role: Role) -> None:
+        offset_s = time.time() - time.monotonic()  # unix time that never runs backwards
+        while not self._stop:
+            due_s = role.step(offset_s + time.monotonic())
+            if due_s is None:
+                return
+            self.wake.wait(max(0.0, due_s - offset_s - time.monotonic()))
+            self.wake.clear()
+
+    def _redirect_output(self) -> None:
+        """What the process prints goes to `logs/{role}.log` of the run directory where that is on this machine."""
+        logs = self.setting.folder / "logs"
+        if not logs.is_dir():
+            return
+        log = os.open(logs / f"{self.place.name}.log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+            os.dup2(log, stream.fileno())
+        os.close(log)
+
+
+def run(
+    setting: Setting,
+    epochs: Sequence[int],
+    *,
+    interrupted: Callable[[], bool] = lambda: False,
+    watch: Watch = lambda transport, now: None,
+) -> None:
+    """Runs to the end, or until `interrupted` has been heard and everything is saved.
+
+    A dead actor is replaced by a new incarnation; the death of any other role ends the run.
+
+    Args:
+        setting: what the roles share.
+        epochs: fresh ones, as many as `program.epoch_count` says.
+        interrupted: asked several times a second.
+        watch: called several times a second with a transport to subscribe on and the clock.
+
+    Raises:
+        RunError: the cluster is not there or too small, or a role failed.
+    """
+    _connect(setting)
+    try:
+        _Supervisor(setting, epochs).run(interrupted, watch)
+    finally:
+        ray.shutdown()
+
+
+def _connect(setting: Setting) -> None:
+    config = setting.config
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # else roles that reserve no GPU cannot see one
+    wanted = config.run.cpus_per_role * (program.role_count(config) + 1)
+    if config.run.address is None:
+        # Logical cores only steer Ray's placement: enough of them, and no role ever waits for a place.
+        cores = max(os.cpu_count() or 1, int(wanted) + 1)
+        ray.init(num_cpus=cores, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
+        return
+    host = config.transport.endpoint.partition("/")[2]
+    if host.startswith(LOOPBACK):
+        raise RunError(
+            f"transport.endpoint is {config.transport.endpoint!r} and run.address {config.run.address!r}: the roles of a "
+            "cluster cannot reach a loopback endpoint; allowed is one at which this machine is reached, such as tcp/HOST:7447"
+        )
+    try:
+        ray.init(address=config.run.address, log_to_driver=False, logging_level="ERROR")
+    except (RayError, ConnectionError, ValueError) as error:
+        raise RunError(f"Ray cluster {config.run.address!r} cannot be reached: {' '.join(str(error).split())}") from error
+    free = ray.cluster_resources().get("CPU", 0.0)
+    if wanted > free:
+        raise RunError(f"the run asks for {wanted:g} cores of Ray, the cluster has {free:g}; lower run.cpus_per_role or run.actors")
+
+
+class _Supervisor:
+    """Starts the roles, replaces dead actors, and tells the scheduler of both."""
+
+    def __init__(self, setting: Setting, epochs: Sequence[int]) -> None:
+        self.setting = setting
+        self.epoch, hub_epoch, *role_epochs = epochs
+        self.places = {place.name: place for place in program.roles(setting.config, role_epochs)}
+        self.hosts: dict[str, ray.actor.ActorHandle] = {}
+        self.work: dict[ray.ObjectRef, str] = {}
+        self.restarts: dict[str, int] = {}
+        self.hub = self._host(Place("hub", "0", hub_epoch))
+
+    def run(self, interrupted: Callable[[], bool], watch: Watch) -> None:
+        """Until the scheduler has finished."""
+        self.endpoint = self._ask(self.hub.open_hub.remote(), "hub")
+        (self.setting.folder / "endpoint").write_text(self.endpoint)
+        self.hub.drive.remote(self.endpoint)
+        transport = ZenohTransport(self.endpoint)
+        try:
+            for place in self.places.values():
+                self._start(place)
+            while "scheduler-0" in self.work.values():
+                self._supervise(transport, interrupted())
+                watch(transport, time.time())
+            self._leave()
+            watch(transport, time.time())
+        finally:
+            transport.close()
+            for host in [*self.hosts.values(), self.hub]:
+                ray.kill(host)
+
+    def _supervise(self, transport: Transport, interrupted: bool) -> None:
+        content = program.supervision(self.setting, list(self.places.values()), interrupted=interrupted)
+        orders = codec.encode(Orders(self.epoch, "scheduler", content))
+        transport.publish(keys.control(self.setting.run, "scheduler"), orders, retained=True)
+        ended, _ = ray.wait(list(self.work), timeout=HEARTBEAT_S)
+        for reference in ended:
+            self._account_for(self.work.pop(reference), reference)
+
+    def _account_for(self, name: str, reference: ray.ObjectRef) -> None:
+        """A role ended: by itself, with a reason, or with its process."""
+        try:
+            reason = ray.get(reference)
+        except RayError as error:
+            reason = f"{name} died: {_last_line(error)}; its log is {self.setting.folder / 'logs' / name}.log"
+            if self.places[name].role == "actor":
+                self._replace(name, reason)
+                return
+        if reason:
+            raise RunError(reason)
+
+    def _replace(self, name: str, reason: str) -> None:
+        self.restarts[name] = self.restarts.get(name, 0) + 1
+        if self.restarts[name] > RESTARTS_ALLOWED:
+            raise RunError(f"{reason}; it had been restarted {RESTARTS_ALLOWED} times")
+        old = self.places[name]
+        self.places[name] = Place(old.role, old.id, issue_epochs(self.setting.folder, 1)[0])
+        self._start(self.places[name])
+
+    def _start(self, place: Place) -> None:
+        self.hosts[place.name] = self._host(place)
+        self.work[self.hosts[place.name].drive.remote(self.endpoint)] = place.name
+
+    def _host(self, place: Place) -> "ray.actor.ActorHandle":
+        options = {"num_cpus": self.setting.config.run.cpus_per_role, "max_restarts": 0, "max_concurrency": 2}
+        if place.role in ("hub", "scheduler"):  # beside the run directory, at the address that was announced
+            here = ray.get_runtime_context().get_node_id()
+            options["scheduling_strategy"] = NodeAffinitySchedulingStrategy(here, soft=False)
+        return ray.remote(**options)(RoleHost).remote(self.setting, place)
+
+    def _leave(self) -> None:
+        """Gives the other roles the time to end by themselves."""
+        if self.work:
+            ray.wait(list(self.work), num_returns=len(self.work), timeout=LEAVE_WITHIN_S)
+        ray.wait([self.hub.stop.remote()], timeout=LEAVE_WITHIN_S)
+
+    def _ask(self, reference: ray.ObjectRef, name: str) -> str:
+        try:
+            return ray.get(reference)
+        except RayError as error:
+            raise RunError(f"{name} could not start: {_last_line(error)}") from error
+
+
+def _last_line(error: Exception) -> str:
+    """The telling line of Ray's long reports."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[-1] if lines else type(error).__name__
+
