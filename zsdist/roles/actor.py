@@ -14,7 +14,7 @@ from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.cars import Car, Errand, QFunctions
 from zsdist.types import Level, Parameters, View
 from zsdist.wire import codec, keys
-from zsdist.wire.messages import EPISODES, EVALUATION, Ack, Candidate, Jobs, Orders, WeightsMessage
+from zsdist.wire.messages import EPISODES, EVALUATION, Ack, Candidate, Jobs, Orders, Push, Records, WeightsMessage
 
 VisualAct = Callable[[np.ndarray, np.ndarray, np.ndarray], Sequence[View]]
 
@@ -59,10 +59,10 @@ class Actor(Role):
                 window_frames=settings.window_frames,
                 resend_after_s=settings.resend_after_s,
                 give_up_after_s=settings.give_up_after_s,
+                make_frame=Push if stream in (Level.HIGH, Level.LOW) else Records,
             )
             for stream in (Level.HIGH, Level.LOW, EPISODES, EVALUATION)
         }
-        self._statistics_at = (0.0, 0)
         run = context.run
         self._acks = self.mailbox("ack")
         self._news = self.mailbox("weights")

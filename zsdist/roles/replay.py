@@ -29,11 +29,11 @@ class Shape:
 class Shelf:
     """One level's part of the replay: ring, sizes, limiter and inbox, with the requests that wait for data."""
 
-    def __init__(self, level: Level, shape: Shape, config: Config) -> None:
+    def __init__(self, level: Level, shape: Shape, config: Config, sender_epoch: int) -> None:
         self.level = level
         self.batch_size = config.replay.batch_initial
         self.buffer = RingBuffer(shape.state_size, shape.actions, config.replay.size_initial)
-        self.inbox = Inbox(level)
+        self.inbox = Inbox(level, sender_epoch=sender_epoch)
         learning = config.high if level is Level.HIGH else config.low
         grain = config.agent.option_max_steps if level is Level.HIGH else 1
         self.limiter = Limiter(learning.updates_per_insert, learning.min_size, grain=grain * config.run.cars_per_actor)
@@ -42,16 +42,19 @@ class Shelf:
         self.rejected: dict[str, int] = {}
         self.sampled = 0
         self.waiting: deque[tuple[float, Message]] = deque()
+        self._epochs: dict[str, int] = {}  # newest issued since this process began
+        self._closed: set[tuple[str, int]] = set()
 
     def issue(self, actor: str, epoch: int) -> None:
         """Admits a newly issued epoch of an actor; its older epoch is closed where its last contiguous frame ended."""
-        current = self.inbox.epoch_of(actor)
-        if current is not None and epoch <= current:
+        current = self._epochs.get(actor, -1)
+        if epoch <= current:
             return
-        if current is not None:
+        if self._limited(actor, current):
             self.limiter.close(f"{actor}/{current}")
         self.inbox.issue(actor, epoch)
         self.limiter.open(f"{actor}/{epoch}")
+        self._epochs[actor] = epoch
 
     def receive(self, push: Push, now: float) -> None:
         """Stores what of a frame is new and in order."""
@@ -65,10 +68,15 @@ class Shelf:
                 self.limiter.inserted(stream, stored, sum(reasons.values()))
             if frame.closes:
                 self.limiter.close(stream)
+                self._closed.add((frame.actor, frame.epoch))
 
     def credit(self, actor: str, epoch: int) -> int | None:
         """The absolute number of transitions an open epoch may produce; None: unlimited."""
-        return self.limiter.credit(f"{actor}/{epoch}")
+        return self.limiter.credit(f"{actor}/{epoch}") if self._limited(actor, epoch) else 0
+
+    def _limited(self, actor: str, epoch: int) -> bool:
+        """Whether the limiter knows the epoch: issued since this process began, and not closed."""
+        return self._epochs.get(actor) == epoch and (actor, epoch) not in self._closed
 
     def serve(self, now: float) -> None:
         """Answers waiting requests: with a batch while the limiter allows, with none after `HOLD_REQUEST_S`."""
@@ -109,12 +117,10 @@ class Replay(Role):
     def __init__(self, context: Context, shapes: dict[Level, Shape], restored: State | None = None) -> None:
         super().__init__(context)
         run = context.run
-        self.shelves = {level: Shelf(level, shape, context.config) for level, shape in shapes.items()}
+        self.shelves = {level: Shelf(level, shape, context.config, context.epoch) for level, shape in shapes.items()}
         if restored is not None:
             self._restore(restored)
         self._scheduler_epoch = -1
-        self._closing = False
-        self._next_heartbeat_s = 0.0
         self._pushes = self.mailbox("push")
         self._requests = self.mailbox("sample")
         self._orders = self.mailbox("orders")
@@ -139,7 +145,7 @@ class Replay(Role):
         wake_s = now + HEARTBEAT_S
         for shelf in self.shelves.values():
             shelf.serve(now)
-            for ack in shelf.inbox.acks(now, shelf.credit, sender_epoch=self.context.epoch):
+            for ack in shelf.inbox.acks(now, shelf.credit):
                 self.transport.publish(keys.ack(self.context.run, ack.actor), codec.encode(ack))
             wake_s = min(wake_s, shelf.inbox.next_wake(now) or wake_s)
         for message in self._checkpoints.drain():
@@ -147,7 +153,7 @@ class Replay(Role):
         return wake_s
 
     def statistics(self) -> dict[str, float | str]:
-        fields: dict[str, float | str] = {"environment_epochs": self._scheduler_epoch}
+        fields: dict[str, float | str] = {}
         for level, shelf in self.shelves.items():
             books = {f"{level}_{name}": count for name, count in shelf.books().items()}
             fields |= books | {

@@ -65,7 +65,7 @@ class Scheduler(Role):
         self.recent: list[Outcome] = []  # of the last episodes, for watchers
         self._epochs: dict[str, int] = {}
         self._interrupted = False
-        self._inboxes = {stream: Inbox(stream) for stream in (EPISODES, EVALUATION)}
+        self._inboxes = {stream: Inbox(stream, sender_epoch=context.epoch) for stream in (EPISODES, EVALUATION)}
         self._offered: dict[Level, set[tuple[int, str]]] = {level: set() for level in Level}
         self._merged = dict.fromkeys(Level, 0)
         self._states: dict[str, State] = {}
@@ -156,7 +156,7 @@ class Scheduler(Role):
                     (self._take_episode if frame.stream == EPISODES else self._take_drive)(frame.actor, record)
                 self._next_orders_s = 0.0
         for inbox in self._inboxes.values():
-            for ack in inbox.acks(now, lambda actor, epoch: None, sender_epoch=self.context.epoch):
+            for ack in inbox.acks(now, lambda actor, epoch: None):
                 self.transport.publish(keys.ack(self.context.run, ack.actor), codec.encode(ack))
 
     def _take_episode(self, actor: str, record: dict) -> None:
