@@ -106,7 +106,7 @@ class Canvas:
         for _ in range(count):
             kind = names[int(self.rng.choice(len(names), p=weights / weights.sum()))]
             for _ in range(TRIES):
-                x_m, y_m = (round(float(c + v), 2) for c, v in zip(centre, self.rng.uniform(-spread_m, spread_m, 2)))
+                x_m, y_m = (round(float(v), 2) for v in np.array(centre) + self.rng.uniform(-spread_m, spread_m, 2))
                 inside = max(abs(x_m), abs(y_m)) <= SCATTER_M
                 if inside and self.place(draw(self.rng, kind, x_m, y_m, scale), gap_m):
                     break
