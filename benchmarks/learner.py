@@ -1,0 +1,123 @@
+"""Updates a second of one level's learner, by network and batch size; torch's own optimiser loop as the yardstick.
+
+`python benchmarks/learner.py [--quick]` prints a table, then one JSON line.
+"""
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import time
+from collections.abc import Callable
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+import torch
+
+from zsdist.config import LevelConfig
+from zsdist.dqn import losses, network
+from zsdist.dqn.learner import DqnLearner
+from zsdist.types import Batch
+
+ACTIONS = 5
+CASES = (  # name, state features, hidden, batch size
+    ("features40_batch128", 40, (128, 128), 128),
+    ("features120_batch128", 120, (128, 128), 128),
+    ("features120_batch256", 120, (128, 128), 256),
+    ("features120_batch16", 120, (128, 128), 16),
+)
+Update = Callable[[Batch], object]
+
+
+def main() -> None:
+    """Runs the cases and prints their figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="fewer repeats, within 50 s on two cores")
+    quick = parser.parse_args().quick
+    torch.set_num_threads(1)
+    repeats, updates = (3, 150) if quick else (9, 400)
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    figures, ratios = {}, {}
+    print(f"{'case':24s} {'zsdist updates/s':>18s} {'plain torch updates/s':>22s} {'ratio':>7s}")
+    for name, state_size, hidden, batch_size in CASES:
+        batches = make_batches(state_size, batch_size)
+        config = LevelConfig(hidden=hidden)
+        ours = DqnLearner(state_size, ACTIONS, config, seed=0).update
+        plain = plain_torch(state_size, config, device)
+        pairs = [(rate(ours, batches, updates), rate(plain, batches, updates)) for _ in range(repeats + 1)][1:]
+        ours_rate, plain_rate = (statistics.median(column) for column in zip(*pairs, strict=True))
+        figures[f"{name}_updates_per_s"] = round(ours_rate, 1)
+        ratios[f"{name}_update_vs_plain_torch"] = round(statistics.median(a / b for a, b in pairs), 3)
+        print(f"{name:24s} {ours_rate:18.0f} {plain_rate:22.0f} {ours_rate / plain_rate:7.2f}")
+    parameters = network.initial_parameters(CASES[1][1], ACTIONS, CASES[1][2], seed=0)
+    for cars in (1, 4, 16):
+        states = np.random.default_rng(0).normal(size=(cars, CASES[1][1])).astype(np.float32)
+        started = time.perf_counter()
+        for _ in range(500):
+            network.apply(parameters, states)
+        figures[f"act_batch{cars}_us"] = round((time.perf_counter() - started) / 500 * 1e6, 1)
+        print(f"acting on {cars:2d} states: {figures[f'act_batch{cars}_us']:.0f} us")
+    machine = {"cpus": os.cpu_count(), "processor": platform.machine(), "device": device, "torch": torch.__version__}
+    print(json.dumps({"subject": "learner", "machine": machine, "figures": figures, "ratios": ratios}))
+
+
+def make_batches(state_size: int, batch_size: int) -> list[Batch]:
+    """Random batches of the right shapes."""
+    rng = np.random.default_rng(0)
+    return [
+        Batch(
+            states=rng.normal(size=(batch_size, state_size)).astype(np.float32),
+            actions=rng.integers(0, ACTIONS, batch_size),
+            rewards=rng.normal(size=batch_size).astype(np.float32),
+            discounts=np.full(batch_size, 0.99, np.float32),
+            next_states=rng.normal(size=(batch_size, state_size)).astype(np.float32),
+            next_masks=np.ones((batch_size, ACTIONS), bool),
+            masks=np.ones((batch_size, ACTIONS), bool),
+            guides=rng.integers(-1, ACTIONS, batch_size),
+        )
+        for _ in range(16)
+    ]
+
+
+def rate(update: Update, batches: list[Batch], updates: int) -> float:
+    """Updates a second over `updates` of them."""
+    started = time.perf_counter()
+    for i in range(updates):
+        update(batches[i % len(batches)])
+    return updates / (time.perf_counter() - started)
+
+
+def plain_torch(state_size: int, config: LevelConfig, device: str) -> Update:
+    """The same update the usual way: default Adam, `clip_grad_norm_`, and a soft copy tensor by tensor."""
+    parameters = network.initial_parameters(state_size, ACTIONS, config.hidden, seed=0)
+    online = network.policy_network(parameters).to(device)
+    target = network.target_network(parameters).to(device)
+    optimiser = torch.optim.Adam(online.parameters(), lr=config.learning_rate)
+
+    def update(batch: Batch) -> float:
+        columns = {name: torch.from_numpy(column).to(device) for name, column in vars(batch).items()}
+        with torch.no_grad():
+            targets = losses.td_targets(
+                columns["rewards"],
+                columns["discounts"],
+                target(columns["next_states"]),
+                columns["next_masks"],
+                online(columns["next_states"]),
+            )
+        loss = losses.td_loss(online(columns["states"]), columns["actions"], targets, config.huber)
+        optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(online.parameters(), config.max_gradient_norm)
+        optimiser.step()
+        with torch.no_grad():
+            for old, new in zip(target.parameters(), online.parameters(), strict=True):
+                old.lerp_(new, config.target_tau)
+        return loss.item()
+
+    return update
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,259 @@
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from zsdist.config import LevelConfig
+from zsdist.dqn import network
+from zsdist.dqn.learner import DqnLearner, reflected
+from zsdist.errors import RunError, WeightsError
+from zsdist.types import Batch
+
+STATE_SIZE, ACTIONS = 6, 5
+CONFIG = LevelConfig(hidden=(16, 16), guide_margin_weight=0.5)
+MIRROR = SimpleNamespace(
+    state_index=np.array([1, 0, 2, 3, 5, 4]),
+    state_sign=np.array([1, 1, -1, 1, 1, 1], np.float32),
+    action_index=np.array([0, 2, 1, 4, 3]),
+)
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def batch(seed, size=32):
+    rng = np.random.default_rng(seed)
+    masks = rng.random((size, ACTIONS)) < 0.8
+    masks[:, 0] = True
+    actions = np.where(masks[:, 3], 3, 0)
+    return Batch(
+        states=rng.normal(size=(size, STATE_SIZE)).astype(np.float32),
+        actions=actions,
+        rewards=rng.normal(size=size).astype(np.float32),
+        discounts=np.where(rng.random(size) < 0.1, 0, 0.99).astype(np.float32),
+        next_states=rng.normal(size=(size, STATE_SIZE)).astype(np.float32),
+        next_masks=np.ones((size, ACTIONS), bool),
+        masks=masks,
+        guides=np.where(rng.random(size) < 0.5, 0, -1),
+    )
+
+
+def learner(config=CONFIG, seed=0, mirror=None):
+    return DqnLearner(STATE_SIZE, ACTIONS, config, seed, mirror=mirror, device="cpu")
+
+
+def equal(one, other):
+    return one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
+
+
+def test_eq11_an_update_moves_the_value_of_the_action_towards_its_target():
+    config = LevelConfig(hidden=(16,), target_tau=0)
+    dqn = learner(config)
+    data = batch(0)
+    data.discounts[:] = 0  # so that the target is the reward
+
+    def error():
+        q = network.apply(dqn.parameters(), data.states)
+        return np.abs(q[np.arange(len(data)), data.actions] - data.rewards).mean()
+
+    before = error()
+    for _ in range(300):
+        dqn.update(data)
+    assert error() < 0.25 * before
+
+
+def test_eq11_its_first_step_follows_the_sign_of_the_gradient():
+    dqn = learner(LevelConfig(hidden=(), target_tau=0, huber=False, max_gradient_norm=1e9))
+    before, data = dqn.parameters(), batch(1)
+    q = network.apply(before, data.states)
+    next_best = network.apply(before, data.next_states).max(axis=1)
+    rows = np.arange(len(data))
+    error = data.rewards + data.discounts * next_best - q[rows, data.actions]
+    expected = np.zeros((ACTIONS, STATE_SIZE))
+    np.add.at(expected, data.actions, error[:, None] * data.states)
+    dqn.update(data)
+    moved = dqn.parameters()["output.weight"] - before["output.weight"]
+    clear = np.abs(expected) > 1e-3
+    assert clear.any() and (np.sign(moved[clear]) == np.sign(expected[clear])).all()
+
+
+def test_a_learner_finds_the_optimal_values_of_a_small_chain():
+    # Five cells in a row; action 1 goes right, action 0 left; the right end pays 1 and ends the episode.
+    config = LevelConfig(hidden=(32,), discount=0.9, target_tau=0.05)
+    dqn = DqnLearner(5, 2, config, seed=0, device="cpu")
+    cells = np.repeat(np.arange(4), 2)
+    actions = np.tile([0, 1], 4)
+    following = np.clip(cells + 2 * actions - 1, 0, 4)
+    eye = np.eye(5, dtype=np.float32)
+    done = following == 4
+    data = Batch(
+        states=eye[cells],
+        actions=actions,
+        rewards=done.astype(np.float32),
+        discounts=np.where(done, 0, 0.9).astype(np.float32),
+        next_states=eye[following],
+        next_masks=np.ones((8, 2), bool),
+        masks=np.ones((8, 2), bool),
+        guides=np.full(8, -1),
+    )
+    for _ in range(800):
+        dqn.update(data)
+    values = network.apply(dqn.parameters(), eye[:4]).max(axis=1)
+    np.testing.assert_allclose(values, 0.9 ** np.array([3, 2, 1, 0]), atol=0.05)
+
+
+def test_equal_seeds_and_batches_give_equal_bits():
+    one, other = learner(mirror=MIRROR), learner(mirror=MIRROR)
+    for seed in range(10):
+        assert one.update(batch(seed)) == other.update(batch(seed))
+    assert equal(one.state(), other.state())
+    assert network.sha256(learner(seed=1).parameters()) != network.sha256(learner(seed=2).parameters())
+
+
+@pytest.mark.parametrize("stop", [0, 7])
+def test_a_restored_learner_goes_on_bit_for_bit_as_if_it_had_never_stopped(stop):
+    straight, stopped = learner(mirror=MIRROR), learner(mirror=MIRROR)
+    for seed in range(stop):
+        straight.update(batch(seed))
+        stopped.update(batch(seed))
+    resumed = learner(seed=99, mirror=MIRROR)
+    resumed.update(batch(1000))
+    resumed.restore(stopped.state())
+    for seed in range(stop, stop + 8):
+        assert straight.update(batch(seed)) == resumed.update(batch(seed))
+    assert equal(straight.state(), resumed.state()) and resumed.updates == stop + 8
+
+
+def test_a_state_is_a_copy_that_later_updates_do_not_touch():
+    dqn = learner()
+    state, parameters = dqn.state(), dqn.parameters()
+    kept = {name: value.copy() for name, value in state.items()}
+    dqn.update(batch(0))
+    assert equal(state, kept) and equal(parameters, {n: kept[f"online/{n}"] for n in parameters})
+
+
+def test_a_damaged_state_is_refused_by_name():
+    state = learner().state()
+    with pytest.raises(RunError, match="adam/exp_avg is missing"):
+        learner().restore({name: value for name, value in state.items() if name != "adam/exp_avg"})
+    with pytest.raises(WeightsError, match=r"hidden0\.weight"):
+        wider = DqnLearner(STATE_SIZE + 1, ACTIONS, CONFIG, 0, device="cpu").state()
+        learner().restore({**state, **{name: value for name, value in wider.items() if name.startswith("online/")}})
+
+
+def test_the_target_network_follows_by_tau_and_stands_still_without():
+    for tau in (0.0, 0.25, 1.0):
+        dqn = learner(LevelConfig(hidden=(16,), target_tau=tau))
+        before = dqn.target_parameters()
+        dqn.update(batch(0))
+        after, online = dqn.target_parameters(), dqn.parameters()
+        for name, value in after.items():
+            np.testing.assert_allclose(value, before[name] + tau * (online[name] - before[name]), atol=1e-6)
+
+
+def test_the_reward_scale_scales_what_is_learned():
+    one, scaled = learner(LevelConfig(hidden=())), learner(LevelConfig(hidden=(), reward_scale=0.01))
+    data = batch(0)
+    smaller = Batch(**{**data.__dict__, "rewards": data.rewards * np.float32(0.01)})
+    assert one.update(smaller)["loss"] == pytest.approx(scaled.update(data)["loss"], rel=1e-5)
+
+
+def test_no_step_is_larger_than_the_clipped_gradient_allows_and_the_norm_is_reported_unclipped():
+    data = batch(0)
+    data.rewards[:] = 1e4
+    free = learner(LevelConfig(hidden=(), huber=False, max_gradient_norm=1e9, target_tau=0))
+    clipped = learner(LevelConfig(hidden=(), huber=False, max_gradient_norm=1e-3, target_tau=0))
+    assert free.update(data)["gradient_norm"] == clipped.update(data)["gradient_norm"] > 1e3
+    for dqn, norm in ((free, None), (clipped, 1e-3)):
+        moment = np.linalg.norm(dqn.state()["adam/exp_avg"]) / 0.1
+        assert moment > 1e3 if norm is None else moment == pytest.approx(norm, rel=1e-3)
+
+
+def test_the_margin_weight_teaches_the_guide_action_without_reward():
+    dqn = learner(LevelConfig(hidden=(32,), guide_margin_weight=1.0))
+    data = batch(3, size=128)
+    data.rewards[:] = 0
+    data.guides[:] = 0
+    for _ in range(200):
+        dqn.update(data)
+    assert (network.greedy(network.apply(dqn.parameters(), data.states), data.masks) == 0).mean() > 0.95
+
+
+def test_distilling_moves_a_copy_towards_the_guide_and_leaves_the_learner_untouched():
+    dqn = learner(LevelConfig(hidden=(32,)), mirror=None)
+    for seed in range(5):
+        dqn.update(batch(seed))
+    before, gradient = dqn.state(), dqn._gradient.clone()
+    data = batch(9, size=128)
+    data.guides[:] = 0
+    student = dqn.distilled([data] * 200)
+
+    def agreement(parameters):
+        return (network.greedy(network.apply(parameters, data.states), data.masks) == 0).mean()
+
+    assert agreement(student) > max(0.9, agreement(dqn.parameters()))
+    assert equal(before, dqn.state()) and torch.equal(gradient, dqn._gradient)
+
+
+def test_distilling_does_not_change_what_the_learner_does_next():
+    one, other = learner(mirror=MIRROR), learner(mirror=MIRROR)
+    one.update(batch(0))
+    other.update(batch(0))
+    one.distilled([batch(5)] * 3)
+    assert one.update(batch(1)) == other.update(batch(1))
+    assert equal(one.state(), other.state())
+
+
+def test_promoting_the_recent_network_moves_the_target_only():
+    dqn = learner()
+    dqn.update(batch(0))
+    before = dqn.state()
+    dqn.promote(dqn.parameters(), reset_online=False)
+    after = dqn.state()
+    assert equal(dqn.target_parameters(), dqn.parameters())
+    assert all(np.array_equal(after[name], before[name]) for name in before if not name.startswith("target/"))
+
+
+def test_promoting_another_network_replaces_both_and_starts_the_optimiser_anew():
+    dqn, winner = learner(), learner(seed=5).parameters()
+    dqn.update(batch(0))
+    dqn.promote(winner, reset_online=True)
+    assert equal(dqn.parameters(), winner) and equal(dqn.target_parameters(), winner)
+    state = dqn.state()
+    assert state["adam/step"] == 0 and not state["adam/exp_avg"].any() and not state["adam/exp_avg_sq"].any()
+    dqn.update(batch(1))
+    assert not equal(dqn.parameters(), winner)
+
+
+def test_weights_of_another_network_are_not_promoted():
+    stranger = network.initial_parameters(STATE_SIZE, ACTIONS, (8, 16), 0)
+    with pytest.raises(WeightsError, match=r"hidden0\.weight"):
+        learner().promote(stranger, reset_online=True)
+
+
+def test_reflecting_twice_changes_nothing_and_once_changes_only_the_chosen_rows():
+    data, rows = batch(2), np.arange(32) % 2 == 0
+    once = reflected(data, MIRROR, rows)
+    assert equal(reflected(once, MIRROR, rows).__dict__, data.__dict__)
+    assert equal(reflected(data, MIRROR, ~rows & rows).__dict__, data.__dict__)
+    assert np.array_equal(once.states[~rows], data.states[~rows])
+    np.testing.assert_array_equal(once.states[0], data.states[0][[1, 0, 2, 3, 5, 4]] * [1, 1, -1, 1, 1, 1])
+    assert once.masks[rows, once.actions[rows]].all()
+    assert (once.guides[data.guides < 0] == -1).all()
+    assert np.array_equal(once.masks[0], data.masks[0][[0, 2, 1, 4, 3]])
+
+
+def test_with_a_mirror_left_is_learned_from_right():
+    dqn = DqnLearner(STATE_SIZE, ACTIONS, LevelConfig(hidden=(32,)), 0, mirror=MIRROR, device="cpu")
+    data = batch(0, size=64)
+    data.actions[:], data.discounts[:], data.rewards[:] = 1, 0, 1.0
+    for _ in range(300):
+        dqn.update(data)
+    mirrored = data.states[:, MIRROR.state_index] * MIRROR.state_sign
+    np.testing.assert_allclose(network.apply(dqn.parameters(), mirrored)[:, 2], 1.0, atol=0.2)

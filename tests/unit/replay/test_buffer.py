@@ -1,0 +1,206 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from zsdist.errors import RunError
+from zsdist.replay.buffer import REASONS, RingBuffer, row_bytes
+from zsdist.types import Level, Trajectory
+
+STATE_SIZE, ACTIONS = 4, 5
+
+
+def trajectory(n, first=0, version=0):
+    """Transitions numbered from `first`: each column says which one it belongs to."""
+    numbers = np.arange(first, first + n)
+    return Trajectory(
+        level=Level.LOW,
+        states=np.repeat(np.arange(first, first + n + 1, dtype=np.float32)[:, None], STATE_SIZE, axis=1),
+        actions=(numbers % ACTIONS).astype(np.uint8),
+        rewards=numbers.astype(np.float32),
+        discounts=np.full(n, 0.99, np.float32),
+        successors=np.arange(1, n + 1, dtype=np.uint16),
+        masks=np.ones((n + 1, ACTIONS), bool),
+        guides=((numbers % (ACTIONS + 1)) - 1).astype(np.int8),
+        behaviours=(numbers % 3).astype(np.uint8),
+        weight_version=version,
+    )
+
+
+def held(buffer):
+    """Numbers of the stored transitions, sorted; checks that every column of a row is of the same one."""
+    state = buffer.state()
+    numbers = state["rewards"].astype(int)
+    assert (state["states"] == numbers[:, None]).all() and (state["next_states"] == numbers[:, None] + 1).all()
+    assert (state["actions"] == numbers % ACTIONS).all() and (state["guides"] == numbers % (ACTIONS + 1) - 1).all()
+    return sorted(numbers.tolist())
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    capacity=st.integers(1, 12),
+    operations=st.lists(
+        st.one_of(st.tuples(st.just("insert"), st.integers(0, 15)), st.tuples(st.just("resize"), st.integers(1, 12))),
+        max_size=15,
+    ),
+)
+def test_it_always_holds_exactly_the_newest_whatever_is_inserted_and_resized(capacity, operations):
+    buffer, offered, expected = RingBuffer(STATE_SIZE, ACTIONS, capacity), 0, []
+    for what, amount in operations:
+        if what == "insert":
+            assert buffer.insert(trajectory(amount, offered, version=offered)) == (amount, {})
+            expected += range(offered, offered + amount)
+            offered += amount
+        else:
+            buffer.resize(amount)
+        expected = expected[-buffer.capacity :]
+        buffer.check_valid()
+        assert held(buffer) == expected and len(buffer) == len(expected)
+
+
+def test_the_oldest_version_is_that_of_the_oldest_transition_still_held():
+    buffer = RingBuffer(STATE_SIZE, ACTIONS, 6)
+    assert buffer.oldest_version is None
+    for version in range(5):
+        buffer.insert(trajectory(2, 2 * version, version))
+    assert buffer.oldest_version == 2
+    buffer.resize(3)
+    assert buffer.oldest_version == 3
+
+
+def test_a_successor_may_be_any_later_state():
+    buffer, option = RingBuffer(STATE_SIZE, ACTIONS, 9), trajectory(4)
+    buffer.insert(replace(option, successors=np.full(4, 4, np.uint16)))
+    assert (buffer.state()["next_states"] == 4).all()
+
+
+def test_samples_are_whole_transitions_of_the_promised_types():
+    buffer = RingBuffer(STATE_SIZE, ACTIONS, 50)
+    buffer.insert(trajectory(80))
+    batch = buffer.sample(np.random.default_rng(0), 400)
+    assert (batch.states == batch.rewards[:, None]).all() and (batch.next_states == batch.rewards[:, None] + 1).all()
+    assert (batch.actions == batch.rewards % ACTIONS).all()
+    assert batch.masks.shape == batch.next_masks.shape == (400, ACTIONS)
+    assert {name: value.dtype for name, value in vars(batch).items()} == {
+        "states": np.float32,
+        "actions": np.int64,
+        "rewards": np.float32,
+        "discounts": np.float32,
+        "next_states": np.float32,
+        "next_masks": np.bool_,
+        "masks": np.bool_,
+        "guides": np.int64,
+    }
+    batch.states[:] = -1
+    buffer.check_valid()
+    assert held(buffer) == list(range(30, 80))
+
+
+def test_every_stored_transition_is_drawn_equally_often():
+    buffer = RingBuffer(STATE_SIZE, ACTIONS, 20)
+    buffer.insert(trajectory(27))
+    counts = np.bincount(buffer.sample(np.random.default_rng(1), 40_000).rewards.astype(int), minlength=27)
+    assert (counts[:7] == 0).all()
+    chi_square = ((counts[7:] - 2000) ** 2 / 2000).sum()
+    assert chi_square < 43.8  # 19 degrees of freedom, p = 0.001
+
+
+def test_an_empty_buffer_has_nothing_to_sample():
+    with pytest.raises(ValueError, match="holds 0 transitions"):
+        RingBuffer(STATE_SIZE, ACTIONS, 5).sample(np.random.default_rng(0), 1)
+
+
+def spoiled(column, row, value):
+    def spoil(sound):
+        changed = getattr(sound, column).copy()
+        changed[row] = value
+        return replace(sound, **{column: changed})
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    ("reason", "spoil", "refused"),
+    [
+        ("shape", lambda t: replace(t, states=t.states[:, :-1]), 8),
+        ("shape", lambda t: replace(t, rewards=t.rewards[:-1]), 8),
+        ("shape", lambda t: replace(t, masks=t.masks[:-1]), 8),
+        ("dtype", lambda t: replace(t, states=t.states.astype(np.float64)), 8),
+        ("dtype", lambda t: replace(t, actions=t.actions.astype(np.int64)), 8),
+        ("successor", spoiled("successors", 2, 9), 1),
+        ("state", spoiled("states", 3, np.nan), 2),  # as a state and as a successor
+        ("state", spoiled("states", 8, np.inf), 1),
+        ("reward", spoiled("rewards", 0, -np.inf), 1),
+        ("discount", spoiled("discounts", 0, 1.001), 1),
+        ("discount", spoiled("discounts", 0, -0.1), 1),
+        ("discount", spoiled("discounts", 0, np.nan), 1),
+        ("action", spoiled("actions", 4, ACTIONS), 1),
+        ("action_masked", spoiled("masks", (1, 1), False), 1),
+        ("guide", spoiled("guides", 5, ACTIONS), 1),
+        ("guide", spoiled("guides", 5, -2), 1),
+        ("guide", lambda t: spoiled("guides", 5, 0)(spoiled("masks", (5, 0), False)(spoiled("actions", 5, 1)(t))), 1),
+        ("behaviour", spoiled("behaviours", 7, 3), 1),
+        ("dead_end", spoiled("masks", 8, False), 1),
+    ],
+)
+def test_unsound_transitions_are_refused_by_reason_and_stored_and_rejected_add_up(reason, spoil, refused):
+    buffer = RingBuffer(STATE_SIZE, ACTIONS, 50)
+    stored, rejected = buffer.insert(spoil(trajectory(8)))
+    assert rejected == {reason: refused} and reason in REASONS
+    assert stored == len(buffer) == 8 - refused
+    buffer.check_valid()
+
+
+def test_a_last_state_that_allows_nothing_is_fine_where_the_episode_ended():
+    buffer, ended = RingBuffer(STATE_SIZE, ACTIONS, 50), trajectory(8)
+    ended = spoiled("masks", 8, False)(spoiled("discounts", 7, 0)(ended))
+    assert buffer.insert(ended) == (8, {})
+
+
+def test_several_faults_of_one_transition_count_once():
+    both = spoiled("rewards", 2, np.nan)(spoiled("actions", 2, ACTIONS)(trajectory(8)))
+    stored, rejected = RingBuffer(STATE_SIZE, ACTIONS, 50).insert(both)
+    assert stored == 7 and rejected == {"reward": 1}
+
+
+def test_bytes_are_bounded_by_the_capacity_and_known_before():
+    buffer = RingBuffer(120, ACTIONS, 1000)
+    assert buffer.nbytes == 1000 * row_bytes(120, ACTIONS)
+    buffer.resize(300)
+    assert buffer.nbytes == 300 * row_bytes(120, ACTIONS) < 300 * 1000
+
+
+def test_a_restored_buffer_gives_the_same_samples_and_evicts_in_the_same_order():
+    buffer, restored = RingBuffer(STATE_SIZE, ACTIONS, 10), RingBuffer(STATE_SIZE, ACTIONS, 3)
+    buffer.insert(trajectory(17))
+    restored.restore(buffer.state())
+    restored.check_valid()
+    for first in (17, 21):
+        one, other = (b.sample(np.random.default_rng(5), 30) for b in (buffer, restored))
+        assert all(np.array_equal(getattr(one, name), getattr(other, name)) for name in vars(one))
+        buffer.insert(trajectory(4, first))
+        restored.insert(trajectory(4, first))
+    assert held(restored) == list(range(15, 25)) and restored.capacity == 10
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda s: s.pop("guides"), "lacks guides"),
+        (lambda s: s.update(capacity=np.array(4)), "capacity 4, head 5, 5 rows"),
+        (lambda s: s.update(head=np.array(2)), "head 2"),
+        (lambda s: s.update(states=s["states"][:, :-1]), r"states is float32 of shape \(5, 3\)"),
+        (lambda s: s.update(actions=s["actions"].astype(int)), "actions is int64"),
+    ],
+)
+def test_a_state_that_contradicts_itself_is_refused_and_changes_nothing(spoil, message):
+    source, buffer = RingBuffer(STATE_SIZE, ACTIONS, 8), RingBuffer(STATE_SIZE, ACTIONS, 8)
+    source.insert(trajectory(5))
+    buffer.insert(trajectory(2))
+    state = source.state()
+    spoil(state)
+    with pytest.raises(RunError, match=message):
+        buffer.restore(state)
+    assert held(buffer) == [0, 1]

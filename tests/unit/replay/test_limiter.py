@@ -1,0 +1,219 @@
+from fractions import Fraction
+
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from zsdist.errors import ConfigError, ProtocolError
+from zsdist.replay.limiter import Limiter
+
+
+class Flow(RuleBasedStateMachine):
+    """Actors that act on credit, in any order, and a learner that takes what it may."""
+
+    @initialize(
+        ratio=st.sampled_from([0.1, 0.3, 0.5, 1.0, 1.7, 4.0]),
+        min_size=st.integers(1, 40),
+        grain=st.integers(1, 24),
+        band=st.integers(0, 60),
+    )
+    def start(self, ratio, min_size, grain, band):
+        self.ratio, self.grain, self.band, self.min_size = Fraction(str(ratio)), grain, band, min_size
+        self.limiter = Limiter(ratio, min_size, grain, band)
+        self.produced, self.opened, self.most_open, self.last_credit = {}, 0, 0, {}
+        self.start_excess = 0
+
+    @precondition(lambda self: len(self.produced) < 5)
+    @rule()
+    def open(self):
+        name = f"actor/{self.opened}"
+        self.opened += 1
+        self.limiter.open(name)
+        self.produced[name] = 0
+        self.most_open = max(self.most_open, len(self.produced))
+
+    @precondition(lambda self: self.produced)
+    @rule(data=st.data())
+    def close(self, data):
+        name = data.draw(st.sampled_from(sorted(self.produced)))
+        credit = self.limiter.credit(name)
+        back = self.limiter.close(name)
+        assert back == (0 if credit is None else max(0, credit - self.produced[name]))
+        del self.produced[name]
+        self.last_credit.pop(name, None)
+
+    @precondition(lambda self: self.produced)
+    @rule(data=st.data(), amount=st.integers(1, 24))
+    def insert(self, data, amount):
+        name = data.draw(st.sampled_from(sorted(self.produced)))
+        was_limited, credit = self.limiter.limited, self.limiter.credit(name)
+        amount = amount if credit is None else min(amount, credit - self.produced[name])
+        if amount <= 0:
+            return
+        rejected = data.draw(st.integers(0, amount))
+        self.limiter.inserted(name, amount - rejected, rejected)
+        self.produced[name] += amount
+        if self.limiter.limited and not was_limited:
+            self.start_excess = self.limiter.stored
+
+    @precondition(lambda self: self.limiter.may_sample())
+    @rule(times=st.integers(1, 12))
+    def learn(self, times):
+        for _ in range(times):
+            if self.limiter.may_sample():
+                self.limiter.sampled()
+
+    @invariant()
+    def credit_is_absolute_and_never_falls(self):
+        if not hasattr(self, "limiter"):
+            return
+        for name in self.produced:
+            credit = self.limiter.credit(name)
+            assert (credit is None) == (self.limiter.stored < self.min_size)
+            if credit is not None:
+                assert credit >= self.last_credit.get(name, 0)
+                self.last_credit[name] = credit
+
+    @invariant()
+    def one_side_can_always_go_on(self):
+        if not hasattr(self, "limiter") or not self.limiter.limited or self.limiter.may_sample():
+            return
+        for name, produced in self.produced.items():
+            assert self.limiter.credit(name) - produced >= self.grain
+
+    @invariant()
+    def the_ratio_is_held_within_the_band(self):
+        if not hasattr(self, "limiter") or not self.limiter.limited:
+            return
+        out = sum(max(0, self.limiter.credit(name) - produced) for name, produced in self.produced.items())
+        slack = self.band + self.grain * self.most_open
+        assert self.limiter.updates <= self.ratio * self.limiter.stored
+        assert self.limiter.stored + out <= max(
+            (self.limiter.updates + 1) / self.ratio + slack, self.start_excess + slack
+        )
+
+
+Flow.TestCase.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
+TestFlow = Flow.TestCase
+
+
+def opened(limiter, *names):
+    for name in names:
+        limiter.open(name)
+    return limiter
+
+
+def test_nothing_is_limited_and_nothing_learned_before_min_size():
+    limiter = opened(Limiter(0.5, min_size=100, grain=4, band=10), "a")
+    limiter.inserted("a", 99)
+    assert limiter.credit("a") is None and not limiter.may_sample()
+    limiter.inserted("a", 1)
+    assert limiter.credit("a") is not None and limiter.may_sample()
+
+
+def test_updates_stop_at_the_ratio_and_go_on_with_the_next_insert():
+    limiter = opened(Limiter(0.5, min_size=10, grain=4), "a")
+    limiter.inserted("a", 10)
+    while limiter.may_sample():
+        limiter.sampled()
+    assert limiter.updates == 5
+    limiter.inserted("a", 1)
+    assert not limiter.may_sample()
+    limiter.inserted("a", 1)
+    assert limiter.may_sample()
+
+
+def test_without_updates_the_inserts_come_to_a_stop():
+    limiter = opened(Limiter(1.0, min_size=1, grain=4, band=16), "a")
+    limiter.inserted("a", 1)
+    total = 1
+    while (more := limiter.credit("a") - total) > 0:
+        limiter.inserted("a", more)
+        total += more
+    assert total <= 1 + 16 + 4
+    limiter.sampled()
+    assert limiter.credit("a") == total + 1
+
+
+def test_hoarders_cannot_keep_a_late_stream_from_its_grain():
+    limiter = opened(Limiter(0.1, min_size=1, grain=12, band=64), "hoarder")
+    limiter.inserted("hoarder", 1)
+    assert limiter.credit("hoarder") == 1 + 12 + 64
+    limiter.open("second hoarder")
+    assert limiter.credit("second hoarder") >= 12
+    limiter.open("late")
+    produced = 0
+    for _ in range(100):
+        while limiter.may_sample():
+            limiter.sampled()
+        assert limiter.credit("late") - produced >= 12
+        produced += 12
+        limiter.inserted("late", 12)
+
+
+def test_streams_in_the_same_position_get_the_same():
+    names = [f"actor/{i}" for i in range(7)]
+    limiter = opened(Limiter(0.5, min_size=7, grain=3, band=70), *names)
+    for name in names:
+        limiter.inserted(name, 1)
+    assert len({limiter.credit(name) for name in names}) == 1
+    while limiter.may_sample():
+        limiter.sampled()
+    assert [limiter.credit(name) for name in names] == [1 + 3 + 10] * 7
+
+
+def test_credit_of_a_closed_stream_returns_to_the_others():
+    limiter = opened(Limiter(1.0, min_size=2, grain=2, band=20), "a", "b")
+    limiter.inserted("a", 1)
+    limiter.inserted("b", 1)
+    before = limiter.credit("a")
+    assert limiter.close("b") > 0
+    assert limiter.credit("a") > before
+
+
+def test_rejected_transitions_use_credit_but_earn_no_updates():
+    limiter = opened(Limiter(1.0, min_size=1, grain=4, band=0), "a")
+    limiter.inserted("a", 1)
+    limiter.sampled()
+    before = limiter.credit("a")
+    limiter.inserted("a", 0, rejected=4)
+    assert limiter.credit("a") == before + 4 and not limiter.may_sample()
+
+
+def test_totals_survive_a_restart_and_streams_do_not():
+    limiter = opened(Limiter(0.5, min_size=10, grain=4), "a")
+    limiter.inserted("a", 20)
+    limiter.sampled()
+    resumed = Limiter(0.5, min_size=10, grain=4)
+    resumed.restore(limiter.state())
+    assert (resumed.stored, resumed.updates, resumed.limited) == (20, 1, True)
+    resumed.open("a")
+    assert 4 <= resumed.credit("a") < limiter.credit("a")
+
+
+def test_what_breaks_the_books_is_refused():
+    limiter = opened(Limiter(1.0, min_size=5, grain=1), "a")
+    for wrong in (
+        lambda: limiter.open("a"),
+        lambda: limiter.close("b"),
+        lambda: limiter.inserted("b", 1),
+        lambda: limiter.credit("b"),
+        limiter.sampled,
+    ):
+        with pytest.raises(ProtocolError):
+            wrong()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((0.0, 1, 1, 0), "updates_per_insert is 0.0"),
+        ((1.0, 0, 1, 0), "min_size is 0"),
+        ((1.0, 1, 0, 0), "grain is 0"),
+        ((1.0, 1, 1, -1), "band is -1"),
+    ],
+)
+def test_counts_out_of_range_are_refused_by_name(arguments, message):
+    with pytest.raises(ConfigError, match=message):
+        Limiter(*arguments)
