@@ -10,10 +10,9 @@ from types import FrameType
 
 from rich.console import Console
 
-from zsdist import cli, config
+from zsdist import cli, closing, config
 from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
-from zsdist.evaluation import closing
 from zsdist.run import directory, inline, program
 from zsdist.run.display import Display
 from zsdist.run.program import Setting
@@ -28,14 +27,15 @@ def main(options: argparse.Namespace) -> int:
         summary = _train(setting, interruption, console, prefer_lines=options.plain)
     _check_books(summary)
     if summary["ended"] == "interrupted":
-        closing.figures(setting.folder)
+        closing.draw_training(setting.folder, setting.config)
         console.print(
             f"interrupted after {summary['episodes']} episodes; everything is saved, go on with\n"
             f"  python -m zsdist.launch --resume {setting.folder}",
             highlight=False,
         )
         return cli.INTERRUPTED
-    closing.report(setting.folder, setting.config, summary, console)
+    closing.draw_training(setting.folder, setting.config)
+    closing.compare(setting.folder, setting.config, console)
     return 0
 
 

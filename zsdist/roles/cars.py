@@ -88,6 +88,7 @@ class Car:
             shielded=errand.shielded,
             rng=np.random.default_rng(errand.seed),
             weight_versions=versions,
+            learning=errand.trains,
         )
 
     def advance(self, view: View, q: QFunctions) -> None:

@@ -1,0 +1,113 @@
+"""What a finished run is closed with: figures of its training, and the trained policy held against others."""
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from zsdist.config import Config
+from zsdist.evaluate import Report, evaluate
+from zsdist.evaluation.figures import Track, draw_curves, draw_paths
+from zsdist.evaluation.selection import select
+from zsdist.evaluation.workers import Entrant
+from zsdist.run import program
+from zsdist.run.checkpoint import load_policy, make_policy
+from zsdist.types import Level
+
+PATHS_SHOWN = 6
+CURVE_WINDOW = 20  # episodes
+UNSEEN = "iid"  # family of the scenes that training on others has not met
+SINGLETON = "singleton"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One line of the comparison: who drives where."""
+
+    name: str
+    entrant: Entrant
+    sha256: str | None
+    scenes: str
+    episodes: int
+
+
+def draw_training(folder: Path, settings: Config) -> None:
+    """Reward and success over training episodes, into `figures/`."""
+    lines = (folder / "episodes.jsonl").read_text().splitlines()
+    if lines:
+        draw_curves([json.loads(line) for line in lines], CURVE_WINDOW, folder / "figures" / "training.png")
+
+
+def compare(folder: Path, settings: Config, console: Console) -> None:
+    """Drives the trained policy beside others greedily; prints a table, writes `evaluation.json` and the paths driven."""
+    if not settings.run.final_evaluation_episodes:
+        return
+    reports = [(trial, _drive(trial, settings.seed)) for trial in _trials(folder, settings)]
+    (folder / "evaluation.json").write_text(json.dumps([report.result for _, report in reports], indent=1) + "\n")
+    for trial, report in reports:
+        if trial.name == "trained":
+            scenes = select(trial.scenes, settings, trial.episodes, settings.seed)
+            panels = [
+                (scene, [Track(np.array(record.poses)[:, :2], record.outcome, "trained")])
+                for scene, record in list(zip(scenes, report.records, strict=True))[:PATHS_SHOWN]
+            ]
+            draw_paths(panels, settings.grid.arena_m, folder / "figures" / f"paths-{trial.scenes}.png")
+    console.print(_table(reports, settings))
+    console.print(f"figures: {folder / 'figures'}", highlight=False)
+
+
+def _trials(folder: Path, settings: Config) -> Iterator[Trial]:
+    """The trained networks beside the same networks before training, then beside baselines where nobody has been."""
+    trained = load_policy(folder)
+    parameters = {level: program.make_learner(settings, level).parameters() for level in Level}
+    untrained = make_policy(settings, parameters, "before training")
+    home, episodes = settings.scenes.train[0], settings.run.final_evaluation_episodes
+    at_home = min(episodes, 10) if home == SINGLETON else episodes
+    for name, policy in (("trained", trained), ("untrained", untrained)):
+        yield Trial(name, Entrant(settings, policy.parameters), policy.sha256, home, at_home)
+    away = UNSEEN if home == SINGLETON else "test"
+    yield Trial("trained", Entrant(settings, trained.parameters), trained.sha256, away, episodes)
+    for baseline in ("random", "potential-field"):
+        yield Trial(baseline, Entrant(settings, baseline=baseline), None, away, episodes)
+
+
+def _drive(trial: Trial, seed: int) -> Report:
+    return evaluate(
+        trial.entrant,
+        policy=trial.name,
+        weights_sha256=trial.sha256,
+        scenes=trial.scenes,
+        episodes=trial.episodes,
+        seed=seed,
+        workers=os.cpu_count() or 1,
+    )
+
+
+def _table(reports: list[tuple[Trial, Report]], settings: Config) -> Table:
+    table = Table(
+        title="greedy evaluation",
+        caption=f"seed {settings.seed}, success within {settings.sim.success_radius_m} m, at most {settings.sim.max_steps} "
+        "actions; 95% intervals",
+        title_justify="left",
+        caption_justify="left",
+    )
+    for heading in ("scenes", "policy", "n", "success", "collision", "timeout", "SPL"):
+        table.add_column(heading, justify="left" if heading in ("scenes", "policy") else "right")
+    for trial, report in reports:
+        result = report.result
+        low, high = result["confidence_95"]["success"]
+        table.add_row(
+            trial.scenes,
+            trial.name,
+            str(result["episodes"]),
+            f"{result['success']:.2f} ({low:.2f}-{high:.2f})",
+            f"{result['collision']:.2f}",
+            f"{result['timeout']:.2f}",
+            f"{result['spl']:.2f}",
+        )
+    return table
