@@ -1,5 +1,6 @@
 """Labelled pictures from random places in random scenes: what the visual-act model is trained and tested on."""
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,8 +12,9 @@ from zsdist.sim.camera import Camera, appearance, make_camera
 from zsdist.sim.camera.primitives import ARENA_HALF_M
 from zsdist.sim.camera.variation import worn
 from zsdist.sim.collision import touching
-from zsdist.sim.families import generate, split_seed
+from zsdist.sim.families import generate
 from zsdist.sim.kinds import KINDS
+from zsdist.sim.manifest import SPLITS, Split, split_seed
 from zsdist.sim.raycast import ray_distances
 from zsdist.sim.scene import Scene
 from zsdist.types import Pose
@@ -58,13 +60,13 @@ class LabelledView:
 
 
 def labelled_views(
-    families: list[str], split: str, count: int, seed: int, camera: CameraConfig, varied: bool = False
+    families: list[str], split: Split, count: int, seed: int, camera: CameraConfig, varied: bool = False
 ) -> Iterator[LabelledView]:
     """Pictures with labels, the same for the same arguments; the families take turns, a scene gives several.
 
     Args:
         families: their names, as of `families.FAMILIES`.
-        split: `train`, `validation` or `test`: which range of the families' seeds the scenes come from.
+        split: which range of the families' seeds the scenes come from; an unknown one raises `SceneError`.
         count: of pictures.
         seed: of scenes, places and looks.
         camera: resolution, field of view, mount and range.
@@ -73,13 +75,13 @@ def labelled_views(
     """
     rng = np.random.default_rng([seed, *split.encode()])
     made = 0
-    turn = 0
-    while made < count:
-        scene = generate(families[turn % len(families)], split_seed(split, int(rng.integers(2**20))))
-        turn += 1
+    for family in itertools.cycle(families):
+        scene = generate(family, split_seed(split, int(rng.integers(len(SPLITS[split])))))
         for view in _views_of(scene, min(POSES_PER_SCENE, count - made), rng, camera, varied):
             made += 1
             yield view
+        if made == count:
+            return
 
 
 def label(scene: Scene, pose: Pose, camera: CameraConfig, people: np.ndarray | None = None) -> dict[str, np.ndarray]:

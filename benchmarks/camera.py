@@ -1,0 +1,101 @@
+"""The camera's back ends against each other: milliseconds a picture on one core, and how far they agree.
+
+`python benchmarks/camera.py [--quick]` prints a table, then one JSON line.
+"""
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import time
+
+import numpy as np
+
+from zsdist.config import CameraConfig
+from zsdist.sim.camera import Camera, make_camera
+from zsdist.sim.families import generate
+from zsdist.sim.manifest import split_seed
+from zsdist.sim.scene import Scene
+from zsdist.sim.views import free_pose
+from zsdist.types import Pose
+
+FAMILIES = ("iid", "street", "ood-all")
+BACK_ENDS = ("caster", "pybullet")
+SIZES_PX = (224, 128, 64)
+DEPTH_TOLERANCE_M = 0.02
+
+
+def main() -> None:
+    """Measure, print the table and the JSON line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="fewer scenes and repeats; ends within 50 s on two cores")
+    quick = parser.parse_args().quick
+    began = time.perf_counter()
+    make_camera(CameraConfig(size_px=32)).render(_scenes(1)[0], Pose(0.0, 0.0, 0.0))
+    figures = {"first_picture_s": round(time.perf_counter() - began, 3)}  # compiles, or reads numba's cache
+    scenes = _scenes(2 if quick else 8)
+    rng = np.random.default_rng(0)
+    looks = [(scene, free_pose(scene, rng)) for scene in scenes for _ in range(5 if quick else 10)]
+    figures |= _speed(looks, repeats=2 if quick else 5) | _agreement(looks)
+    ratios = {
+        f"caster_vs_tiny_{size}px": round(figures[f"pybullet_{size}px_ms"] / figures[f"caster_{size}px_ms"], 2)
+        for size in SIZES_PX
+    }
+    for name, value in (figures | ratios).items():
+        print(f"{name:40s} {value}")
+    machine = {"machine": platform.machine(), "cpus": os.cpu_count(), "python": platform.python_version()}
+    print(json.dumps({"subject": "camera", "machine": machine, "figures": figures, "ratios": ratios}))
+
+
+def _scenes(of_each: int) -> list[Scene]:
+    return [generate(family, split_seed("test", index)) for index in range(of_each) for family in FAMILIES]
+
+
+def _speed(looks: list[tuple[Scene, Pose]], repeats: int) -> dict[str, float]:
+    """Median milliseconds a picture once a scene is prepared, the back ends in turn; and of the preparation."""
+    figures = {}
+    for size in SIZES_PX:
+        cameras = {name: make_camera(CameraConfig(back_end=name, size_px=size)) for name in BACK_ENDS}
+        times = {name: [] for name in BACK_ENDS}
+        prepare = {name: [] for name in BACK_ENDS}
+        last = None
+        for scene, pose in looks:
+            for name, camera in cameras.items():
+                if scene is not last:
+                    prepare[name].append(_milliseconds(camera, scene, pose))
+                times[name] += [_milliseconds(camera, scene, pose) for _ in range(repeats)]
+            last = scene
+        for name in BACK_ENDS:
+            figures[f"{name}_{size}px_ms"] = round(statistics.median(times[name]), 3)
+            figures[f"{name}_{size}px_new_scene_ms"] = round(statistics.median(prepare[name]), 2)
+    return figures
+
+
+def _milliseconds(camera: Camera, scene: Scene, pose: Pose) -> float:
+    began = time.perf_counter()
+    camera.render(scene, pose)
+    return 1e3 * (time.perf_counter() - began)
+
+
+def _agreement(looks: list[tuple[Scene, Pose]]) -> dict[str, float]:
+    """Share of pixels with equal segments, and of those within depth tolerance, over all pictures and in the worst."""
+    ours, theirs = (make_camera(CameraConfig(back_end=name)) for name in BACK_ENDS)
+    segments, depths = [], []
+    for scene, pose in looks:
+        _, depth, segment = ours.render_labelled(scene, pose, 0.02, -0.03)
+        _, their_depth, their_segment = theirs.render_labelled(scene, pose, 0.02, -0.03)
+        seen = (segment == their_segment) & np.isfinite(depth) & np.isfinite(their_depth)
+        segments.append(np.mean(segment == their_segment))
+        depths.append(np.mean(np.abs(depth[seen] - their_depth[seen]) <= DEPTH_TOLERANCE_M))
+    return {
+        "pictures_compared": len(looks),
+        "segments_equal_share": round(float(np.mean(segments)), 5),
+        "segments_equal_share_worst_picture": round(float(np.min(segments)), 5),
+        "depth_within_2cm_share": round(float(np.mean(depths)), 5),
+        "depth_within_2cm_share_worst_picture": round(float(np.min(depths)), 5),
+    }
+
+
+if __name__ == "__main__":
+    main()
