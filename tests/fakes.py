@@ -1,0 +1,146 @@
+"""Stand-ins for the simulator and the visual-act model, fast enough to drive thousands of steps a second.
+
+`LatticeEnv` has the interface of `zsdist.sim.env.CarNavigation`; its "image" is a row of true ray distances, which
+`FakeVisualAct` turns into the views that a good model would give, with noise and misses on demand.
+"""
+
+import math
+
+import numpy as np
+
+from zsdist.config import Config
+from zsdist.planning.footprint import ADVANCES, TURNS, successor
+from zsdist.planning.grid import Grid
+from zsdist.planning.rewards import RewardTerms, obstacle_avoidance, target_distance, target_reached
+from zsdist.sim import collision, families, raycast
+from zsdist.sim.kinds import KINDS
+from zsdist.types import Action, Pose, View
+from zsdist.vision import labels, rays
+
+CENTIMETRES = 100
+SAMPLES = 9  # poses along a move that are tested for contact
+
+
+class LatticeEnv:
+    """The car without physics: every action ends exactly on the lattice; walking people stand at their first place."""
+
+    def __init__(self, family="iid", config=None):
+        self.family = family
+        self.config = config or Config()
+        self.grid = Grid.from_config(self.config.grid)
+        self._angles = rays.ray_angles_rad(rays.RAYS, math.radians(self.config.camera.field_of_view_deg))
+
+    def reset(self, *, seed=None, options=None):
+        scene = (options or {}).get("scene")
+        if scene is None:
+            index = int(np.random.default_rng(seed).integers(self.config.scenes.train_scenes))
+            scene = families.generate(self.family, families.split_seed("train", index))
+        self.scene = scene
+        self._circles, self._boxes = scene.circles(), scene.boxes()
+        kinds = [KINDS[obstacle.kind] for obstacle in scene.obstacles]
+        self._dynamic = np.array(
+            [kind.dynamic for kind in kinds if kind.round]
+            + [kind.dynamic for kind in kinds if not kind.round]
+            + [False]
+        )
+        self.state = self.grid.lattice_state(scene.start.pose)
+        self._steps = 0
+        return self._observe(), self._about()
+
+    def step(self, action):
+        state, pose = self.state, self.grid.pose(self.state)
+        end = successor(state, action)
+        stays = not self.grid.on_grid(end.ix, end.iy)
+        turn = TURNS[action] * math.tau / 8
+        advance = 0.0 if stays or not ADVANCES[action] else math.dist(self.grid.centre(*end[:2]), pose[:2])
+        hit = any(self._touches(pose.x_m, pose.y_m, pose.heading_rad + turn * s) for s in np.linspace(0, 1, SAMPLES))
+        heading = pose.heading_rad + turn
+        for share in np.linspace(0, 1, SAMPLES)[1:] if advance else ():
+            ahead = advance * share
+            hit = hit or self._touches(
+                pose.x_m + ahead * math.cos(heading), pose.y_m + ahead * math.sin(heading), heading
+            )
+        self.state = end._replace(ix=state.ix, iy=state.iy) if stays else end
+        self._steps += 1
+        place, rewards = self.grid.centre(self.state.ix, self.state.iy), self.config.reward
+        success = not hit and math.dist(place, self.scene.goal) <= self.config.sim.success_radius_m
+        terms = RewardTerms(
+            target_distance(place, self.scene.goal),
+            obstacle_avoidance(hit, rewards.collision, rewards.safe),
+            target_reached(success, rewards.goal, rewards.step),
+        )
+        terminated = success or hit
+        truncated = not terminated and self._steps >= self.config.sim.max_steps
+        info = self._about() | {"reward_terms": terms._asdict(), "success": success, "collision": hit}
+        return self._observe(), terms.total, terminated, truncated, info
+
+    def close(self):
+        pass
+
+    def _touches(self, x_m, y_m, heading_rad):
+        return collision.touching(
+            Pose(x_m, y_m, heading_rad), self._circles, self._boxes, arena_m=self.config.grid.arena_m
+        )
+
+    def _observe(self):
+        pose, camera = self.grid.pose(self.state), self.config.camera
+        distances, hits = raycast.ray_distances(
+            self._circles,
+            self._boxes,
+            self.config.grid.arena_m / 2,
+            pose.x_m + camera.forward_m * math.cos(pose.heading_rad),
+            pose.y_m + camera.forward_m * math.sin(pose.heading_rad),
+            self._angles + pose.heading_rad,
+            camera.range_m,
+        )
+        hundredths = np.round(distances * CENTIMETRES).astype(int)
+        dynamic = np.where(hits >= 0, self._dynamic[hits], False)
+        image = np.stack([hundredths // 256, hundredths % 256, dynamic], axis=1).astype(np.uint8)[None]
+        return {"image": image, "pose": np.array(pose), "goal": np.array(self.scene.goal, float)}
+
+    def _about(self):
+        ends = [successor(self.state, action) for action in Action]
+        mask = np.array([self.grid.on_grid(end.ix, end.iy) for end in ends])
+        return {"scene": self.scene.name, "action_mask": mask, "sim_steps": 10}
+
+
+class FakeVisualAct:
+    """Views from the pictures of `LatticeEnv`.
+
+    `noise` is relative, per ray; `misses` is the share of rays that see nothing whatever is there.
+    """
+
+    encoder_name = "fake"
+    weights_sha256 = "0" * 64
+
+    def __init__(self, noise=0.0, misses=0.0, seed=0):
+        self._noise, self._misses = noise, misses
+        self._rng = np.random.default_rng(seed)
+        self._angles = rays.ray_angles_rad(rays.RAYS, math.pi / 2)
+
+    def __call__(self, images, goal_bearing_rad, goal_distance_m):
+        return [
+            self._view(image[0], float(bearing), float(distance))
+            for image, bearing, distance in zip(images, goal_bearing_rad, goal_distance_m, strict=True)
+        ]
+
+    def _view(self, row, goal_bearing_rad, goal_distance_m):
+        distances = (row[:, 0].astype(float) * 256 + row[:, 1]) / CENTIMETRES
+        if self._noise:
+            free = distances >= rays.RANGE_M
+            distances = np.clip(distances * (1 + self._noise * self._rng.normal(size=len(row))), 0.05, rays.RANGE_M)
+            distances[free] = rays.RANGE_M
+        if self._misses:
+            distances[self._rng.random(len(row)) < self._misses] = rays.RANGE_M
+        clearance, dynamic = labels.nearest(distances, row[:, 2] > 0, self._angles)
+        dynamic = dynamic.astype(np.float32)
+        room = labels.openness(clearance, dynamic, np.float64(goal_distance_m))
+        ahead = labels.progress(np.float64(goal_bearing_rad), np.float64(goal_distance_m))
+        return View(
+            advice=labels.reward_label(room, ahead).astype(np.float32),
+            clearance_m=clearance,
+            dynamic=dynamic,
+            ray_probabilities=rays.soft_labels(distances),
+            ray_angles_rad=self._angles,
+            bin_edges_m=rays.BIN_EDGES_M,
+        )

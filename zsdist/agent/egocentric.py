@@ -1,0 +1,151 @@
+"""Compiled measurements in the car's frame: clearances, and what lies along straight runs after each action."""
+
+import math
+
+import numba
+import numpy as np
+
+from zsdist.planning.footprint import ADVANCES, TURNS
+from zsdist.planning.grid import STEPS
+
+DIRECTIONS = 16  # about the car, counter-clockwise from its heading
+SIGHT_M = 5.0
+ACTIONS = len(TURNS)
+RUN_CELLS = 8
+ACTION_FEATURES = 13
+_TURNS = np.array(TURNS)
+_ADVANCES = np.array(ADVANCES)
+_STEPS = np.asarray(STEPS)
+# Lines that a body of the car's width takes along. Cell centres are corners of fine squares, so none runs through one.
+_CORRIDOR_M = (-0.6, -0.3, -0.02, 0.02, 0.3, 0.6)
+_BODY_M = 0.6  # corridors begin beside the car
+
+
+@numba.njit(cache=True)
+def clearances(occupied, seen, x, y, heading, arena_half, grid_half, square):  # noqa: ANN001, ANN201
+    """Room for the car's width, and distance to unseen ground, in each direction.
+
+    Args:
+        occupied: `(fine_size, fine_size)` bool.
+        seen: `(fine_size, fine_size)` bool.
+        x, y: the car, metres.
+        heading: radians.
+        arena_half: half the side of the fine frame.
+        grid_half: half the side of the planning grid, beyond which the car cannot go.
+        square: side of a fine square.
+
+    Returns:
+        `(2, DIRECTIONS)` metres, at most `SIGHT_M`.
+    """
+    out = np.full((2, DIRECTIONS), SIGHT_M)
+    size = occupied.shape[0]
+    for direction in range(DIRECTIONS):
+        angle = heading + direction * 2 * math.pi / DIRECTIONS
+        cosine, sine = math.cos(angle), math.sin(angle)
+        room, known = SIGHT_M, SIGHT_M
+        distance = square / 2
+        while distance < room:
+            px, py = x + distance * cosine, y + distance * sine
+            if abs(px) >= grid_half or abs(py) >= grid_half:
+                room = distance
+                break
+            for lateral in _CORRIDOR_M:
+                fx = int((px - lateral * sine + arena_half) / square)
+                fy = int((py + lateral * cosine + arena_half) / square)
+                outside = fx < 0 or fy < 0 or fx >= size or fy >= size
+                if distance >= _BODY_M and (outside or occupied[fy, fx]):
+                    room = distance
+                if abs(lateral) < 0.1 and known == SIGHT_M and not outside and not seen[fy, fx]:
+                    known = distance
+            distance += square
+        out[0, direction], out[1, direction] = room, min(known, SIGHT_M)
+    return out
+
+
+@numba.njit(cache=True)
+def action_features(  # noqa: ANN201
+    blocked,
+    live,
+    seen,
+    visits,
+    ix,
+    iy,
+    heading,
+    sub_x,
+    sub_y,
+    goal_x,
+    goal_y,
+    cell,
+    grid_half,
+    border,  # noqa: ANN001
+):
+    """What each action leads to, as far as straight runs tell: `(ACTIONS, ACTION_FEATURES)`.
+
+    Columns: free, live, gain towards the subgoal (in cells' diagonals), cosine and sine of the subgoal's bearing
+    afterwards, length of the free run straight on, most gain along it, most gain along one more action and a run,
+    the same of the goal, visits of the cell and of the state at the end, unseen share and fresh share of the run.
+    """
+    out = np.zeros((ACTIONS, ACTION_FEATURES))
+    x0, y0 = (ix + 0.5) * cell - grid_half, (iy + 0.5) * cell - grid_half
+    before = math.hypot(sub_x - x0, sub_y - y0)
+    goal_before = math.hypot(goal_x - x0, goal_y - y0)
+    for action in range(ACTIONS):
+        if blocked[iy, ix, heading, action]:
+            continue
+        h = (heading + _TURNS[action]) % 8
+        ex, ey = ix + _STEPS[h, 0] * _ADVANCES[action], iy + _STEPS[h, 1] * _ADVANCES[action]
+        row = out[action]
+        x, y = (ex + 0.5) * cell - grid_half, (ey + 0.5) * cell - grid_half
+        after = math.hypot(sub_x - x, sub_y - y)
+        bearing = math.atan2(sub_y - y, sub_x - x) - h * math.pi / 4
+        row[0] = 1.0
+        row[1] = 1.0 if live[ey, ex, h] else 0.0
+        row[2] = (before - after) / (1.4142135 * cell)
+        row[3], row[4] = math.cos(bearing), math.sin(bearing)
+        length, nearest, goal_nearest, unseen, fresh = _run(
+            blocked, seen, visits, ex, ey, h, sub_x, sub_y, goal_x, goal_y, cell, grid_half, border
+        )
+        row[5], row[6] = length / SIGHT_M, (before - min(nearest, after)) / SIGHT_M
+        best, goal_best = min(nearest, after), goal_nearest
+        for second in range(1, ACTIONS):
+            if blocked[ey, ex, h, second]:
+                continue
+            h2 = (h + _TURNS[second]) % 8
+            x2, y2 = ex + _STEPS[h2, 0] * _ADVANCES[second], ey + _STEPS[h2, 1] * _ADVANCES[second]
+            _, near2, goal_near2, _, _ = _run(
+                blocked, seen, visits, x2, y2, h2, sub_x, sub_y, goal_x, goal_y, cell, grid_half, border
+            )
+            best, goal_best = min(best, near2), min(goal_best, goal_near2)
+        row[7], row[8] = (before - best) / SIGHT_M, (goal_before - goal_best) / SIGHT_M
+        cell_visits = 0
+        for k in range(8):
+            cell_visits += visits[ey, ex, k]
+        row[9], row[10] = min(cell_visits, 5) / 5, min(visits[ey, ex, h], 3) / 3
+        row[11], row[12] = unseen, fresh
+    return out
+
+
+@numba.njit(cache=True)
+def _run(blocked, seen, visits, x, y, h, sub_x, sub_y, goal_x, goal_y, cell, grid_half, border):  # noqa: ANN001, ANN202
+    """Straight on from a state while nothing blocks: metres, nearest to subgoal and goal, unseen and fresh shares."""
+    length, nearest, goal_nearest, unseen, fresh, count = 0.0, 1e9, 1e9, 0, 0, 0
+    step = cell * math.hypot(_STEPS[h, 0], _STEPS[h, 1])
+    for _ in range(RUN_CELLS + 1):
+        px, py = (x + 0.5) * cell - grid_half, (y + 0.5) * cell - grid_half
+        nearest = min(nearest, math.hypot(sub_x - px, sub_y - py))
+        goal_nearest = min(goal_nearest, math.hypot(goal_x - px, goal_y - py))
+        count += 1
+        fx, fy = border + 4 * x + 1, border + 4 * y + 1
+        for near in range(4):  # the squares about the cell's centre
+            if not seen[fy + near // 2, fx + near % 2]:
+                unseen += 1
+        stood = 0
+        for k in range(8):
+            stood += visits[y, x, k]
+        if stood == 0:
+            fresh += 1
+        if blocked[y, x, h, 0] or count > RUN_CELLS:
+            break
+        x, y = x + _STEPS[h, 0], y + _STEPS[h, 1]
+        length += step
+    return length, nearest, goal_nearest, unseen / (4 * count), fresh / (RUN_CELLS + 1)

@@ -1,0 +1,186 @@
+"""The states of both levels, relative to the car: no coordinate of the map is among them.
+
+Everything is measured on the believed map. Neither a planner's cost nor the potential field's choice is an input.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from zsdist.agent.blocks import GOAL_CHOICE, NEIGHBOURS, Choices
+from zsdist.agent.egocentric import ACTION_FEATURES, DIRECTIONS, SIGHT_M, action_features, clearances
+from zsdist.agent.situation import Situation
+from zsdist.planning.grid import FINE_PER_CELL
+from zsdist.types import Action, Level
+
+LOW_ACTIONS = len(Action)
+BLOCK_FEATURES = 13
+HERE_FEATURES = 10  # of the goal and of the block the car is in
+LOW_STATE_SIZE = LOW_ACTIONS * ACTION_FEATURES + 2 * DIRECTIONS + 3 + 8
+HIGH_STATE_SIZE = NEIGHBOURS * BLOCK_FEATURES + HERE_FEATURES + DIRECTIONS + 3
+
+_ACTION_SINE = 4  # column of `action_features` that a reflection turns round
+_BLOCK_SINE = 8  # column of `_block_features`
+_FAR_M = 10.0
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """Left-right reflection: `mirrored = sign * state[index]`, and `action_index[a]` is what action `a` becomes."""
+
+    state_index: np.ndarray
+    state_sign: np.ndarray
+    action_index: np.ndarray
+
+
+def low_state(situation: Situation, subgoal: tuple[float, float], seeks_goal: bool, rooms: np.ndarray) -> np.ndarray:
+    """State of the low level under a subgoal, `(LOW_STATE_SIZE,)` float32.
+
+    Args:
+        situation: what the car knows.
+        subgoal: `(x_m, y_m)`.
+        seeks_goal: whether the subgoal is the goal itself.
+        rooms: of `measure_rooms`.
+    """
+    grid, state = situation.grid, situation.state
+    actions = action_features(
+        situation.blocked,
+        situation.live,
+        situation.seen,
+        situation.visits,
+        *state,
+        float(subgoal[0]),
+        float(subgoal[1]),
+        float(situation.goal[0]),
+        float(situation.goal[1]),
+        grid.cell_size_m,
+        grid.side_m / 2,
+        grid.fine_border,
+    )
+    own = situation.visits[state.iy, state.ix]
+    here = [
+        *_polar(situation, subgoal, SIGHT_M),
+        *_polar(situation, situation.goal, _FAR_M),
+        float(seeks_goal),
+        min(int(own.sum()), 5) / 5,
+    ]
+    parts = (actions.ravel(), rooms.ravel() / SIGHT_M, situation.advice, here)
+    return np.concatenate(parts).astype(np.float32)
+
+
+def high_state(situation: Situation, options: Choices, rooms: np.ndarray) -> np.ndarray:
+    """State of the high level, `(HIGH_STATE_SIZE,)` float32; neighbours in the order of `options`."""
+    grid, (x, y) = situation.grid, situation.place
+    bx, by = situation.block
+    goal_m = math.hypot(situation.goal[0] - x, situation.goal[1] - y)
+    neighbours = [_block_features(situation, options, k, goal_m) for k in range(NEIGHBOURS)]
+    goal_ix, goal_iy = grid.cell_at(*situation.goal)
+    here = [
+        *_polar(situation, situation.goal, _FAR_M),
+        float(tuple(options.blocks[GOAL_CHOICE]) == (bx, by)),
+        float(situation.reachable[goal_iy, goal_ix]),
+        *_line(situation, situation.goal),
+        min(situation.goal_tries, 3) / 3,
+        min(int(situation.block_visits[by, bx]), 3) / 3,
+        _share(situation, situation.seen, bx, by),
+    ]
+    parts = (np.asarray(neighbours).ravel(), here, rooms[0] / SIGHT_M, situation.advice)
+    return np.concatenate(parts).astype(np.float32)
+
+
+def measure_rooms(situation: Situation) -> np.ndarray:
+    """Clearances and distances to the unseen about the car, `(2, DIRECTIONS)` metres."""
+    grid, (x, y) = situation.grid, situation.place
+    heading = situation.state.heading * math.pi / 4
+    return clearances(situation.occupied, situation.seen, x, y, heading, grid.arena_m / 2, grid.side_m / 2, grid.fine_m)
+
+
+def mirror(level: Level) -> Mirror:
+    """The left-right reflection of a level's states and actions."""
+    turn = (-np.arange(DIRECTIONS)) % DIRECTIONS
+    advice = np.array([0, 2, 1])
+    if level is Level.LOW:
+        actions = np.array([0, 2, 1, 4, 3])
+        blocks = [
+            (actions, ACTION_FEATURES, (_ACTION_SINE,)),
+            (turn, 1, ()),
+            (turn, 1, ()),
+            (advice, 1, ()),
+            (np.array([0]), 8, (1, 4)),
+        ]
+    else:
+        actions = np.append((-np.arange(NEIGHBOURS)) % NEIGHBOURS, GOAL_CHOICE)
+        blocks = [
+            (actions[:NEIGHBOURS], BLOCK_FEATURES, (_BLOCK_SINE,)),
+            (np.array([0]), HERE_FEATURES, (1,)),
+            (turn, 1, ()),
+            (advice, 1, ()),
+        ]
+    index, sign, start = [], [], 0
+    for order, width, odd in blocks:
+        one = np.ones(width, np.float32)
+        one[list(odd)] = -1
+        for source in order:
+            index.extend(start + source * width + np.arange(width))
+            sign.extend(one)
+        start += len(order) * width
+    return Mirror(np.array(index), np.array(sign, np.float32), actions)
+
+
+def _block_features(situation: Situation, options: Choices, k: int, goal_m: float) -> list[float]:
+    if not options.exists[k]:
+        return [0.0] * BLOCK_FEATURES
+    bx, by = (int(value) for value in options.blocks[k])
+    (x, y), (sub_x, sub_y) = situation.place, options.subgoals[k]
+    there_m = math.hypot(sub_x - x, sub_y - y)
+    on_m = math.hypot(situation.goal[0] - sub_x, situation.goal[1] - sub_y)
+    bearing = math.atan2(sub_y - y, sub_x - x) - situation.state.heading * math.pi / 4
+    return [
+        1.0,
+        float(options.mask[k]),
+        _share(situation, situation.seen, bx, by),
+        _share(situation, situation.occupied, bx, by),
+        min(int(situation.block_visits[by, bx]), 3) / 3,
+        min(int(situation.tries[by, bx]), 3) / 3,
+        min(there_m + on_m - goal_m, 2 * SIGHT_M) / SIGHT_M,
+        math.cos(bearing),
+        math.sin(bearing),
+        there_m / SIGHT_M,
+        (goal_m - on_m) / SIGHT_M,
+        float(tuple(options.blocks[k]) == tuple(options.blocks[GOAL_CHOICE])),
+        _line(situation, (sub_x, sub_y))[0],
+    ]
+
+
+def _polar(situation: Situation, point: tuple[float, float], scale_m: float) -> tuple[float, float, float]:
+    (x, y), heading = situation.place, situation.state.heading * math.pi / 4
+    bearing = math.atan2(point[1] - y, point[0] - x) - heading
+    return math.cos(bearing), math.sin(bearing), math.hypot(point[0] - x, point[1] - y) / scale_m
+
+
+def _share(situation: Situation, squares: np.ndarray, bx: int, by: int) -> float:
+    grid = situation.grid
+    side = grid.block_size * FINE_PER_CELL
+    top, left = grid.fine_border + by * side, grid.fine_border + bx * side
+    return float(np.count_nonzero(squares[top : top + side, left : left + side])) / side**2
+
+
+def _line(situation: Situation, point: tuple[float, float]) -> tuple[float, float]:
+    """How far along the straight line to a point nothing is occupied, and how much of it was seen, as shares.
+
+    Two lines close beside it, since the line itself may run along the edges of squares.
+    """
+    grid, (x, y) = situation.grid, situation.place
+    along = np.linspace(0.0, 1.0, 33)
+    east, north = point[0] - x, point[1] - y
+    aside = 0.02 / max(math.hypot(east, north), 1e-9)
+    free, seen = 1.0, 0.0
+    for side in (-aside, aside):
+        fx = ((x + along * east - side * north + grid.arena_m / 2) / grid.fine_m).astype(int)
+        fy = ((y + along * north + side * east + grid.arena_m / 2) / grid.fine_m).astype(int)
+        hits = situation.occupied[fy, fx]
+        if hits.any():
+            free = min(free, int(hits.argmax()) / len(along))
+        seen += float(situation.seen[fy, fx].mean()) / 2
+    return free, seen

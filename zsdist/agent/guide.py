@@ -1,0 +1,122 @@
+"""The guide policies that exploration follows: Algorithm 2's global policy below, a planner on the believed map above.
+
+Both serve training only.
+"""
+
+import math
+
+import numpy as np
+
+from zsdist.agent.blocks import GOAL_CHOICE, Choices
+from zsdist.agent.situation import Situation
+from zsdist.config import AgentConfig
+from zsdist.planning import policy_map, potential
+from zsdist.planning.footprint import ACTIONS, successor
+from zsdist.planning.shortest_path import METRES, path
+from zsdist.types import Action
+
+_RELUCTANCE = 0.5  # cosines that speak against an action for each time its end was visited, times the trail
+
+
+class LowGuide:
+    """The global policy (the union of advice and potential field) under the shield's mask."""
+
+    def __init__(self, config: AgentConfig) -> None:
+        self._config = config
+        self._pool = policy_map.PolicyMap()
+        self.explored, self.unexplored = 0, 0  # guide actions of each half of the union
+
+    def action(self, situation: Situation, subgoal: tuple[float, float], mask: np.ndarray) -> Action | None:
+        """What the global policy does here; None where nothing is allowed.
+
+        The advice guides in explored blocks the first time the car is in a state; where it comes back, the advice
+        led it in a circle, and the potential field with its trail takes over.
+        """
+        state = situation.state
+        first = situation.visits[state.iy, state.ix, state.heading] <= 1
+        advised = policy_map.advised_action(situation.advice, mask)
+        if advised is not None:
+            self._pool.add(state, advised)
+        action, from_pool = self._pool.overall(
+            state,
+            first and self._block_explored(situation),
+            lambda: self._descend(situation, subgoal, mask),
+        )
+        if from_pool:
+            self.explored += 1
+        elif action is not None:
+            self.unexplored += 1
+        return action
+
+    def _block_explored(self, situation: Situation) -> bool:
+        return explored_share(situation, *situation.block) >= self._config.explored_share
+
+    def _descend(self, situation: Situation, target: tuple[float, float], mask: np.ndarray) -> Action | None:
+        config, state = self._config, situation.state
+        direction = potential.force(
+            situation.place,
+            target,
+            _surfaces(situation, config.influence_m + potential.BODY_M),
+            k_att=config.attraction,
+            k_rep=config.repulsion,
+            influence_m=config.influence_m,
+            trail=_trail(situation),
+            k_trail=config.trail,
+        )
+        ends = [successor(state, action) for action in range(ACTIONS)]
+        cells = situation.grid.cells
+        visited = [
+            situation.visits[end.iy, end.ix, end.heading] if situation.grid.on_grid(end.ix, end.iy) else cells
+            for end in ends
+        ]
+        reluctance = _RELUCTANCE * config.trail * np.array(visited, float)
+        return potential.decompose(direction, state.heading * math.pi / 4, mask, reluctance)
+
+
+def high_choice(situation: Situation, options: Choices, cost_to_goal: np.ndarray) -> int:
+    """The neighbouring block into which the shortest believed way to the goal leads next, or the goal itself.
+
+    Args:
+        situation: what the car knows.
+        options: the choices of the high level.
+        cost_to_goal: `(cells, cells, 8)` metres on the believed map.
+    """
+    state = situation.state
+    if not np.isfinite(cost_to_goal[state.iy, state.ix, state.heading]):
+        return GOAL_CHOICE
+    grid = situation.grid
+    goal_block = tuple(options.blocks[GOAL_CHOICE])
+    way = path(cost_to_goal, situation.blocked, state, METRES).states
+    for step in way:
+        block = grid.block_of(step.ix, step.iy)
+        if block != situation.block:
+            index = options.index_of(block)
+            return GOAL_CHOICE if block == goal_block or index is None or not options.mask[index] else index
+    return GOAL_CHOICE
+
+
+def explored_share(situation: Situation, bx: int, by: int) -> float:
+    """Share of a block's cells whose centre has been seen."""
+    grid = situation.grid
+    start, step = grid.fine_border + 2, 4
+    centres = situation.seen[start::step, start::step][: grid.cells, : grid.cells]
+    return float(centres[grid.block_cells(bx, by)].mean())
+
+
+def _surfaces(situation: Situation, reach_m: float) -> np.ndarray:
+    """Centres of occupied squares near the car, `(N, 2)`."""
+    grid, (x, y) = situation.grid, situation.place
+    fx, fy = grid.fine_index(x, y)
+    reach = math.ceil(reach_m / grid.fine_m)
+    top, left = max(fy - reach, 0), max(fx - reach, 0)
+    rows, columns = np.nonzero(situation.occupied[top : fy + reach + 1, left : fx + reach + 1])
+    corner = np.array([left + 0.5, top + 0.5]) * grid.fine_m - grid.arena_m / 2
+    return np.stack([columns, rows], axis=1) * grid.fine_m + corner
+
+
+def _trail(situation: Situation) -> np.ndarray:
+    """Centres of visited cells, `(M, 2)`, each as often as it was visited; the present one is no part of it."""
+    counts = situation.visits.sum(-1)
+    rows, columns = np.nonzero(counts)
+    xs, ys = situation.grid.cell_centres()
+    return np.repeat(np.stack([xs[columns], ys[rows]], axis=1), np.minimum(counts[rows, columns], 5), axis=0)

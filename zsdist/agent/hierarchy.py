@@ -1,0 +1,325 @@
+"""Algorithm 2 for one car: both levels, the guides and the shield, driven by observations from outside."""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from zsdist.agent import features, guide, learning, reach, shield
+from zsdist.agent.blocks import choices
+from zsdist.agent.learning import Track
+from zsdist.agent.options import End, Option
+from zsdist.agent.situation import Situation
+from zsdist.config import Config
+from zsdist.planning.belief import BeliefMap
+from zsdist.planning.footprint import FootprintTable
+from zsdist.planning.grid import HEADINGS, Grid
+from zsdist.planning.rewards import RewardTerms
+from zsdist.planning.shortest_path import cost_to_go, goal_mask, metres_cost
+from zsdist.types import Action, Behaviour, Level, Pose, Trajectory, View
+
+START_DISC_M = 1.5  # about the start, known to be free
+
+QFunctions = dict[Level, Callable[[np.ndarray], np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What the car is to do now.
+
+    Attributes:
+        action: the low-level action.
+        behaviour: which policy chose it.
+        subgoal: `(x_m, y_m)` the low level is under way to.
+        shield_changed: the policy would have done something else without the shield.
+        option_started: the high level has just decided.
+    """
+
+    action: Action
+    behaviour: Behaviour
+    subgoal: tuple[float, float]
+    shield_changed: bool
+    option_started: bool
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """One level's choice and what it was made from."""
+
+    index: int
+    behaviour: Behaviour
+    changed: bool
+
+
+class HierarchicalAgent:
+    """Decides for one car from poses and views, and keeps what there is to learn from it.
+
+    `begin`, then `observe`, `act`, `result` in turn; after the last result `observe` once more, and `finish`.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._grid = Grid.from_config(config.grid)
+        self._table = FootprintTable(self._grid)
+        self._metres = metres_cost(self._grid)
+        self._finished: list[Trajectory] = []
+
+    def begin(
+        self,
+        pose: Pose,
+        goal_xy: tuple[float, float],
+        *,
+        epsilon: float,
+        shielded: bool,
+        rng: np.random.Generator,
+        weight_versions: dict[Level, int],
+        learning: bool = True,
+    ) -> None:
+        """A new episode.
+
+        Args:
+            pose: where the car stands; `START_DISC_M` about it is free.
+            goal_xy: metres.
+            epsilon: share of exploratory decisions.
+            shielded: whether the shield masks actions.
+            rng: of the exploration.
+            weight_versions: of the networks that will act.
+            learning: whether there will be trajectories to drain; without, no guide and no planner is ever asked.
+        """
+        cells, blocks = self._grid.cells, self._grid.blocks
+        self._goal = (float(goal_xy[0]), float(goal_xy[1]))
+        self._goals = goal_mask(self._grid, self._goal, self._config.sim.success_radius_m)
+        self._epsilon, self._shielded, self._rng = epsilon, shielded, rng
+        self._versions, self._learning = weight_versions, learning
+        self._belief = BeliefMap(self._grid)
+        self._belief.clear_disc(pose.x_m, pose.y_m, START_DISC_M)
+        self._visits = np.zeros((cells, cells, HEADINGS), np.int32)
+        self._block_visits = np.zeros((blocks, blocks), np.int32)
+        self._tries = np.zeros((blocks, blocks), np.int32)
+        self._goal_tries = 0
+        self._low_guide = guide.LowGuide(self._config.agent)
+        self._situation: Situation | None = None
+        self._option: Option | None = None
+        self._tracks: dict[Level, Track] = {}
+        self._outcome: tuple[RewardTerms, bool, bool] | None = None
+        self._over = False
+        self._finished = []
+        self._counts: Counter[str] = Counter()
+
+    def observe(self, pose: Pose, view: View) -> None:
+        """Takes in where the car is and what it sees (lines 6 and 13), and completes the step that led here."""
+        before = self._situation
+        self._belief.update(pose, view, self._config.camera.forward_m)
+        self._situation = self._assess(pose, view, before)
+        self._options = choices(self._situation)
+        self._rooms = features.measure_rooms(self._situation)
+        self._low_mask, gave_way = self._allowed()
+        self._counts["shield_gave_way"] += gave_way
+        self._low_state = self._high_state = None
+        if self._learning:
+            goals = self._goals
+            self._cost_to_goal = cost_to_go(self._situation.blocked, goals, self._metres)
+        if self._outcome is not None:
+            self._complete(before)
+
+    def act(self, q: QFunctions) -> Decision:
+        """Algorithm 2, lines 6 to 13, at one step.
+
+        The high level sends the low level to a block or to the goal and is asked again when that option has ended;
+        the low level acts. With probability epsilon either follows its guide policy or, less often, chance.
+
+        Args:
+            q: for each level the values `(B, A)` of states `(B, D)`.
+        """
+        started = self._option is None
+        if started:
+            self._option = self._decide_option(q[Level.HIGH])
+        option, situation = self._option, self._situation
+
+        # Lines 8 to 12: the global policy, potential field or advice, is what exploration follows.
+        guided = None
+        if self._learning:
+            guided = self._low_guide.action(situation, option.subgoal, self._shield_mask)
+        choice = self._choose(q[Level.LOW], self._state(Level.LOW), self._low_mask, guided)
+        if self._learning:
+            self._tracks[Level.LOW].act(self._state(Level.LOW), self._low_mask, choice.index, guided, choice.behaviour)
+            self._tracks[Level.HIGH].act(
+                self._state(Level.HIGH),
+                self._options.mask,
+                option.choice(self._options),
+                self._planned(),
+                option.behaviour,
+            )
+        self._counts["agent_steps"] += 1
+        self._counts[f"low_{choice.behaviour.name.lower()}"] += 1
+        self._counts["shield_changes"] += choice.changed and self._shielded
+        return Decision(
+            Action(choice.index), choice.behaviour, option.subgoal, choice.changed and self._shielded, started
+        )
+
+    def result(self, terms: RewardTerms, terminated: bool, truncated: bool) -> None:
+        """What the environment said of the step; the next `observe` completes it."""
+        self._outcome = (terms, terminated, truncated)
+
+    def finish(self) -> None:
+        """Ends the episode, here if need be: open trajectories are closed as truncated."""
+        if self._option is not None and self._tracks:
+            self._close(Level.LOW, final=False)
+            self._close(Level.HIGH, final=False)
+        self._option, self._tracks, self._outcome = None, {}, None
+
+    def drain(self) -> list[Trajectory]:
+        """Trajectories completed since the last call: low ones end where the subgoal changes, high ones with options."""
+        finished, self._finished = self._finished, []
+        return finished
+
+    def statistics(self) -> dict[str, float]:
+        """Plain numbers about the episode so far."""
+        names = ("agent_steps", "shield_changes", "shield_gave_way", "options", "revisits")
+        names += tuple(f"options_{end}" for end in End)
+        names += tuple(f"{level}_{name.lower()}" for level in Level for name in Behaviour.__members__)
+        counts: dict[str, float] = {name: int(self._counts[name]) for name in names}
+        guided = self._low_guide.explored + self._low_guide.unexplored
+        seen = 0.0
+        if self._situation is not None:
+            border = self._grid.fine_border
+            seen = float(self._situation.seen[border : -border or None, border : -border or None].mean())
+        return counts | {
+            "explored_share": round(seen, 4),
+            "guide_explored_share": round(self._low_guide.explored / guided, 4) if guided else 0.0,
+        }
+
+    def _assess(self, pose: Pose, view: View, before: Situation | None) -> Situation:
+        state = self._grid.lattice_state(pose)
+        block = self._grid.block_of(state.ix, state.iy)
+        self._counts["revisits"] += self._visits[state.iy, state.ix, state.heading] > 0
+        self._visits[state.iy, state.ix, state.heading] += 1
+        if before is None or before.block != block:
+            self._block_visits[block[1], block[0]] += 1
+        occupied = self._belief.occupied()
+        blocked = self._table.blocked(occupied)
+        return Situation(
+            grid=self._grid,
+            state=state,
+            goal=self._goal,
+            advice=view.advice,
+            occupied=occupied,
+            seen=self._belief.seen(),
+            blocked=blocked,
+            live=shield.live(blocked, state, self._goals),
+            reachable=reach.cells_from(blocked, state),
+            visits=self._visits,
+            block_visits=self._block_visits,
+            tries=self._tries,
+            goal_tries=self._goal_tries,
+        )
+
+    def _allowed(self) -> tuple[np.ndarray, bool]:
+        situation = self._situation
+        self._shield_mask, gave_way = shield.mask(situation.blocked, situation.live, situation.state)
+        if self._shielded:
+            return self._shield_mask, gave_way
+        return shield.on_grid(situation.state, self._grid.cells), False
+
+    def _decide_option(self, q: Callable[[np.ndarray], np.ndarray]) -> Option:
+        guided = self._planned() if self._learning else None
+        choice = self._choose(q, self._state(Level.HIGH), self._options.mask, guided)
+        option = Option.start(self._options, choice.index, choice.behaviour)
+        if self._learning:
+            for level, settings in ((Level.LOW, self._config.low), (Level.HIGH, self._config.high)):
+                self._tracks[level] = Track(level, settings.discount, self._versions[level])
+        self._low_state = None
+        self._counts["options"] += 1
+        self._counts[f"high_{choice.behaviour.name.lower()}"] += 1
+        return option
+
+    def _choose(
+        self, q: Callable[[np.ndarray], np.ndarray], state: np.ndarray, mask: np.ndarray, guided: int | None
+    ) -> _Choice:
+        """Epsilon-greedy among what is allowed; the exploratory share follows the guide or chance."""
+        if self._rng.random() < self._epsilon:
+            if guided is not None and self._rng.random() < self._config.agent.guide_share:
+                return _Choice(int(guided), Behaviour.GUIDE, False)
+            return _Choice(int(self._rng.choice(np.flatnonzero(mask))), Behaviour.UNIFORM, False)
+        values = q(state[None])[0]
+        best = int(np.where(mask, values, -np.inf).argmax())
+        return _Choice(best, Behaviour.GREEDY, best != int(values.argmax()))
+
+    def _planned(self) -> int:
+        return guide.high_choice(self._situation, self._options, self._cost_to_goal)
+
+    def _state(self, level: Level) -> np.ndarray:
+        """This step's features of a level, measured once."""
+        if level is Level.HIGH:
+            if self._high_state is None:
+                self._high_state = features.high_state(self._situation, self._options, self._rooms)
+            return self._high_state
+        if self._low_state is None:
+            option = self._option
+            self._low_state = features.low_state(self._situation, option.subgoal, option.seeks_goal, self._rooms)
+        return self._low_state
+
+    def _complete(self, before: Situation) -> None:
+        """Lines 13 and 14 for the step from `before` to here: rewards, transitions, and whether the option ends."""
+        (terms, terminated, truncated), self._outcome = self._outcome, None
+        option = self._option
+        followed = option.stepped(self._situation, self._options)
+        end = followed.end(self._situation, self._options, self._config.agent.option_max_steps)
+        over = terminated or truncated
+        if self._learning:
+            self._reward(before, option, terms, terminated, entered=end is End.ENTERED)
+        if over or end is not None:
+            self._close(Level.LOW, final=terminated or end is End.ENTERED)
+            self._close(Level.HIGH, final=terminated)
+            self._option = None
+            if end is not None:
+                self._count_end(option, end)
+        elif followed.subgoal != option.subgoal:
+            self._close(Level.LOW, final=False)
+            self._option, self._low_state = followed, None
+            if self._learning:
+                self._tracks[Level.LOW] = Track(Level.LOW, self._config.low.discount, self._versions[Level.LOW])
+        else:
+            self._option = followed
+
+    def _reward(self, before: Situation, option: Option, terms: RewardTerms, terminated: bool, entered: bool) -> None:
+        if self._config.reward.literal:
+            low = high = terms.total
+        else:
+            now, here, there = self._situation, _index(before), _index(self._situation)
+            reached = terminated and terms.goal == self._config.reward.goal
+            collided = terminated and not reached
+            to_goal = learning.progress_m(self._cost_to_goal, here, there)
+            to_subgoal = to_goal
+            if not option.seeks_goal:
+                subgoals = np.zeros_like(self._goals)
+                ix, iy = self._grid.cell_at(*option.subgoal)
+                subgoals[iy, ix] = True
+                to_subgoal = learning.progress_m(cost_to_go(now.blocked, subgoals, self._metres), here, there)
+            revisits = int(self._visits[there]) - 1
+            low = learning.shaped(to_subgoal, revisits, entered, reached, collided)
+            high = learning.shaped(to_goal, 0, False, reached, collided)
+        self._tracks[Level.LOW].reward(low)
+        self._tracks[Level.HIGH].reward(high)
+
+    def _close(self, level: Level, final: bool) -> None:
+        if not self._learning:
+            return
+        mask = self._options.mask if level is Level.HIGH else self._low_mask
+        trajectory = self._tracks[level].close(self._state(level), mask, final)
+        if trajectory is not None:
+            self._finished.append(trajectory)
+
+    def _count_end(self, option: Option, end: End) -> None:
+        self._counts[f"options_{end}"] += 1
+        if end is End.ENTERED:
+            return
+        if option.block is None:
+            self._goal_tries += 1
+        else:
+            self._tries[option.block[1], option.block[0]] += 1
+
+
+def _index(situation: Situation) -> tuple[int, int, int]:
+    return situation.state.iy, situation.state.ix, situation.state.heading

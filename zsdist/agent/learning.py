@@ -1,0 +1,106 @@
+"""What the levels learn from: shaped rewards, and trajectories assembled step by step."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from zsdist.types import NO_GUIDE, Behaviour, Level, Trajectory
+
+# The low level's reward, in units in which the way through a block is worth about two.
+PROGRESS_A_METRE = 0.5
+STEP = -0.05
+REVISIT = -0.05  # for each earlier visit of the state reached, up to MAX_REVISITS
+MAX_REVISITS = 5
+ENTRY = 1.5
+GOAL = 5.0
+COLLISION = -5.0
+MAX_PROGRESS_M = 2.0  # a change of the map may move the way's length by more; that is no merit of the action
+
+
+def progress_m(cost: np.ndarray, before: tuple[int, int, int], after: tuple[int, int, int]) -> float:
+    """Metres by which the believed way to a target became shorter; 0 where there is none.
+
+    Args:
+        cost: `(cells, cells, 8)` metres to the target, on the map after the step.
+        before: `(iy, ix, heading)` before the step.
+        after: the same after it.
+    """
+    gained = float(cost[before]) - float(cost[after])
+    return float(np.clip(gained, -MAX_PROGRESS_M, MAX_PROGRESS_M)) if np.isfinite(gained) else 0.0
+
+
+def shaped(progress: float, revisits: int, entered: bool, reached: bool, collided: bool) -> float:
+    """Reward of a low-level step: progress along the believed way, less for dawdling, more for arriving."""
+    reward = PROGRESS_A_METRE * progress + STEP + REVISIT * min(revisits, MAX_REVISITS)
+    return reward + ENTRY * entered + GOAL * reached + COLLISION * collided
+
+
+@dataclass
+class Track:
+    """Transitions of one question (a subgoal, an option) while they happen.
+
+    Attributes:
+        level: which DQN it is for.
+        discount: gamma.
+        weight_version: version of the weights that act.
+    """
+
+    level: Level
+    discount: float
+    weight_version: int
+    _states: list[np.ndarray] = field(default_factory=list)
+    _masks: list[np.ndarray] = field(default_factory=list)
+    _actions: list[int] = field(default_factory=list)
+    _guides: list[int] = field(default_factory=list)
+    _behaviours: list[Behaviour] = field(default_factory=list)
+    _rewards: list[float] = field(default_factory=list)
+
+    def act(self, state: np.ndarray, mask: np.ndarray, action: int, guide: int | None, behaviour: Behaviour) -> None:
+        """A step begins."""
+        self._states.append(state)
+        self._masks.append(mask)
+        self._actions.append(action)
+        self._guides.append(NO_GUIDE if guide is None else int(guide))
+        self._behaviours.append(behaviour)
+
+    def reward(self, reward: float) -> None:
+        """The step has ended."""
+        self._rewards.append(reward)
+
+    def close(self, state: np.ndarray, mask: np.ndarray, final: bool) -> Trajectory | None:
+        """The trajectory up to `state`; `final`: nothing follows, so nothing is bootstrapped. None without steps."""
+        count = len(self._rewards)
+        if not count:
+            return None
+        rewards = np.array(self._rewards, np.float32)
+        discounts = np.full(count, self.discount, np.float32)
+        successors = np.arange(1, count + 1)
+        if self.level is Level.HIGH:
+            rewards, discounts = _to_the_end(rewards, self.discount)
+            successors = np.full(count, count)
+            if final:
+                discounts[:] = 0.0
+        elif final:
+            discounts[-1] = 0.0
+        return Trajectory(
+            level=self.level,
+            states=np.stack([*self._states[:count], state]),
+            actions=np.array(self._actions[:count], np.uint8),
+            rewards=rewards,
+            discounts=discounts,
+            successors=successors.astype(np.uint16),
+            masks=np.stack([*self._masks[:count], mask]),
+            guides=np.array(self._guides[:count], np.int8),
+            behaviours=np.array(self._behaviours[:count], np.uint8),
+            weight_version=self.weight_version,
+        )
+
+
+def _to_the_end(rewards: np.ndarray, discount: float) -> tuple[np.ndarray, np.ndarray]:
+    """Discounted sums `sum gamma^t r` from each step to the last, and `gamma^k` over the `k` steps left."""
+    sums, factors = np.empty_like(rewards), np.empty_like(rewards)
+    total, factor = 0.0, 1.0
+    for index in range(len(rewards) - 1, -1, -1):
+        total, factor = float(rewards[index]) + discount * total, factor * discount
+        sums[index], factors[index] = total, factor
+    return sums, factors

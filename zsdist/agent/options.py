@@ -1,0 +1,76 @@
+"""One option of the high level: towards a neighbouring block or the goal, until it ends."""
+
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+from zsdist.agent.blocks import GOAL_CHOICE, Choices
+from zsdist.agent.situation import Situation
+from zsdist.types import Behaviour
+
+
+class End(StrEnum):
+    """Why an option ended."""
+
+    ENTERED = "entered"
+    BLOCKED = "blocked"  # no free way leads into the block any more
+    STRAYED = "strayed"  # the car came to where the block is no neighbour
+    LONG = "long"  # it took `option_max_steps`
+
+
+@dataclass(frozen=True)
+class Option:
+    """A decision of the high level while it is carried out.
+
+    Attributes:
+        block: the block to enter; None: the goal is sought.
+        subgoal: `(x_m, y_m)` the low level is sent to.
+        behaviour: which policy chose it.
+        steps: low-level steps so far.
+    """
+
+    block: tuple[int, int] | None
+    subgoal: tuple[float, float]
+    behaviour: Behaviour
+    steps: int = field(default=0)
+
+    @classmethod
+    def start(cls, options: Choices, choice: int, behaviour: Behaviour) -> "Option":
+        """The option that a choice means."""
+        block = None if choice == GOAL_CHOICE else tuple(int(value) for value in options.blocks[choice])
+        return cls(block, _point(options, choice), behaviour)
+
+    @property
+    def seeks_goal(self) -> bool:
+        """Whether the goal itself is the subgoal."""
+        return self.block is None
+
+    def choice(self, options: Choices) -> int | None:
+        """What this option is called among the present choices; None where it is none of them."""
+        return GOAL_CHOICE if self.block is None else options.index_of(self.block)
+
+    def end(self, situation: Situation, options: Choices, max_steps: int) -> End | None:
+        """Why it ends here; None: it goes on."""
+        if self.block is not None:
+            if situation.block == self.block:
+                return End.ENTERED
+            choice = options.index_of(self.block)
+            if choice is None:
+                return End.STRAYED
+            if not options.mask[choice]:
+                return End.BLOCKED
+        return End.LONG if self.steps >= max_steps else None
+
+    def stepped(self, situation: Situation, options: Choices) -> "Option":
+        """One step later; the subgoal moves only where no free way leads to it any more."""
+        subgoal = self.subgoal
+        choice = self.choice(options)
+        if self.block is not None and choice is not None:
+            ix, iy = situation.grid.cell_at(*subgoal)
+            if not situation.reachable[iy, ix]:
+                subgoal = _point(options, choice)
+        return replace(self, subgoal=subgoal, steps=self.steps + 1)
+
+
+def _point(options: Choices, choice: int) -> tuple[float, float]:
+    x_m, y_m = options.subgoals[choice]
+    return float(x_m), float(y_m)

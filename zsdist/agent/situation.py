@@ -1,0 +1,53 @@
+"""What the agent knows when it decides: one look's worth of pose, map and memory."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from zsdist.planning.grid import Grid
+from zsdist.types import LatticeState
+
+
+@dataclass(frozen=True)
+class Situation:
+    """The car's knowledge at one step. Maps are believed, never true.
+
+    Attributes:
+        grid: frames.
+        state: where the car is on the lattice.
+        goal: `(x_m, y_m)`.
+        advice: `(3,)` R_p for forward, left, right.
+        occupied: `(fine_size, fine_size)` bool.
+        seen: `(fine_size, fine_size)` bool.
+        blocked: `(cells, cells, 8, 5)` bool, actions whose swept footprint meets occupied space or that leave the grid.
+        live: `(cells, cells, 8)` bool, states with a free way on.
+        reachable: `(cells, cells)` bool, cells to which a free way leads from here.
+        visits: `(cells, cells, 8)` int32, how often the car was in a state, this time included.
+        block_visits: `(blocks, blocks)` int32, `[by, bx]`, how often it came into a block.
+        tries: `(blocks, blocks)` int32, `[by, bx]`, options towards a block that ended outside it.
+        goal_tries: options towards the goal that ended without it.
+    """
+
+    grid: Grid
+    state: LatticeState
+    goal: tuple[float, float]
+    advice: np.ndarray
+    occupied: np.ndarray
+    seen: np.ndarray
+    blocked: np.ndarray
+    live: np.ndarray
+    reachable: np.ndarray
+    visits: np.ndarray
+    block_visits: np.ndarray
+    tries: np.ndarray
+    goal_tries: int
+
+    @property
+    def place(self) -> tuple[float, float]:
+        """Centre of the car's cell."""
+        return self.grid.centre(self.state.ix, self.state.iy)
+
+    @property
+    def block(self) -> tuple[int, int]:
+        """The block `(bx, by)` the car is in."""
+        return self.grid.block_of(self.state.ix, self.state.iy)

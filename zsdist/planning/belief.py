@@ -1,0 +1,146 @@
+"""What one car believes of the ground: log-odds of occupied space on the fine frame, from rays with uncertainty.
+
+Looks add up. A surface that one look misses is put there by the next, and one that was imagined is worn away by looks
+through it, so no single reading decides.
+"""
+
+import math
+
+import numba
+import numpy as np
+
+from zsdist.planning.grid import Grid
+from zsdist.types import Pose, View
+
+HIT = 1.6  # log-odds a certain hit adds
+PASS = 0.4  # log-odds a certain passage takes away; a hit of one look in five holds its ground
+CEILING = 2.4  # belief stays correctable: six certain passages undo whatever was believed
+FLOOR = -1.2  # and one certain hit
+THICKNESS_M = 0.4  # what is behind a surface is occupied so far; deeper is unknown
+CAR_LENGTH_M, CAR_WIDTH_M = 2.04, 1.09
+
+
+class BeliefMap:
+    """Occupied, free and unknown space of the arena, in the fine frame of a `Grid`, indexed `[iy, ix]`."""
+
+    def __init__(self, grid: Grid) -> None:
+        self.grid = grid
+        self._log_odds = np.zeros((grid.fine_size, grid.fine_size), np.float32)
+        self._seen = np.zeros((grid.fine_size, grid.fine_size), np.bool_)
+
+    def update(self, pose: Pose, view: View, camera_forward_m: float) -> None:
+        """Takes in one look.
+
+        Along a ray whose distance is distributed as the view says, a square at distance `d` is free as surely as the
+        ray survives beyond it, and occupied as surely as the ray ends in it or up to `THICKNESS_M` before it; where
+        it ended earlier, nothing is learned.
+
+        Args:
+            pose: the car's centre; where it stands is free.
+            view: rays as distributions over distance.
+            camera_forward_m: how far ahead of the centre the camera sits.
+        """
+        ends = np.zeros((len(view.ray_probabilities), len(view.bin_edges_m)))
+        np.cumsum(view.ray_probabilities[:, :-1], axis=1, dtype=np.float64, out=ends[:, 1:])
+        camera_x = pose.x_m + camera_forward_m * math.cos(pose.heading_rad)
+        camera_y = pose.y_m + camera_forward_m * math.sin(pose.heading_rad)
+        half_m = self.grid.arena_m / 2
+        _look(
+            self._log_odds,
+            self._seen,
+            camera_x + half_m,
+            camera_y + half_m,
+            pose.heading_rad,
+            ends,
+            view.ray_angles_rad.astype(np.float64),
+            view.bin_edges_m.astype(np.float64),
+            self.grid.fine_m,
+        )
+        self.clear_car(pose)
+
+    def clear_car(self, pose: Pose) -> None:
+        """The ground under the car is free: it stands there."""
+        half_m = self.grid.arena_m / 2
+        place = (pose.x_m + half_m, pose.y_m + half_m, pose.heading_rad)
+        _clear_box(self._log_odds, self._seen, *place, CAR_LENGTH_M / 2, CAR_WIDTH_M / 2, self.grid.fine_m)
+
+    def clear_disc(self, x_m: float, y_m: float, radius_m: float) -> None:
+        """A disc that is known to be free, such as the one about the start."""
+        xs, ys = self.grid.fine_centres()
+        inside = (xs[None, :] - x_m) ** 2 + (ys[:, None] - y_m) ** 2 <= radius_m**2
+        self._log_odds[inside] = FLOOR
+        self._seen |= inside
+
+    def occupied(self) -> np.ndarray:
+        """Squares believed occupied, `(fine_size, fine_size)` bool; what was never seen is not."""
+        return self._log_odds > 0
+
+    def seen(self) -> np.ndarray:
+        """Squares that some look has told of, `(fine_size, fine_size)` bool."""
+        return self._seen.copy()
+
+
+@numba.njit(cache=True)
+def _ended(ends: np.ndarray, edges: np.ndarray, ray: int, distance: float) -> float:
+    """Probability that the ray ends before `distance`; mass is spread evenly within a bin."""
+    if distance <= edges[0]:
+        return 0.0
+    last = len(edges) - 1
+    if distance >= edges[last]:
+        return ends[ray, last]
+    upper = np.searchsorted(edges, distance)
+    share = (distance - edges[upper - 1]) / (edges[upper] - edges[upper - 1])
+    return ends[ray, upper - 1] + share * (ends[ray, upper] - ends[ray, upper - 1])
+
+
+@numba.njit(cache=True)
+def _look(log_odds, seen, camera_x, camera_y, heading, ends, angles, edges, square):  # noqa: ANN001, ANN202
+    size = log_odds.shape[0]
+    reach, half, rays = edges[-1], square / 2, len(angles)
+    descending = -angles
+    field = angles[0] + 0.5 * (angles[0] - angles[1])  # outer edge of the outermost ray
+    cosine, sine = math.cos(heading), math.sin(heading)
+    low_x, high_x = max(int((camera_x - reach) / square), 0), min(int((camera_x + reach) / square) + 1, size)
+    low_y, high_y = max(int((camera_y - reach) / square), 0), min(int((camera_y + reach) / square) + 1, size)
+    for iy in range(low_y, high_y):
+        north = (iy + 0.5) * square - camera_y
+        for ix in range(low_x, high_x):
+            east = (ix + 0.5) * square - camera_x
+            ahead, left = cosine * east + sine * north, cosine * north - sine * east
+            distance = math.hypot(ahead, left)
+            if ahead <= 0.0 or distance > reach or distance < half:
+                continue
+            angle = math.atan2(left, ahead)
+            if abs(angle) > field:
+                continue
+            spread = half / distance  # near squares are wider than a ray: the most alarming ray counts
+            first = min(np.searchsorted(descending, -(angle + spread)), rays - 1)
+            last = max(np.searchsorted(descending, -(angle - spread)) - 1, 0)
+            if last < first:  # between two rays: the nearer one
+                first, last = last, first
+                if angles[first] - angle < angle - angles[last]:
+                    last = first
+                else:
+                    first = last
+            hit, passed = 0.0, 0.0
+            for ray in range(first, last + 1):
+                beyond = _ended(ends, edges, ray, distance + half)
+                hit = max(hit, beyond - _ended(ends, edges, ray, distance - THICKNESS_M))
+                passed += 1.0 - beyond
+            passed /= last - first + 1
+            change = HIT * hit - PASS * passed
+            log_odds[iy, ix] = min(max(log_odds[iy, ix] + change, FLOOR), CEILING)
+            if hit + passed > 0.5:
+                seen[iy, ix] = True
+
+
+@numba.njit(cache=True)
+def _clear_box(log_odds, seen, x, y, heading, half_length, half_width, square):  # noqa: ANN001, ANN202
+    size = log_odds.shape[0]
+    cosine, sine, reach = math.cos(heading), math.sin(heading), math.hypot(half_length, half_width)
+    for iy in range(max(int((y - reach) / square), 0), min(int((y + reach) / square) + 1, size)):
+        for ix in range(max(int((x - reach) / square), 0), min(int((x + reach) / square) + 1, size)):
+            east, north = (ix + 0.5) * square - x, (iy + 0.5) * square - y
+            if abs(cosine * east + sine * north) <= half_length and abs(cosine * north - sine * east) <= half_width:
+                log_odds[iy, ix] = FLOOR
+                seen[iy, ix] = True

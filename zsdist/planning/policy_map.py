@@ -1,0 +1,57 @@
+"""The two policies of Algorithm 2 over the map, and their union: what the camera advises, and where the field points."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from zsdist.types import Action, LatticeState
+
+ADVISED = (Action.FORWARD, Action.LEFT_45, Action.RIGHT_45)  # the order of a view's advice
+
+
+def advised_action(advice: np.ndarray, mask: np.ndarray) -> Action | None:
+    """What the visual-act model would do here. Eq. (12), a = pi(s_low | I).
+
+    Args:
+        advice: `(3,)` R_p for forward, left, right.
+        mask: `(5,)` bool, allowed actions.
+
+    Returns:
+        The best advised action; None where no advised one is allowed.
+    """
+    allowed = mask[list(ADVISED)]
+    if not allowed.any():
+        return None
+    return ADVISED[int(np.where(allowed, advice, -np.inf).argmax())]
+
+
+class PolicyMap:
+    """One episode's pool of advised actions and its union with the potential field."""
+
+    def __init__(self) -> None:
+        self._pool: dict[LatticeState, Action] = {}
+
+    def add(self, state: LatticeState, action: Action) -> None:
+        """Takes one more pose into the explored policy. Eq. (13): it is the union of the advice over all of them."""
+        self._pool[state] = action
+
+    def explored(self, state: LatticeState) -> Action | None:
+        """The explored policy's action; None where the camera has never looked from."""
+        return self._pool.get(state)
+
+    def overall(
+        self, state: LatticeState, block_explored: bool, unexplored: Callable[[], Action | None]
+    ) -> tuple[Action | None, bool]:
+        """The global policy's action, and whether it is the explored policy's. Eq. (17): the union of both.
+
+        Deviation: in explored blocks the advice holds at poses the car has looked from; elsewhere, and in blocks that
+        are not explored, the potential field guides.
+
+        Args:
+            state: the pose on the lattice.
+            block_explored: whether enough of its block has been seen.
+            unexplored: gives the potential field's action.
+        """
+        if block_explored and (action := self._pool.get(state)) is not None:
+            return action, True
+        return unexplored(), False
