@@ -115,8 +115,10 @@ def _clusters(rng: np.random.Generator, name: str) -> Scene:
 
 def _add_clusters(canvas: Canvas, kinds: dict[str, float]) -> None:
     rng = canvas.rng
-    for _ in range(int(rng.integers(3, 6))):
-        centre = tuple(float(v) for v in rng.uniform(-7.0, 7.0, 2))
+    start, goal = np.array(canvas.ends)
+    centres = [start + (goal - start) * rng.uniform(0.35, 0.65)]  # one stands in the way
+    centres += [rng.uniform(-7.0, 7.0, 2) for _ in range(int(rng.integers(2, 5)))]
+    for centre in centres:
         canvas.scatter(int(rng.integers(4, 8)), kinds, gap_m=0.02, scale=0.8, centre=centre, spread_m=2.6)
 
 

@@ -1,6 +1,7 @@
 """A scene while it is being drawn: obstacles go where they keep their distance from the others, start and goal."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -86,7 +87,7 @@ class Canvas:
         kinds: dict[str, float],
         gap_m: float = 0.3,
         scale: float = 1.0,
-        centre: tuple[float, float] = (0.0, 0.0),
+        centre: Sequence[float] = (0.0, 0.0),
         spread_m: float = SCATTER_M,
     ) -> None:
         """Places obstacles of drawn kind and size evenly over a square.
@@ -106,7 +107,7 @@ class Canvas:
         for _ in range(count):
             kind = names[int(self.rng.choice(len(names), p=weights / weights.sum()))]
             for _ in range(TRIES):
-                x_m, y_m = (round(float(v), 2) for v in np.array(centre) + self.rng.uniform(-spread_m, spread_m, 2))
+                x_m, y_m = (round(float(v), 2) for v in np.asarray(centre) + self.rng.uniform(-spread_m, spread_m, 2))
                 inside = max(abs(x_m), abs(y_m)) <= SCATTER_M
                 if inside and self.place(draw(self.rng, kind, x_m, y_m, scale), gap_m):
                     break

@@ -60,9 +60,11 @@ def _corridor(canvas: Canvas) -> list[Obstacle]:
 
 
 def _pockets(canvas: Canvas) -> list[Obstacle]:
-    """One or two dead ends that open towards the start."""
+    """One dead end between start and goal, or two side by side, open towards the start."""
     rng = canvas.rng
-    rows = [_row(canvas, -4, 4)] if rng.random() < 0.5 else [_row(canvas, -6, -5), _row(canvas, 5, 6)]
+    middle_m = (canvas.ends[0][1] + canvas.ends[1][1]) / 2
+    single = rng.random() < 0.6
+    rows = [_row(canvas, middle_m - 1, middle_m + 1)] if single else [_row(canvas, -6, -4.5), _row(canvas, 4.5, 6)]
     pieces = []
     for y_m in rows:
         x_m, width_m, depth_m = rng.uniform(0.0, 4.0), rng.uniform(PASSAGE_M + 0.1, 4.6), rng.uniform(2.5, 5.0)
@@ -74,7 +76,7 @@ def _pockets(canvas: Canvas) -> list[Obstacle]:
     return pieces
 
 
-def _row(canvas: Canvas, low_m: int, high_m: int) -> float:
+def _row(canvas: Canvas, low_m: float, high_m: float) -> float:
     """The centre of a row of cells between two heights: ways are centred on the lattice, on which the car turns."""
     centres = [float(y) for y in DEFAULT_GRID.cell_centres()[1] if low_m <= y <= high_m]
     return centres[int(canvas.rng.integers(len(centres)))]

@@ -213,26 +213,34 @@ def read_folder(folder: str | Path, grid: Grid = DEFAULT_GRID) -> list[Scene]:
 
 def write(scene: Scene, path: str | Path) -> None:
     """Writes a scene as a file that `read` turns into an equal one."""
-    obstacles = []
-    for obstacle in scene.obstacles:
-        entry: dict[str, Any] = {"kind": obstacle.kind, "x": obstacle.x_m, "y": obstacle.y_m}
-        if obstacle.size_m is None:
-            entry["radius_m"] = obstacle.radius_m
-        else:
-            entry |= {"size_m": list(obstacle.size_m), "heading_deg": obstacle.heading_deg}
-        if obstacle.walks:
-            entry |= {"path": [list(point) for point in obstacle.path], "speed_mps": obstacle.speed_mps}
-        obstacles.append(entry)
-    tree = {
+    head = {
         "version": 1,
         "name": scene.name,
         "ground": scene.ground,
         "start": {"x": scene.start.x_m, "y": scene.start.y_m, "heading_deg": scene.start.heading_deg},
         "goal": {"x": scene.goal[0], "y": scene.goal[1]},
-        "obstacles": obstacles,
     }
-    text = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True)
-    Path(path).write_text(text, encoding="utf-8")
+    lines = [f"{key}: {_flow(value)}" for key, value in head.items()]
+    lines.append("obstacles:" if scene.obstacles else "obstacles: []")
+    lines += [f"  - {_flow(_entry(obstacle))}" for obstacle in scene.obstacles]
+    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _entry(obstacle: Obstacle) -> dict[str, Any]:
+    entry: dict[str, Any] = {"kind": obstacle.kind, "x": obstacle.x_m, "y": obstacle.y_m}
+    if obstacle.size_m is None:
+        entry["radius_m"] = obstacle.radius_m
+    else:
+        entry |= {"size_m": list(obstacle.size_m), "heading_deg": obstacle.heading_deg}
+    if obstacle.walks:
+        entry |= {"path": [list(point) for point in obstacle.path], "speed_mps": obstacle.speed_mps}
+    return entry
+
+
+def _flow(value: Any) -> str:
+    """A value as YAML on one line."""
+    text = yaml.safe_dump(value, sort_keys=False, default_flow_style=True, width=math.inf, allow_unicode=True)
+    return text.removesuffix("\n").removesuffix("\n...")
 
 
 class _Loader(yaml.SafeLoader):
