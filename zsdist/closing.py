@@ -44,7 +44,7 @@ def draw_training(folder: Path, settings: Config) -> None:
 
 
 def compare(folder: Path, settings: Config, console: Console) -> None:
-    """Drives the trained policy beside others greedily; prints a table, writes `evaluation.json` and the paths driven."""
+    """Drives the trained policy beside others greedily; a table, `evaluation.json` and a picture of the paths."""
     if not settings.run.final_evaluation_episodes:
         return
     reports = [(trial, _drive(trial, settings.seed)) for trial in _trials(folder, settings)]
@@ -91,8 +91,8 @@ def _drive(trial: Trial, seed: int) -> Report:
 def _table(reports: list[tuple[Trial, Report]], settings: Config) -> Table:
     table = Table(
         title="greedy evaluation",
-        caption=f"seed {settings.seed}, success within {settings.sim.success_radius_m} m, at most {settings.sim.max_steps} "
-        "actions; 95% intervals",
+        caption=f"seed {settings.seed}, success within {settings.sim.success_radius_m} m, at most "
+        f"{settings.sim.max_steps} actions; 95% intervals",
         title_justify="left",
         caption_justify="left",
     )

@@ -198,7 +198,9 @@ class Config(Section):
             if not low <= value <= high:
                 raise ValueError(f"{name}_initial is {value}; allowed is {name}_min to {name}_max, {low} to {high}")
         if self.grid.cells % self.grid.blocks:
-            raise ValueError(f"grid.cells is {self.grid.cells}; allowed are multiples of grid.blocks, {self.grid.blocks}")
+            raise ValueError(
+                f"grid.cells is {self.grid.cells}; allowed are multiples of grid.blocks, {self.grid.blocks}"
+            )
         return self
 
 
@@ -217,7 +219,9 @@ def load(path: str | Path | None = None, overrides: tuple[str, ...] = ()) -> Con
         except (yaml.YAMLError, UnicodeDecodeError) as error:
             raise ConfigError(f"configuration file {path} is not valid YAML: {' '.join(str(error).split())}") from error
         if not isinstance(tree, dict):
-            raise ConfigError(f"configuration file {path} holds a {type(tree).__name__}; allowed is a mapping of settings")
+            raise ConfigError(
+                f"configuration file {path} holds a {type(tree).__name__}; allowed is a mapping of settings"
+            )
     for override in overrides:
         _apply(tree, override)
     return parse(tree)

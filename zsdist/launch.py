@@ -49,7 +49,9 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="one setting; repeatable")
     options.add_argument("--single-process", action="store_true", help="all roles in this process, on a virtual clock")
     options.add_argument("--run-dir", type=Path, metavar="DIR", help="folder of the run; default: a new one in runs/")
-    options.add_argument("--resume", type=Path, metavar="DIR", help="go on with the run in DIR, and append to its files")
+    options.add_argument(
+        "--resume", type=Path, metavar="DIR", help="go on with the run in DIR, and append to its files"
+    )
     options.add_argument("--address", metavar="RAY", help="Ray cluster to run on: ray://HOST:PORT or auto")
     options.add_argument("--plain", action="store_true", help="progress as lines, also on a terminal")
     return options
@@ -78,7 +80,9 @@ def _start(options: argparse.Namespace) -> Setting:
 def _resume(options: argparse.Namespace) -> Setting:
     for name in ("config", "seed", "run_dir"):
         if getattr(options, name) is not None:
-            raise ConfigError(f"--{name.replace('_', '-')} cannot go with --resume: the run in {options.resume} has its own")
+            raise ConfigError(
+                f"--{name.replace('_', '-')} cannot go with --resume: the run in {options.resume} has its own"
+            )
     settings, states = directory.reopen(options.resume, _overrides(options))
     finished = len(states["scheduler"].meta["finished"])
     if settings.run.episodes <= finished:
@@ -124,6 +128,7 @@ class Interruption:
         self.heard = False
 
     def __call__(self) -> bool:
+        """Whether to stop."""
         return self.heard
 
     def hear(self, signal_number: int, frame: FrameType | None) -> None:

@@ -48,7 +48,7 @@ NO_GUIDE = -1  # value of a guide action where the guide policy has nothing to s
 
 
 class Pose(NamedTuple):
-    """A true pose of the car: `x_m` east, `y_m` north of the arena's centre, `heading_rad` counter-clockwise from east."""
+    """A true pose: `x_m` east, `y_m` north of the arena's centre, `heading_rad` counter-clockwise from east."""
 
     x_m: float
     y_m: float
@@ -56,7 +56,7 @@ class Pose(NamedTuple):
 
 
 class LatticeState(NamedTuple):
-    """A state of the planning lattice: cell column `ix` (east), cell row `iy` (north), `heading` in eighths of a turn."""
+    """A state of the planning lattice: column `ix` (east), row `iy` (north), `heading` in eighths of a turn."""
 
     ix: int
     iy: int

@@ -1,1 +1,1 @@
-"""Roles: single-threaded objects whose `step(now)` never blocks; they own their state and speak only through a transport."""
+"""Roles: single-threaded objects whose `step(now)` never blocks and which speak only through a transport."""

@@ -74,6 +74,7 @@ class Actor(Role):
         self.transport.subscribe(keys.evaluation(run, context.name), self._orders, retained=True)
 
     def work(self, now: float) -> float:
+        """One action of every car that may act, and whatever has to be sent."""
         self._receive(now)
         if self._cut:
             self._cut_short()
@@ -93,6 +94,7 @@ class Actor(Role):
         return min([now + HEARTBEAT_S, *(wake for box in self._outboxes.values() if (wake := box.next_wake(now)))])
 
     def statistics(self) -> dict[str, float | str]:
+        """Steps driven, cars, versions acted with, and what waits in the outboxes."""
         fields: dict[str, float | str] = {
             "env_steps": self.env_steps,
             "cars": len(self.cars),

@@ -14,8 +14,14 @@ class Hub(Role):
         self.endpoint = endpoint
 
     def work(self, now: float) -> float:
+        """Nothing to do but to be there."""
         return now + STATISTICS_EVERY_S
 
     def statistics(self) -> Fields:
+        """Where it listens, and what it costs."""
         usage = resource.getrusage(resource.RUSAGE_SELF)
-        return {"endpoint": self.endpoint, "cpu_s": round(usage.ru_utime + usage.ru_stime, 2), "peak_kib": usage.ru_maxrss}
+        return {
+            "endpoint": self.endpoint,
+            "cpu_s": round(usage.ru_utime + usage.ru_stime, 2),
+            "peak_kib": usage.ru_maxrss,
+        }

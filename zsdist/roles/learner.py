@@ -1,4 +1,4 @@
-"""The learner role: one class for both levels; draws batches, updates its DQN, broadcasts weights, takes part in merges."""
+"""The learner role, one class for both levels: draws batches, updates its DQN, broadcasts weights, joins in merges."""
 
 import itertools
 from collections import deque
@@ -53,6 +53,7 @@ class Learner(Role):
         self.transport.subscribe(keys.control(run, "learner"), self._orders, retained=True)
 
     def work(self, now: float) -> float:
+        """Learns from what has come, asks for more, and tells of new weights."""
         for _, orders in self.messages(self._orders):
             if isinstance(orders, Orders) and orders.sender_epoch >= self._scheduler_epoch:
                 self._scheduler_epoch = orders.sender_epoch
@@ -68,6 +69,7 @@ class Learner(Role):
         return now + WEIGHTS_EVERY_S
 
     def statistics(self) -> dict[str, float | str]:
+        """Updates, losses, version, and how long it has waited for data."""
         return {
             "learner_updates": self.updates,
             "weight_version": self.version,

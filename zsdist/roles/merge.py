@@ -72,7 +72,9 @@ class Merge:
         self.results[name][scene] = outcome
         self._drop_losers()
         if not self.outstanding():
-            self.chosen = max(self._alive(), key=lambda candidate: (self.score(candidate), -self.candidates.index(candidate)))
+            self.chosen = max(
+                self._alive(), key=lambda candidate: (self.score(candidate), -self.candidates.index(candidate))
+            )
             self.phase = Phase.PROMOTE
 
     def promoted(self) -> None:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from zsdist.config import Config
+from zsdist.protocol.inbox import Inbox
 from zsdist.replay.buffer import RingBuffer
 from zsdist.replay.limiter import Limiter
-from zsdist.protocol.inbox import Inbox
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.transport.base import Message
 from zsdist.types import Level
@@ -65,7 +65,7 @@ class Shelf:
                 self.stored += stored
                 for reason, count in reasons.items():
                     self.rejected[reason] = self.rejected.get(reason, 0) + count
-                self.limiter.inserted(stream, stored, sum(reasons.values()))
+                self.limiter.inserted(stream, stored, rejected=sum(reasons.values()))
             if frame.closes:
                 self.limiter.close(stream)
                 self._closed.add((frame.actor, frame.epoch))
@@ -132,6 +132,7 @@ class Replay(Role):
         self.transport.subscribe(keys.control(run, "replay"), self._orders, retained=True)
 
     def work(self, now: float) -> float:
+        """Stores what has come, answers who may be answered, acknowledges and grants credit."""
         for _, orders in self.messages(self._orders):
             if isinstance(orders, Orders) and orders.sender_epoch >= self._scheduler_epoch:
                 self._scheduler_epoch = orders.sender_epoch
@@ -153,6 +154,7 @@ class Replay(Role):
         return wake_s
 
     def statistics(self) -> dict[str, float | str]:
+        """Books, sizes and pace of both levels."""
         fields: dict[str, float | str] = {}
         for level, shelf in self.shelves.items():
             books = {f"{level}_{name}": count for name, count in shelf.books().items()}
@@ -176,6 +178,7 @@ class Replay(Role):
         for level, shelf in self.shelves.items():
             meta[level.value] = {
                 "batch_size": shelf.batch_size,
+                "limiter": shelf.limiter.state(),
                 "inbox": shelf.inbox.state(),
                 "stored": shelf.stored,
                 "rejected": shelf.rejected,
@@ -184,8 +187,7 @@ class Replay(Role):
                 "books": shelf.books(),
                 "open": len(shelf.inbox.open_streams()),
             }
-            parts = {"buffer": shelf.buffer.state(), "limiter": shelf.limiter.state()}
-            arrays |= {f"{level}/{part}/{name}": array for part, some in parts.items() for name, array in some.items()}
+            arrays |= {f"{level}/{name}": array for name, array in shelf.buffer.state().items()}
         return State("replay", meta, arrays)
 
     def _restore(self, state: State) -> None:
@@ -195,8 +197,8 @@ class Replay(Role):
             shelf.inbox.restore(meta["inbox"])
             shelf.stored, shelf.rejected, shelf.sampled = meta["stored"], dict(meta["rejected"]), meta["sampled"]
             shelf.rng.bit_generator.state = meta["rng"]
-            shelf.buffer.restore(state.part(f"{level}/buffer/"))
-            shelf.limiter.restore(state.part(f"{level}/limiter/"))
+            shelf.buffer.restore(state.part(f"{level}/"))
+            shelf.limiter.restore(meta["limiter"])
 
     def _follow(self, content: dict) -> None:
         for actor, epoch in content["epochs"].items():

@@ -5,7 +5,7 @@ from typing import Protocol
 
 from zsdist.dqn.exploration import epsilon
 from zsdist.protocol.inbox import Inbox
-from zsdist.replay.sizing import AdaptiveSizing
+from zsdist.replay.sizing import AdaptiveSizing, RewardAverages
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.leases import Leases
 from zsdist.roles.merge import BEST, DISTILLED, RECENT, Merge, Phase
@@ -59,6 +59,7 @@ class Scheduler(Role):
         self.merge: Merge | None = None
         self.merges: list[dict] = []
         self.outcomes = dict.fromkeys(Outcome, 0)
+        self.averages = RewardAverages(context.config.replay.average_episodes)
         self.sizing = AdaptiveSizing(context.config.replay)
         self.env_steps = 0
         self.restarts: dict[str, int] = {}
@@ -95,6 +96,7 @@ class Scheduler(Role):
         return self.config.run.episodes
 
     def work(self, now: float) -> float:
+        """Takes in what happened, decides what follows, and says it."""
         self._obey_supervisor()
         self._take_reports(now)
         self._take_offers()
@@ -108,6 +110,7 @@ class Scheduler(Role):
         return min([self._next_orders_s, *(wake for box in self._inboxes.values() if (wake := box.next_wake(now)))])
 
     def statistics(self) -> Fields:
+        """Progress of the run as a whole."""
         finished = len(self.leases.finished)
         fields: Fields = {
             "stage": self.stage.value,
@@ -119,9 +122,9 @@ class Scheduler(Role):
             "episodes_in_flight": len(self.leases.holders),
             **{outcome.value: count for outcome, count in self.outcomes.items()},
         }
-        if self.sizing.average_return is not None:
-            fields["mean_return"] = round(self.sizing.average_return, 3)
-            fields["average_reward"] = round(self.sizing.average_reward, 4)
+        if self.averages.mean_return is not None:
+            fields["mean_return"] = round(self.averages.mean_return, 3)
+            fields["average_reward"] = round(self.averages.mean_reward, 4)
         if self.recent:
             fields["recent_success"] = round(self.recent.count(Outcome.SUCCESS) / len(self.recent), 3)
             fields["recent_collision"] = round(self.recent.count(Outcome.COLLISION) / len(self.recent), 3)
@@ -164,7 +167,8 @@ class Scheduler(Role):
             return  # the lease had been given to another
         self.outcomes[Outcome(record["outcome"])] += 1
         self.env_steps += record["steps"]
-        self.sizing.episode_finished(record["return"], record["steps"])
+        self.averages.add_episode(record["return"], record["steps"])
+        self.sizing.finished_episodes(len(self.leases.finished), self.averages.mean_return)
         self.recent = [*self.recent[-49:], Outcome(record["outcome"])]
         self.ledger.episode(record | {"finished_as": len(self.leases.finished)})
 
@@ -212,7 +216,9 @@ class Scheduler(Role):
         settings = self.config.merge
         names = (RECENT, DISTILLED, BEST) if self.merges else (RECENT, DISTILLED)
         index = len(self.merges) + 1
-        self.merge = Merge(index, len(self.leases.finished), names, settings.validation_scenes, settings.drop_after_scenes)
+        self.merge = Merge(
+            index, len(self.leases.finished), names, settings.validation_scenes, settings.drop_after_scenes
+        )
         self.stage, self._next_orders_s = Stage.MERGE, 0.0
 
     def _conduct_merge(self, now: float) -> None:
@@ -232,7 +238,7 @@ class Scheduler(Role):
             self.merge, self.stage = None, Stage.TRAIN
 
     def _conduct_end(self, now: float) -> None:
-        """Actors close their epochs; the replay confirms that all is stored; then the last checkpoint and the summary."""
+        """Actors close their epochs, the replay confirms that all is stored, then checkpoint and summary."""
         if self.stage is Stage.CLOSING:
             if any(inbox.open_streams() for inbox in self._inboxes.values()):
                 return
@@ -298,7 +304,7 @@ class Scheduler(Role):
             },
             "replay": {
                 "epochs": self._epochs,
-                "buffer_size": self.sizing.buffer_size,
+                "buffer_size": self.sizing.size,
                 "batch_size": self.sizing.batch_size,
                 "stop": done,
             },
@@ -327,6 +333,8 @@ class Scheduler(Role):
         meta = {
             "finished": sorted(self.leases.finished),
             "outcomes": {outcome.value: count for outcome, count in self.outcomes.items()},
+            "averages": self.averages.state(),
+            "sizing": self.sizing.state(),
             "recent": [outcome.value for outcome in self.recent],
             "env_steps": self.env_steps,
             "merges": merges,
@@ -334,11 +342,12 @@ class Scheduler(Role):
             "max_lag_versions": self.snapshot.max_lag_versions,
             "wall_s": self.ledger.wall_s(),
         }
-        return State("scheduler", meta, self.sizing.state())
+        return State("scheduler", meta, {})
 
     def _restore(self, state: State) -> None:
         meta = state.meta
-        self.sizing.restore(state.arrays)
+        self.averages.restore(meta["averages"])
+        self.sizing.restore(meta["sizing"])
         self.recent = [Outcome(name) for name in meta["recent"]]
         self.leases = Leases(meta["finished"])
         self.outcomes = {Outcome(name): count for name, count in meta["outcomes"].items()}

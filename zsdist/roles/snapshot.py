@@ -66,7 +66,11 @@ class Snapshot:
         lags = {}
         for level in Level:
             newest = self.of("learner").get(level.value, {}).get("weight_version", 0)
-            acting = [fields[f"{level}_weight_version"] for fields in self.of("actor").values() if f"{level}_weight_version" in fields]
+            acting = [
+                fields[f"{level}_weight_version"]
+                for fields in self.of("actor").values()
+                if f"{level}_weight_version" in fields
+            ]
             lags[level] = max(0, int(newest - min(acting, default=newest)))
         return lags
 
@@ -74,8 +78,12 @@ class Snapshot:
         """One flat line of figures for `metrics.jsonl` and TensorBoard."""
         scheduler = next(iter(self.of("scheduler").values()), {})
         replay = next(iter(self.of("replay").values()), {})
-        row: Fields = {name: value for name, value in scheduler.items() if name not in ("role", "id", "host", "pid", "epoch")}
-        row |= {f"actors_{name}": self.total("actor", name) for name in ("env_steps", "cars_driving", "waiting_credit_s")}
+        row: Fields = {
+            name: value for name, value in scheduler.items() if name not in ("role", "id", "host", "pid", "epoch")
+        }
+        row |= {
+            f"actors_{name}": self.total("actor", name) for name in ("env_steps", "cars_driving", "waiting_credit_s")
+        }
         row["env_steps_per_s"] = round(self.rate("actor", "env_steps"), 2)
         for level, learner in self.of("learner").items():
             for name in ("learner_updates", "weight_version", "loss", "q_mean", "waiting_data_s"):

@@ -62,4 +62,3 @@ def make_policy(settings: Config, parameters: dict[Level, Parameters], source: s
     """A policy of given networks."""
     digest = hashlib.sha256("".join(network.sha256(parameters[level]) for level in Level).encode()).hexdigest()
     return Policy(settings, parameters, digest, source)
-

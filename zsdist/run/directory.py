@@ -94,7 +94,9 @@ def read_checkpoint(checkpoint: Path) -> dict[str, State]:
         for name, digest in manifest["sha256"].items():
             payload = (checkpoint / f"{name}.state").read_bytes()
             if hashlib.sha256(payload).hexdigest() != digest:
-                raise RunError(f"checkpoint file {checkpoint / name}.state is damaged: its SHA-256 is not the manifest's")
+                raise RunError(
+                    f"checkpoint file {checkpoint / name}.state is damaged: its SHA-256 is not the manifest's"
+                )
             states[name] = codec.decode(payload, expect=State)
     except OSError as error:
         raise RunError(f"checkpoint {checkpoint}: {error.filename}: {error.strerror}") from error

@@ -34,7 +34,9 @@ class Display:
         self._mailbox: Mailbox | None = None
         self._opened_s = time.monotonic()
         self._next_s = self._opened_s
-        self._live = Live(console=self.console, auto_refresh=False) if self.console.is_terminal and not prefer_lines else None
+        self._live = (
+            Live(console=self.console, auto_refresh=False) if self.console.is_terminal and not prefer_lines else None
+        )
 
     def __enter__(self) -> "Display":
         if self._live is not None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
-from zsdist.agent import features
+from zsdist.agent import blocks, features
 from zsdist.agent.hierarchy import HierarchicalAgent
 from zsdist.config import Config
 from zsdist.dqn.learner import DqnLearner
@@ -30,7 +30,7 @@ from zsdist.vision.visual_act import VisualAct as PretrainedVisualAct
 from zsdist.wire.messages import State
 
 SHAPES = {
-    Level.HIGH: Shape(features.HIGH_STATE_SIZE, features.HIGH_ACTIONS),
+    Level.HIGH: Shape(features.HIGH_STATE_SIZE, blocks.HIGH_ACTIONS),
     Level.LOW: Shape(features.LOW_STATE_SIZE, features.LOW_ACTIONS),
 }
 

@@ -128,16 +128,20 @@ def _connect(setting: Setting) -> None:
     host = config.transport.endpoint.partition("/")[2]
     if host.startswith(LOOPBACK):
         raise RunError(
-            f"transport.endpoint is {config.transport.endpoint!r} and run.address {config.run.address!r}: the roles of a "
-            "cluster cannot reach a loopback endpoint; allowed is one at which this machine is reached, such as tcp/HOST:7447"
+            f"transport.endpoint is {config.transport.endpoint!r} and run.address {config.run.address!r}: the roles of "
+            "a cluster cannot reach a loopback endpoint; allowed is an address of this machine, such as tcp/HOST:7447"
         )
     try:
         ray.init(address=config.run.address, log_to_driver=False, logging_level="ERROR")
     except (RayError, ConnectionError, ValueError) as error:
-        raise RunError(f"Ray cluster {config.run.address!r} cannot be reached: {' '.join(str(error).split())}") from error
+        raise RunError(
+            f"Ray cluster {config.run.address!r} cannot be reached: {' '.join(str(error).split())}"
+        ) from error
     free = ray.cluster_resources().get("CPU", 0.0)
     if wanted > free:
-        raise RunError(f"the run asks for {wanted:g} cores of Ray, the cluster has {free:g}; lower run.cpus_per_role or run.actors")
+        raise RunError(
+            f"the run asks for {wanted:g} cores of Ray, the cluster has {free:g}; lower run.cpus_per_role or run.actors"
+        )
 
 
 class _Supervisor:
@@ -227,4 +231,3 @@ def _last_line(error: Exception) -> str:
     """The telling line of Ray's long reports."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return lines[-1] if lines else type(error).__name__
-

@@ -12,12 +12,12 @@ from zsdist.errors import SceneError
 from zsdist.planning.grid import HEADINGS
 from zsdist.sim import families_layout
 from zsdist.sim.families_canvas import Canvas, Redraw, turned
-from zsdist.sim.manifest import TRAINED_GROUNDS, WITHHELD_GROUNDS, split_seed
+from zsdist.sim.manifest import TRAINED_GROUNDS, WITHHELD_GROUNDS, Split, split_seed
 from zsdist.sim.scene import DEFAULT_GRID, Scene, check
 from zsdist.sim.solvability import solve
 from zsdist.types import LatticeState
 
-__all__ = ["FAMILIES", "SINGLETON_SCENES", "generate", "split_seed"]
+__all__ = ["FAMILIES", "SINGLETON_SCENES", "draw", "generate", "split_seed"]
 
 SINGLETON_SCENES = 10
 MAX_SEED = 2**31
@@ -44,6 +44,11 @@ def generate(family: str, seed: int) -> Scene:
         SceneError: no such family, a seed that is not allowed, or no solvable scene in `MAX_TRIES` draws.
     """
     return generate_counted(family, seed)[0]
+
+
+def draw(family: str, split: Split, index: int) -> Scene:
+    """The `index`-th scene of a family's split. `singleton` has no splits: its ten scenes are all there is."""
+    return generate(family, index % SINGLETON_SCENES if family == "singleton" else split_seed(split, index))
 
 
 def generate_counted(family: str, seed: int) -> tuple[Scene, int]:
