@@ -1,4 +1,4 @@
-"""A transport within one process: what is sent is in the receivers' mailboxes when the call returns, in a fixed order."""
+"""A transport within one process: what is sent is in the mailboxes when the call returns, in a fixed order."""
 
 from collections.abc import Callable
 from functools import lru_cache

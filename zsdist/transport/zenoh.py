@@ -98,7 +98,6 @@ class ZenohTransport(Transport):
 
     def subscribe(self, pattern: str, mailbox: Mailbox, *, retained: bool = False) -> None:
         """See `Transport.subscribe`."""
-
         if not retained:
             self._keep(
                 lambda: self._session.declare_subscriber(
@@ -258,5 +257,5 @@ def _split(endpoint: str) -> tuple[str, int]:
 
 
 def _brief(error: Exception) -> str:
-    """zenoh's own words without the places in its sources."""
+    """What zenoh says, without the places in its sources."""
     return str(error).split(" at /")[0].strip()

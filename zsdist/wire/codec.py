@@ -206,6 +206,10 @@ def _check_sample_request(meta: Meta, columns: Columns) -> None:
     _counts(meta, "sender_epoch", "updates")
 
 
+def _build_sample_request(meta: Meta, columns: Columns) -> SampleRequest:
+    return SampleRequest(**meta | {"level": Level(meta["level"])})
+
+
 def _split_sample_reply(message: SampleReply) -> tuple[Meta, Columns]:
     columns, actions = ({}, 0) if message.batch is None else column_codec.from_batch(message.batch)
     return {"level": str(message.level), "note": message.note, "actions": actions}, columns
@@ -293,6 +297,10 @@ def _check_state(meta: Meta, columns: Columns) -> None:
             raise DecodeError("name", f"array {name!r}"[:80])
 
 
+def _build_state(meta: Meta, columns: Columns) -> State:
+    return State(meta["role"], meta["meta"], columns)
+
+
 def _plain(message: AnyMessage) -> tuple[Meta, Columns]:
     """Of a message that is all JSON fields."""
     return {name: str(value) if isinstance(value, Level) else value for name, value in vars(message).items()}, {}
@@ -302,14 +310,12 @@ _KINDS: Mapping[type, _Kind] = {
     Push: _Kind(1, 16 * MIB, _split_push, _check_push, _build_push),
     Records: _Kind(2, 4 * MIB, _split_records, _check_records, _build_records),
     Ack: _Kind(3, 4096, _plain, _check_ack, lambda meta, columns: Ack(**meta)),
-    SampleRequest: _Kind(
-        4, 4096, _plain, _check_sample_request, lambda meta, columns: SampleRequest(**meta | {"level": Level(meta["level"])})
-    ),
+    SampleRequest: _Kind(4, 4096, _plain, _check_sample_request, _build_sample_request),
     SampleReply: _Kind(5, 64 * MIB, _split_sample_reply, _check_sample_reply, _build_sample_reply),
     WeightsMessage: _Kind(6, 256 * MIB, _split_weights, _check_weights, _build_weights),
     Candidate: _Kind(7, 256 * MIB, _split_candidate, _check_candidate, _build_candidate),
     Orders: _Kind(8, 16 * MIB, _plain, _check_orders, lambda meta, columns: Orders(**meta)),
     Jobs: _Kind(9, 16 * MIB, _plain, _check_jobs, lambda meta, columns: Jobs(**meta)),
-    State: _Kind(10, 2048 * MIB, _split_state, _check_state, lambda meta, columns: State(meta["role"], meta["meta"], columns)),
+    State: _Kind(10, 2048 * MIB, _split_state, _check_state, _build_state),
 }
 _BY_NUMBER = {kind.number: (message_type, kind) for message_type, kind in _KINDS.items()}

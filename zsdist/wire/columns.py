@@ -84,7 +84,8 @@ def check_trajectories(columns: Mapping[str, np.ndarray], actions: int) -> int:
     transitions, rows = int(lengths.sum()), int(lengths.sum()) + len(lengths)
     if not len(lengths) or not lengths.all():
         raise DecodeError("lengths", "a trajectory without transitions")
-    _require_rows(columns, dict.fromkeys(("states", "masks"), rows) | {"versions": len(lengths)}, transitions, {"lengths"})
+    expected = dict.fromkeys(columns, transitions) | {"states": rows, "masks": rows}
+    _require_rows(columns, expected | {"lengths": len(lengths), "versions": len(lengths)})
     _check_decisions(columns, actions, "states", "masks")
     if columns["versions"].max() >= MAX_VERSION:
         raise DecodeError("range", "weight version")
@@ -140,7 +141,7 @@ def check_batch(columns: Mapping[str, np.ndarray], actions: int) -> None:
     rows = len(columns["actions"])
     if not rows:
         raise DecodeError("lengths", "an empty batch")
-    _require_rows(columns, {}, rows, set())
+    _require_rows(columns, dict.fromkeys(columns, rows))
     if columns["states"].shape != columns["next_states"].shape:
         raise DecodeError("shape", "states and next_states differ")
     _check_decisions(columns, actions, "states", "masks")
@@ -198,10 +199,10 @@ def _narrow(column: np.ndarray, name: str, dtype: type) -> np.ndarray:
         return column.astype(dtype)
 
 
-def _require_rows(columns: Mapping[str, np.ndarray], rows: Mapping[str, int], otherwise: int, free: set[str]) -> None:
+def _require_rows(columns: Mapping[str, np.ndarray], rows: Mapping[str, int]) -> None:
     for name, column in columns.items():
-        if name not in free and len(column) != rows.get(name, otherwise):
-            raise DecodeError("shape", f"column {name!r} has {len(column)} rows, not {rows.get(name, otherwise)}")
+        if len(column) != rows[name]:
+            raise DecodeError("shape", f"column {name!r} has {len(column)} rows, not {rows[name]}")
 
 
 def _check_decisions(columns: Mapping[str, np.ndarray], actions: int, states: str, masks: str) -> None:

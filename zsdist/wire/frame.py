@@ -2,8 +2,10 @@
 
 Layout, little-endian:
 
-    magic (4) | version (1) | kind (1) | zero (2) | size of the zstd frame (4) | CRC-32 of the rest of header and frame (4)
-    zstd frame, its content size declared: size of the JSON (4) | JSON {"meta": ..., "columns": [[name, dtype, shape]]} | columns
+    magic (4) | version (1) | kind (1) | zero (2) | size of the zstd frame (4) | CRC-32 of all before and after (4)
+    zstd frame, its content size declared: size of the JSON (4) | JSON | columns
+
+where the JSON is `{"meta": ..., "columns": [[name, dtype, shape], ...]}`.
 
 `unpack` trusts nothing: it raises `DecodeError` and nothing else, whatever the bytes, and inflates nothing before the
 declared size is found to be within the limit of its kind.
@@ -32,11 +34,8 @@ _HEADER = struct.Struct("<4sBBHII")
 _SIZE = struct.Struct("<I")
 _CHECKED = _HEADER.size - _SIZE.size  # bytes of the header that the checksum covers
 _ZSTD_LEVEL = 1  # level 3 gains under 3.5 % here
-_DTYPES = {
-    name: np.dtype(name).newbyteorder("<")
-    for name in ("bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64")
-    + ("float16", "float32", "float64")
-}
+_INTEGERS = ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64")
+_DTYPES = {name: np.dtype(name).newbyteorder("<") for name in ("bool", *_INTEGERS, "float16", "float32", "float64")}
 _local = threading.local()
 
 

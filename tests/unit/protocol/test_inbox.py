@@ -1,0 +1,154 @@
+"""The receiving half by itself: what it accepts, when it answers, and what its books say."""
+
+import json
+
+from zsdist.protocol.inbox import ACK_AFTER_S, ACK_EVERY_FRAMES, HEARTBEAT_S, Inbox
+from zsdist.types import Level
+from zsdist.wire.messages import EPISODES, Ack, Push, Records
+
+
+def frame(
+    sequence: int, *, epoch: int = 1, actor: str = "a0", closes: bool = False, total: int | None = None
+) -> Records:
+    """A frame with one record, the running total being right unless told."""
+    produced = sequence + 1 if total is None else total
+    return Records(EPISODES, actor, epoch, sequence, produced, closes, ({"number": sequence},))
+
+
+def listening(**issued: int) -> Inbox:
+    inbox = Inbox(EPISODES, sender_epoch=7)
+    for actor, epoch in (issued or {"a0": 1}).items():
+        inbox.issue(actor, epoch)
+    return inbox
+
+
+def sequences(frames: list) -> list[int]:
+    return [item.sequence for item in frames]
+
+
+def unlimited(actor: str, epoch: int) -> int | None:
+    return None
+
+
+def test_frames_come_out_in_order_each_once() -> None:
+    inbox = listening()
+    assert sequences(inbox.receive(frame(0), 0.0)) == [0]
+    assert sequences(inbox.receive(frame(2), 0.0)) == []
+    assert sequences(inbox.receive(frame(3), 0.0)) == []
+    assert sequences(inbox.receive(frame(2), 0.0)) == []
+    assert sequences(inbox.receive(frame(1), 0.0)) == [1, 2, 3]
+    assert sequences(inbox.receive(frame(1), 0.0)) == []
+    assert inbox.duplicates == 2
+    assert inbox.produced == 4
+    assert not inbox.refused
+
+
+def test_only_issued_epochs_are_listened_to() -> None:
+    inbox = listening(a0=5)
+    inbox.receive(frame(0, actor="stranger"), 0.0)
+    inbox.receive(frame(0, epoch=6), 0.0)
+    inbox.receive(frame(0, epoch=4), 0.0)
+    inbox.receive(Push(Level.LOW, "a0", 5, 0, 0, True, ()), 0.0)
+    assert inbox.refused == {"unknown_epoch": 2, "closed_epoch": 1, "wrong_stream": 1}
+    assert inbox.produced == 0
+
+
+def test_a_frame_too_far_ahead_is_refused_rather_than_held() -> None:
+    inbox = Inbox(EPISODES, hold_frames=4)
+    inbox.issue("a0", 1)
+    assert inbox.receive(frame(4), 0.0) == []
+    assert inbox.refused == {"beyond_window": 1}
+    for sequence in (3, 2, 1):
+        inbox.receive(frame(sequence), 0.0)
+    assert sequences(inbox.receive(frame(0), 0.0)) == [0, 1, 2, 3]
+
+
+def test_a_frame_whose_total_contradicts_the_books_is_refused_and_the_true_one_taken() -> None:
+    inbox = listening()
+    inbox.receive(frame(1, total=99), 0.0)
+    assert sequences(inbox.receive(frame(0), 0.0)) == [0]
+    assert inbox.refused == {"wrong_total": 1}
+    assert sequences(inbox.receive(frame(1), 0.0)) == [1]
+    assert inbox.produced == 2
+
+
+def test_acks_come_soon_after_a_receipt_and_at_once_after_several() -> None:
+    inbox = listening()
+    assert inbox.next_wake(0.0) == 0.0
+    assert inbox.acks(0.0, unlimited) == [Ack(7, "a0", 1, EPISODES, 0, None)]
+    inbox.receive(frame(0), 0.1)
+    assert inbox.acks(0.1, unlimited) == []
+    assert inbox.next_wake(0.1) == 0.1 + ACK_AFTER_S
+    assert inbox.acks(0.1 + ACK_AFTER_S, unlimited) == [Ack(7, "a0", 1, EPISODES, 1, None)]
+    for sequence in range(1, ACK_EVERY_FRAMES + 1):
+        inbox.receive(frame(sequence), 0.2)
+    assert [ack.received for ack in inbox.acks(0.2, unlimited)] == [ACK_EVERY_FRAMES + 1]
+
+
+def test_a_heartbeat_with_the_credit_comes_without_any_frame() -> None:
+    inbox = Inbox(Level.LOW)
+    inbox.issue("a0", 1)
+    inbox.issue("a1", 4)
+    credit = {("a0", 1): 100, ("a1", 4): 200}
+    first = inbox.acks(0.0, lambda actor, epoch: credit[actor, epoch])
+    assert [(ack.actor, ack.credit) for ack in first] == [("a0", 100), ("a1", 200)]
+    assert inbox.acks(HEARTBEAT_S - 0.001, unlimited) == []
+    assert inbox.next_wake(0.1) == HEARTBEAT_S
+    assert len(inbox.acks(HEARTBEAT_S, unlimited)) == 2
+
+
+def test_a_closed_epoch_is_acknowledged_again_when_its_last_frame_comes_again() -> None:
+    inbox = listening()
+    inbox.receive(frame(0), 0.0)
+    inbox.receive(frame(1, closes=True), 0.0)
+    assert inbox.closed
+    assert [ack.received for ack in inbox.acks(1.0, unlimited)] == [2]
+    assert inbox.acks(2.0, unlimited) == []
+    assert inbox.next_wake(2.0) is None
+    inbox.receive(frame(1, closes=True), 3.0)
+    assert [ack.received for ack in inbox.acks(3.0 + ACK_AFTER_S, unlimited)] == [2]
+    inbox.receive(frame(2), 4.0)
+    assert inbox.refused == {"after_close": 1}
+
+
+def test_a_newer_epoch_closes_the_older_at_its_last_frame_in_order() -> None:
+    inbox = listening()
+    inbox.receive(frame(0), 0.0)
+    inbox.receive(frame(2), 0.0)
+    inbox.issue("a0", 2)
+    inbox.issue("a0", 1)
+    assert inbox.open_streams() == [("a0", 2)]
+    assert inbox.receive(frame(1), 0.0) == []
+    assert inbox.refused == {"closed_epoch": 1}
+    assert sequences(inbox.receive(frame(0, epoch=2), 0.0)) == [0]
+    assert inbox.produced == 2
+    assert inbox.abandoned_at_most == 2, "its frame 2 told that three were produced, one arrived"
+
+
+def test_what_a_dead_actor_may_have_lost_is_what_it_was_granted_minus_what_arrived() -> None:
+    inbox = Inbox(Level.LOW)
+    inbox.issue("a0", 1)
+    inbox.acks(0.0, lambda actor, epoch: 50)
+    inbox.close("a0", 1)
+    assert (inbox.abandoned_at_most, inbox.abandoned_unlimited) == (50, 0)
+    inbox.issue("a1", 2)
+    inbox.acks(0.0, unlimited)
+    inbox.close("a1", 2)
+    assert (inbox.abandoned_at_most, inbox.abandoned_unlimited) == (50, 1)
+    assert inbox.closed
+
+
+def test_its_state_survives_json_and_goes_on_where_it_was() -> None:
+    inbox = listening(a0=1, a1=3)
+    inbox.receive(frame(0), 0.0)
+    inbox.receive(frame(2), 0.0)
+    inbox.receive(frame(0, actor="a1", epoch=3, closes=True), 0.0)
+    inbox.receive(frame(0, actor="a2"), 0.0)
+    restored = Inbox(EPISODES, sender_epoch=8)
+    restored.restore(json.loads(json.dumps(inbox.state())))
+    assert restored.state() == inbox.state()
+    assert restored.open_streams() == [("a0", 1)]
+    assert [(ack.actor, ack.received, ack.sender_epoch) for ack in restored.acks(9.0, unlimited)] == [("a0", 1, 8)]
+    assert sequences(restored.receive(frame(1), 9.0)) == [1], "frame 2 was not acknowledged, so it comes again"
+    assert sequences(restored.receive(frame(2), 9.0)) == [2]
+    assert restored.produced == 4

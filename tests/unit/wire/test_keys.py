@@ -1,0 +1,74 @@
+"""The key space is the one that others rely on, and each key is read back to what made it."""
+
+import pytest
+
+from zsdist.errors import ProtocolError
+from zsdist.types import Level
+from zsdist.wire import keys
+
+RUN = "default"
+EXAMPLES = [
+    (keys.push(RUN, Level.LOW, "a0", 3), "push/low/a0/3", {"level": "low", "actor": "a0", "epoch": "3"}),
+    (keys.episodes(RUN, "a0", 3), "episodes/a0/3", {"actor": "a0", "epoch": "3"}),
+    (keys.ack(RUN, "a0"), "ack/a0", {"actor": "a0"}),
+    (keys.sample(RUN, Level.HIGH), "sample/high", {"level": "high"}),
+    (keys.priority(RUN, Level.HIGH), "priority/high", {"level": "high"}),
+    (keys.weights(RUN, Level.LOW), "weights/low", {"level": "low"}),
+    (keys.candidate(RUN, Level.LOW, "best"), "candidate/low/best", {"level": "low", "id": "best"}),
+    (keys.evaluation(RUN, "a0"), "evaluation/a0", {"actor": "a0"}),
+    (keys.control(RUN, "actor.3"), "control/actor.3", {"role": "actor.3"}),
+    (keys.stats(RUN, "replay", "0"), "stats/replay/0", {"role": "replay", "id": "0"}),
+    (keys.events(RUN), "events", {}),
+    (keys.alive(RUN, "learner", "low"), "alive/learner/low", {"role": "learner", "id": "low"}),
+]
+
+
+@pytest.mark.parametrize(("key", "expected", "fields"), EXAMPLES)
+def test_each_key_is_as_published_and_reads_back(key: str, expected: str, fields: dict[str, str]) -> None:
+    assert key == f"zsdist/default/{expected}"
+    assert keys.parse(key) == (RUN, expected.split("/")[0], fields)
+
+
+def test_patterns_put_a_star_for_any_name() -> None:
+    assert keys.push(RUN, Level.LOW, keys.ANY, keys.ANY) == "zsdist/default/push/low/*/*"
+    assert keys.stats(keys.ANY, keys.ANY, keys.ANY) == "zsdist/*/stats/*/*"
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "",
+        "zsdist",
+        "zsdist/default",
+        "other/default/events",
+        "zsdist/default/unknown/a",
+        "zsdist/default/ack",
+        "zsdist/default/ack/a0/more",
+        "zsdist/default/ack/",
+        "zsdist/default/ack/*",
+        "zsdist/default/sample/middle",
+        "zsdist/default/push/low/a0/x",
+        "zsdist/default/push/low/a0/03",
+        "zsdist/default/push/low/a0/-1",
+        "zsdist/default/push/low/a0/\u0663",
+        "zsdist/default/ack/" + "a" * 65,
+    ],
+)
+def test_foreign_keys_are_not_taken_for_ours(key: str) -> None:
+    assert keys.parse(key) is None
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: keys.ack("a/b", "a0"), "run is 'a/b'"),
+        (lambda: keys.ack("", "a0"), "run is ''"),
+        (lambda: keys.ack(RUN, "a b"), "actor is 'a b'"),
+        (lambda: keys.ack(RUN, "**"), "actor is"),
+        (lambda: keys.sample(RUN, "middle"), "level is 'middle'"),
+        (lambda: keys.push(RUN, Level.LOW, "a0", -1), "epoch is '-1'"),
+    ],
+)
+def test_names_that_cannot_stand_in_a_key_are_refused(make, message: str) -> None:
+    with pytest.raises(ProtocolError, match=message.replace("*", r"\*")):
+        make()

@@ -1,0 +1,196 @@
+"""The receiving half of the push protocol: order, duplicates, acknowledgements, books. No socket, no clock.
+
+Only epochs that were issued are listened to. A newer epoch of an actor closes the older one where it stands, at its
+last frame in unbroken order, so that the books hold whatever happened to the actor.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from zsdist.types import Level
+from zsdist.wire.messages import Ack, Push, Records
+
+Frame = Push | Records
+
+HOLD_FRAMES = 256  # frames ahead of the next expected one that are held; beyond, they are refused and come again
+ACK_EVERY_FRAMES = 8
+ACK_AFTER_S = 0.02
+HEARTBEAT_S = 0.25
+
+
+@dataclass
+class _Stream:
+    """What is known of one actor's current epoch.
+
+    `granted` is the highest credit ever announced, None once it was unlimited.
+    """
+
+    epoch: int
+    received: int = 0
+    produced: int = 0
+    declared: int = 0
+    granted: int | None = 0
+    state: str = "open"  # or "closed" by its last frame, or "abandoned"
+    held: dict[int, Frame] = field(default_factory=dict)
+    unacknowledged: int = 0
+    receipt_s: float | None = None  # of the first frame since the last ack
+    heartbeat_s: float | None = None  # when the next is due; None: at once
+
+
+class Inbox:
+    """Receives one stream from any number of actors.
+
+    Attributes:
+        stream: which.
+        sender_epoch: incarnation of the receiving role, put into its acknowledgements.
+        duplicates: frames that came again.
+        refused: frames not accepted, counted by reason.
+        abandoned_at_most: transitions (or records) that may have been produced in epochs that were cut off, and never
+            arrived: granted minus delivered.
+        abandoned_unlimited: epochs cut off whose credit was unlimited at some time, so that of what they may have
+            produced only what their frames declared is in `abandoned_at_most`.
+    """
+
+    def __init__(self, stream: Level | str, *, sender_epoch: int = 0, hold_frames: int = HOLD_FRAMES) -> None:
+        """Listens to nobody until an epoch is issued."""
+        self.stream = stream
+        self.sender_epoch = sender_epoch
+        self.duplicates = 0
+        self.refused: Counter[str] = Counter()
+        self.abandoned_at_most = 0
+        self.abandoned_unlimited = 0
+        self._hold_frames = hold_frames
+        self._streams: dict[str, _Stream] = {}
+        self._produced_before = 0  # in epochs no longer current
+
+    @property
+    def produced(self) -> int:
+        """Transitions (or records) delivered: the running totals at the last frame in order, over all epochs."""
+        return self._produced_before + sum(stream.produced for stream in self._streams.values())
+
+    @property
+    def closed(self) -> bool:
+        """Whether every epoch that was issued is closed."""
+        return not self.open_streams()
+
+    def open_streams(self) -> list[tuple[str, int]]:
+        """The (actor, epoch) pairs that may still send."""
+        return [(actor, stream.epoch) for actor, stream in self._streams.items() if stream.state == "open"]
+
+    def issue(self, actor: str, epoch: int) -> None:
+        """Listens to an epoch from now on, in place of the actor's older one; an epoch that is not newer is ignored."""
+        current = self._streams.get(actor)
+        if current is not None:
+            if epoch <= current.epoch:
+                return
+            self._abandon(current)
+            self._produced_before += current.produced
+        self._streams[actor] = _Stream(epoch, granted=0 if isinstance(self.stream, Level) else None)
+
+    def close(self, actor: str, epoch: int) -> None:
+        """Closes the epoch of an actor that is dead and will not be replaced, where it stands."""
+        current = self._streams.get(actor)
+        if current is not None and current.epoch == epoch:
+            self._abandon(current)
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        """Takes in a frame; returns those that can now be delivered, in order, each exactly once."""
+        stream = self._streams.get(frame.actor)
+        if frame.stream != self.stream:
+            return self._refuse("wrong_stream")
+        if stream is None or frame.epoch > stream.epoch:
+            return self._refuse("unknown_epoch")
+        if frame.epoch < stream.epoch or stream.state == "abandoned":
+            return self._refuse("closed_epoch")
+        if frame.sequence >= stream.received and stream.state == "closed":
+            return self._refuse("after_close")
+        if frame.sequence >= stream.received + self._hold_frames:
+            return self._refuse("beyond_window")
+        stream.unacknowledged += 1
+        stream.receipt_s = now if stream.receipt_s is None else stream.receipt_s
+        if frame.sequence < stream.received or frame.sequence in stream.held:
+            self.duplicates += 1
+            return []
+        stream.held[frame.sequence] = frame
+        return self._deliver(stream)
+
+    def acks(self, now: float, credit: Callable[[str, int], int | None]) -> list[Ack]:
+        """The acknowledgements due now; whatever was delivered before is held from here on, so store it first.
+
+        Args:
+            now: the time.
+            credit: of an open (actor, epoch), the absolute total it may produce; None: unlimited.
+        """
+        acks = []
+        for actor, stream in self._streams.items():
+            if now < _due(stream, now):
+                continue
+            allowed = credit(actor, stream.epoch) if stream.state == "open" else stream.produced
+            if stream.granted is not None:
+                stream.granted = None if allowed is None else max(stream.granted, allowed)
+            acks.append(Ack(self.sender_epoch, actor, stream.epoch, str(self.stream), stream.received, allowed))
+            stream.unacknowledged, stream.receipt_s, stream.heartbeat_s = 0, None, now + HEARTBEAT_S
+        return acks
+
+    def next_wake(self, now: float) -> float | None:
+        """When `acks` next has something to say if nothing else comes; None: never."""
+        time_s = min((_due(stream, now) for stream in self._streams.values()), default=_NEVER)
+        return None if time_s == _NEVER else time_s
+
+    def state(self) -> dict[str, Any]:
+        """Everything that must outlive the role, as JSON; frames held out of order are not in it, they come again."""
+        current = {actor: {name: getattr(stream, name) for name in _KEPT} for actor, stream in self._streams.items()}
+        totals = {name: getattr(self, name) for name in _TOTALS}
+        return {"stream": str(self.stream), "current": current, "refused": dict(self.refused), **totals}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Goes on from what `state` gave."""
+        self._streams = {actor: _Stream(**kept) for actor, kept in state["current"].items()}
+        self.refused = Counter(state["refused"])
+        for name in _TOTALS:
+            setattr(self, name, state[name])
+
+    def _deliver(self, stream: _Stream) -> list[Frame]:
+        delivered = []
+        while (frame := stream.held.pop(stream.received, None)) is not None:
+            if frame.produced != stream.produced + frame.count:
+                self._refuse("wrong_total")  # not the true one, which is sent again
+                break
+            stream.received += 1
+            stream.produced = frame.produced
+            delivered.append(frame)
+            if frame.closes:
+                stream.state = "closed"
+                stream.held.clear()
+        stream.declared = max([stream.declared, stream.produced, *(held.produced for held in stream.held.values())])
+        return delivered
+
+    def _abandon(self, stream: _Stream) -> None:
+        if stream.state != "open":
+            return
+        stream.state = "abandoned"
+        stream.held.clear()
+        if stream.granted is None and isinstance(self.stream, Level):
+            self.abandoned_unlimited += 1
+        self.abandoned_at_most += max(stream.granted or 0, stream.declared) - stream.produced
+
+    def _refuse(self, reason: str) -> list[Frame]:
+        self.refused[reason] += 1
+        return []
+
+
+_NEVER = float("inf")
+_KEPT = ("epoch", "received", "produced", "declared", "granted", "state")
+_TOTALS = ("duplicates", "abandoned_at_most", "abandoned_unlimited", "_produced_before")
+
+
+def _due(stream: _Stream, now: float) -> float:
+    """When an acknowledgement of a stream is due."""
+    if stream.unacknowledged >= ACK_EVERY_FRAMES:
+        return now
+    receipt = _NEVER if stream.receipt_s is None else stream.receipt_s + ACK_AFTER_S
+    if stream.state != "open":  # acknowledged again only when its last frames come again
+        return _NEVER if stream.state == "abandoned" else receipt
+    return min(receipt, now if stream.heartbeat_s is None else stream.heartbeat_s)

@@ -1,0 +1,267 @@
+"""The sending half of the push protocol: numbers, window, resending, credit. No socket, no clock.
+
+A frame is kept until it is acknowledged and is sent again by its age, so nothing is lost whatever the transport does;
+the numbers let the receiver drop what comes twice. Credit bounds what may be produced at all: it is reserved before a
+step or an option begins, so that what has been produced can always be sent.
+"""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from zsdist.errors import ProtocolError
+from zsdist.types import Level, Trajectory
+from zsdist.wire.messages import Ack, Push, Records
+
+Item = Trajectory | dict[str, Any]
+Frame = Push | Records
+
+COMBINE = 16  # transitions from which a frame of trajectories is worth sending by itself
+MAX_COUNT = 256  # from which no further item is added to a frame
+LINGER_S = 0.05  # longest that fewer than `COMBINE` transitions wait for company
+RESEND_BURST = 8  # frames sent again at once
+BURST_PAUSE = 0.25  # least time between two such bursts, in units of `resend_after_s`, so that none is flooded
+BACKOFF_MAX = 4.0  # longest time between two sendings of a frame, in units of `resend_after_s`
+SILENCE_S = 2.0  # a receiver not heard for longer counts as away (its heartbeat is every 0.25 s)
+
+
+@dataclass
+class _Flight:
+    """A numbered frame that is not acknowledged yet."""
+
+    frame: Frame
+    sent_s: float
+    sendings: int
+
+
+class Outbox:
+    """Frames of one (stream, actor, epoch) on their way to one receiver.
+
+    Attributes:
+        stream: a `Level` for trajectories, or the name of a stream of records.
+        produced: running total of transitions (or records) in numbered frames.
+        credit: absolute total the stream may produce; None: unlimited. Nothing may be produced before the receiver has
+            spoken; records need no credit. One receiver's word only ever turns unlimited into limited and low into
+            high, so acknowledgements that overtake each other do no harm.
+    """
+
+    def __init__(
+        self,
+        stream: Level | str,
+        actor: str,
+        epoch: int,
+        *,
+        window_frames: int,
+        resend_after_s: float,
+        give_up_after_s: float,
+        make_frame: Callable[..., Frame],
+    ) -> None:
+        """Begins an epoch.
+
+        Args:
+            stream: a `Level` for trajectories, or the name of a stream of records.
+            actor: whose frames these are.
+            epoch: incarnation of the actor, never used before.
+            window_frames: most frames unacknowledged at once.
+            resend_after_s: age from which an unacknowledged frame is sent again; doubles with each sending up to
+                `BACKOFF_MAX` times this.
+            give_up_after_s: how long the oldest frame may stay unacknowledged by a receiver that lives.
+            make_frame: `Push` or `Records`.
+        """
+        self.stream = stream
+        self.actor = actor
+        self.epoch = epoch
+        self.produced = 0
+        self._metered = isinstance(stream, Level)
+        self.credit: int | None = 0 if self._metered else None
+        self._window_frames = window_frames
+        self._resend_after_s = resend_after_s
+        self._give_up_after_s = give_up_after_s
+        self._make_frame = make_frame
+        self._combine = COMBINE if self._metered else 1
+        self._waiting: deque[Item] = deque()
+        self._waiting_count = 0
+        self._waiting_since_s: float | None = None
+        self._flush = False
+        self._flight: deque[_Flight] = deque()
+        self._sequence = 0  # of the next frame
+        self._taken = 0  # reserved, waiting or produced
+        self._closing = False
+        self._closed = False  # the closing frame is numbered
+        self._sender_epoch = -1
+        self._heard_s: float | None = None
+        self._stalled_since_s = 0.0
+        self._resend_from_s = 0.0
+        self._resent = 0
+        self._ignored_acks = 0
+
+    @property
+    def waiting(self) -> int:
+        """Transitions (or records) offered but not yet in a numbered frame."""
+        return self._waiting_count
+
+    @property
+    def drained(self) -> bool:
+        """Whether the epoch is closed and its receiver holds everything."""
+        return self._closed and not self._flight
+
+    def reserve(self, count: int) -> bool:
+        """Takes credit for `count` transitions before they come to be; False where there is not enough of it."""
+        if self.credit is not None and self._taken + count > self.credit:
+            return False
+        self._taken += count
+        return True
+
+    def release(self, count: int) -> None:
+        """Gives back credit that was reserved and turned out not to be needed.
+
+        Raises:
+            ProtocolError: so much is not reserved.
+        """
+        if not 0 <= count <= self._taken - self._waiting_count - self.produced:
+            reserved = self._taken - self._waiting_count - self.produced
+            raise ProtocolError(f"{self._name()}: {count} transitions released; reserved are {reserved}")
+        self._taken -= count
+
+    def offer(self, items: Sequence[Item]) -> None:
+        """Queues trajectories or records; they go out in this order.
+
+        Raises:
+            ProtocolError: the outbox is closed, or more is offered than was reserved.
+        """
+        if self._closing:
+            raise ProtocolError(f"{self._name()} is closed; nothing more can be offered")
+        count = sum(map(_count, items))
+        if not self._metered:
+            self._taken += count
+        elif self.produced + self._waiting_count + count > self._taken:
+            free = self._taken - self.produced - self._waiting_count
+            raise ProtocolError(f"{self._name()}: {count} transitions offered; reserved are {free}")
+        self._waiting.extend(items)
+        self._waiting_count += count
+
+    def flush(self) -> None:
+        """Has what waits now sent without waiting for company."""
+        self._flush = bool(self._waiting)
+
+    def close(self, now: float) -> None:
+        """Has everything sent, and a last frame that closes the epoch."""
+        self._closing = True
+
+    def poll(self, now: float) -> list[Frame]:
+        """The frames to send now: overdue ones again, then new ones as far as the window goes."""
+        frames = self._overdue(now)
+        if self._waiting and self._waiting_since_s is None:
+            self._waiting_since_s = now
+        while len(self._flight) < self._window_frames and self._ripe(now):
+            frames.append(self._number(now))
+        return frames
+
+    def on_ack(self, ack: Ack, now: float) -> None:
+        """Takes in an acknowledgement; one for others, or by a replaced receiver, is ignored."""
+        if (ack.stream, ack.actor, ack.epoch) != (self.stream, self.actor, self.epoch):
+            return
+        acknowledged = self._sequence - len(self._flight)
+        if ack.sender_epoch < self._sender_epoch or ack.received > self._sequence:
+            self._ignored_acks += 1
+            return
+        if self._heard_s is None or now - self._heard_s > SILENCE_S:
+            self._stalled_since_s = now  # while it was away nothing could be acknowledged
+            for flight in self._flight:
+                flight.sendings = min(flight.sendings, 1)
+        if ack.received > acknowledged:
+            for _ in range(ack.received - acknowledged):
+                self._flight.popleft()
+            self._stalled_since_s = now
+        if self._metered:
+            if ack.sender_epoch > self._sender_epoch or self.credit is None:
+                self.credit = ack.credit
+            elif ack.credit is not None:
+                self.credit = max(self.credit, ack.credit)
+        self._sender_epoch = ack.sender_epoch
+        self._heard_s = now
+
+    def next_wake(self, now: float) -> float | None:
+        """When `poll` next has something to do if nothing else happens; None: never."""
+        times = [max(flight.sent_s + self._patience_s(flight), self._resend_from_s) for flight in self._flight]
+        if len(self._flight) < self._window_frames:
+            if self._ripe(now) or (self._waiting and self._waiting_since_s is None):
+                return now
+            if self._waiting_since_s is not None:
+                times.append(self._waiting_since_s + LINGER_S)
+        return max(now, min(times)) if times else None
+
+    def stuck(self, now: float) -> bool:
+        """Whether the oldest frame has stayed unacknowledged too long by a receiver that lives: the run must end."""
+        if not self._flight or self._heard_s is None or now - self._heard_s > SILENCE_S:
+            return False
+        return now - self._stalled_since_s > self._give_up_after_s
+
+    def statistics(self) -> dict[str, int]:
+        """Plain numbers; counts are of transitions (or records) unless they say frames."""
+        return {
+            "produced": self.produced,
+            "waiting": self._waiting_count,
+            "reserved": self._taken - self._waiting_count - self.produced,
+            "sent_frames": self._sequence,
+            "unacknowledged_frames": len(self._flight),
+            "resent_frames": self._resent,
+            "ignored_acks": self._ignored_acks,
+        }
+
+    def _overdue(self, now: float) -> list[Frame]:
+        frames: list[Frame] = []
+        if now < self._resend_from_s:
+            return frames
+        for flight in self._flight:
+            if now - flight.sent_s >= self._patience_s(flight):
+                flight.sent_s = now
+                flight.sendings += 1
+                frames.append(flight.frame)
+                if len(frames) == RESEND_BURST:
+                    break
+        if frames:
+            self._resent += len(frames)
+            self._resend_from_s = now + BURST_PAUSE * self._resend_after_s
+        return frames
+
+    def _patience_s(self, flight: _Flight) -> float:
+        return self._resend_after_s * min(2.0 ** (flight.sendings - 1), BACKOFF_MAX)
+
+    def _ripe(self, now: float) -> bool:
+        """Whether a frame should be numbered now."""
+        if self._closed:
+            return False
+        if self._closing or self._flush or self._waiting_count >= self._combine:
+            return True
+        return self._waiting_since_s is not None and now >= self._waiting_since_s + LINGER_S
+
+    def _number(self, now: float) -> Frame:
+        items: list[Item] = []
+        count = 0
+        while self._waiting and (not items or count + _count(self._waiting[0]) <= MAX_COUNT):
+            item = self._waiting.popleft()
+            items.append(item)
+            count += _count(item)
+        self._waiting_count -= count
+        self.produced += count
+        self._closed = self._closing and not self._waiting
+        frame = self._make_frame(
+            self.stream, self.actor, self.epoch, self._sequence, self.produced, self._closed, tuple(items)
+        )
+        if not self._flight:
+            self._stalled_since_s = now
+        if not self._waiting:
+            self._flush = False
+        self._waiting_since_s = now if self._waiting else None
+        self._sequence += 1
+        self._flight.append(_Flight(frame, now, 1))
+        return frame
+
+    def _name(self) -> str:
+        return f"outbox {self.stream} of actor {self.actor}, epoch {self.epoch}"
+
+
+def _count(item: Item) -> int:
+    return len(item) if isinstance(item, Trajectory) else 1
