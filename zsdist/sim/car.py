@@ -127,8 +127,9 @@ class Car:
 
     def motion(self) -> Motion:
         """The true motion."""
-        (x_m, y_m, _), (qx, qy, qz, qw) = pybullet.getBasePositionAndOrientation(self.body, physicsClientId=self._client)
-        (east, north, _), (_, _, turn_rate) = pybullet.getBaseVelocity(self.body, physicsClientId=self._client)
+        client = self._client
+        (x_m, y_m, _), (qx, qy, qz, qw) = pybullet.getBasePositionAndOrientation(self.body, physicsClientId=client)
+        (east, north, _), (_, _, turn_rate) = pybullet.getBaseVelocity(self.body, physicsClientId=client)
         heading = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
         return Motion(Pose(x_m, y_m, heading), east * math.cos(heading) + north * math.sin(heading), turn_rate)
 
@@ -149,20 +150,21 @@ _DISTANCE, _NORMAL_FORCE = 8, 9  # fields of a PyBullet contact point
 class Gains(NamedTuple):
     """The controller's constants; the defaults were found by a random search over driven sequences."""
 
-    turn: float = 12.0  # wheel rate (rad/s) per radian of heading error, in place
-    turn_most_rad_s: float = 9.0
+    turn: float = 16.0  # wheel rate (rad/s) per radian of heading error, in place
+    turn_most_rad_s: float = 11.0
     turn_least_rad_s: float = 2.5  # below this the wheels only strain against friction
     aligned_rad: float = 0.07  # a heading this close ends a turn in place
     calm_rad_s: float = 0.45  # and so slow a turn
     facing_rad: float = 0.27  # a heading this close lets the advance begin
     hold: float = 4.5  # speed (1/s) per metre off the place, turning in place
     hold_most_mps: float = 0.3
+    still_mps: float = 0.1  # a turn begins once the car is this slow: turning at speed, it slides off its place
     speed_most_mps: float = 1.75
-    speed_up_mps2: float = 6.5
-    slow_down_mps2: float = 5.6
-    arrive_m: float = 0.06  # so close ahead of the target the advance ends
-    arrive_mps: float = 0.4  # if the car is this slow
-    creep_mps: float = 0.27  # speed asked for at the target
+    speed_up_mps2: float = 5.0
+    slow_down_mps2: float = 4.0
+    arrive_m: float = 0.1  # so close ahead of the target the advance ends: about the way it takes to stop
+    arrive_mps: float = 1.2  # if the car is this slow
+    flow_mps: float = 1.0  # speed asked for at the target, so that an advance that follows need not start from rest
     look_ahead_m: float = 0.8  # least distance over which an offset to the side is taken out
     aim_most_rad: float = 0.17
     steer: float = 9.3  # wheel rate (rad/s) per radian of heading error, driving
@@ -173,13 +175,16 @@ GAINS = Gains()
 
 
 class _Phase(Enum):
-    TURN = 1  # in place, towards the line to the target
-    ADVANCE = 2
-    ALIGN = 3  # in place, to the target's heading
+    BRAKE = 1
+    TURN = 2  # in place, towards the line to the target
+    ADVANCE = 3
+    ALIGN = 4  # in place, to the target's heading
 
 
 class Manoeuvre:
-    """Drives the car to one target pose: turn in place first, then advance along the target's heading, then align.
+    """Drives the car to one target pose: brake and turn in place first, then advance along its heading, then align.
+
+    An advance ends while the car still rolls, so near the target that it would come to rest there.
 
     Args:
         target: pose to end at.
@@ -193,7 +198,8 @@ class Manoeuvre:
         self.target = target
         self._step_s = step_s
         self._gains = gains
-        self._phase = _Phase.ALIGN if not advance else _Phase.TURN if turn else _Phase.ADVANCE
+        self._advances = advance
+        self._phase = _Phase.BRAKE if turn or not advance else _Phase.ADVANCE
         self._speed_mps: float | None = None  # last asked for
 
     def rates(self, motion: Motion) -> Rates | None:
@@ -205,6 +211,10 @@ class Manoeuvre:
         ahead, aside = east * cos + north * sin, north * cos - east * sin
         turn = math.remainder(self.target.heading_rad - pose.heading_rad, math.tau)
         aim = turn + _clip(aside / max(ahead, gains.look_ahead_m), gains.aim_most_rad)
+        if self._phase is _Phase.BRAKE:
+            if motion.speed_mps > gains.still_mps:
+                return STOPPED
+            self._phase = _Phase.TURN if self._advances else _Phase.ALIGN
         if self._phase is _Phase.TURN and abs(aim) < gains.facing_rad:
             self._phase = _Phase.ADVANCE
         if self._phase is _Phase.ADVANCE and ahead < gains.arrive_m and motion.speed_mps < gains.arrive_mps:
@@ -226,7 +236,7 @@ class Manoeuvre:
     def _advance(self, motion: Motion, ahead: float, aim: float) -> Rates:
         gains = self._gains
         before = motion.speed_mps if self._speed_mps is None else self._speed_mps
-        braking = math.sqrt(2 * gains.slow_down_mps2 * ahead + gains.creep_mps**2) if ahead > 0 else 0.0
+        braking = math.sqrt(2 * gains.slow_down_mps2 * ahead + gains.flow_mps**2) if ahead > 0 else 0.0
         self._speed_mps = max(0.0, min(gains.speed_most_mps, braking, before + gains.speed_up_mps2 * self._step_s))
         rate = _clip(gains.steer * aim - gains.damp * motion.turn_rate_rad_s, gains.turn_most_rad_s)
         return _skid(self._speed_mps, rate)

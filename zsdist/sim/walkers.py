@@ -18,7 +18,7 @@ class Walker:
 
     def __init__(self, obstacle: Obstacle) -> None:
         self._points = obstacle.path
-        self._marks = [0.0, *accumulate(math.dist(*leg) for leg in pairwise(self._points))]  # along the path, at each point
+        self._marks = [0.0, *accumulate(math.dist(*leg) for leg in pairwise(self._points))]  # metres to each point
         self._speed_mps = obstacle.speed_mps
         self._radius_m = obstacle.radius_m
         self._walked_m = 0.0

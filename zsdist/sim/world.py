@@ -34,9 +34,9 @@ class DriveResult(NamedTuple):
     Attributes:
         pose: true pose of the car.
         sim_steps: simulation steps it took.
-        contact: whether the car collided. The verdict is that of our box test on the true pose, which planner and shield
-            use too, or else of PyBullet: where the two disagree (about one pose in two thousand), either counts, for
-            a car that the solver pushes off an obstacle no longer drives freely.
+        contact: whether the car collided. Our box test on the true pose decides, and PyBullet's contacts confirm it.
+            Where the two disagree (about one pose in two thousand), either counts: a car whose box overlaps has hit
+            something, and one that the solver pushes off an obstacle no longer drives freely.
         confirmed: whether PyBullet's contacts at this pose say the same as our box test.
     """
 
@@ -102,13 +102,18 @@ class World:
         start = scene.start.pose if start is None else start
         self._furnish(scene)
         if touching(start, self._circles, self._boxes, arena_m=self.grid.arena_m):
-            raise SceneError(f"scene {scene.name}: an obstacle stands on the start ({start.x_m:g}, {start.y_m:g})")
-        self._car.place(start)
+            place = f"({start.x_m:g}, {start.y_m:g})"
+            raise SceneError(f"scene {scene.name}: an obstacle or a wall stands on the start {place}")
+        self.put(start)
         for _ in range(SETTLE_STEPS):
             pybullet.stepSimulation(physicsClientId=self._client)
         if self._off_lattice(start, self.grid.pose(self.grid.lattice_state(start))):
             return self._drive_onto_lattice(start)
         return 0
+
+    def put(self, pose: Pose) -> None:
+        """Stands the car still at `pose`, whatever is there."""
+        self._car.place(pose)
 
     def drive(self, action: int) -> DriveResult:
         """Carries out one `Action`, as exactly as the car can, and stops at once at a collision.
@@ -168,7 +173,7 @@ class World:
             result = self._carry_out(Manoeuvre(target, False, True, self.step_s))
             if not result.contact:
                 return steps + result.sim_steps
-            self._car.place(start)
+            self.put(start)
         return 0
 
     def _lattice_nearby(self, pose: Pose) -> list[Pose]:

@@ -1,0 +1,154 @@
+"""The car and its scenes as a gymnasium environment: `gymnasium.make("zsdist/CarNavigation-v0")`."""
+
+import math
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import InvalidAction, ResetNeeded
+
+from zsdist.config import Config
+from zsdist.errors import ConfigError
+from zsdist.planning.footprint import successor
+from zsdist.planning.grid import Grid
+from zsdist.planning.rewards import RewardTerms, obstacle_avoidance, target_distance, target_reached
+from zsdist.sim import families
+from zsdist.sim.camera import Camera, make_camera
+from zsdist.sim.scene import Scene
+from zsdist.sim.world import World
+from zsdist.types import Action, Pose
+
+
+class CarNavigation(gymnasium.Env):
+    """One car, one scene an episode; an action is one of the five lattice moves.
+
+    Observation, a dictionary:
+        `image`: `(px, px, 3)` uint8, from the camera on the car at its true pose, roll and pitch included.
+        `pose`: `(3,)` float64, the true `x_m`, `y_m`, `heading_rad`.
+        `goal`: `(2,)` float64, its `x_m`, `y_m`.
+
+    The reward is the sum of Eqs. (18), (19) and (20). An episode terminates at a collision or at the goal, and is
+    truncated after `config.sim.max_steps` actions. A move off the grid is masked in `info`; made all the same, it only
+    turns the car. Nothing of the scene but its name is in observations and `info`.
+
+    `info` of a reset: `scene`, `action_mask` `(5,)` bool, `sim_steps`; that of a step also `success`, `collision` and
+    `reward_terms`, a dictionary of `distance`, `safety`, `goal`.
+
+    Args:
+        family: from whose training scenes a reset chooses, by its seed; `reset(options={"scene": scene})` sets one.
+        config: of grid, simulation, camera, rewards and number of training scenes; the defaults without it.
+        camera: draws the images; the one that `config.camera` describes without it.
+        render_mode: `rgb_array`: `render` gives the camera's last image.
+
+    Raises:
+        ConfigError: there is no such family.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 2}
+
+    def __init__(
+        self,
+        family: str = "iid",
+        config: Config | None = None,
+        camera: Camera | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        if family not in families.FAMILIES:
+            raise ConfigError(f"scene family is {family!r}; allowed are {', '.join(families.FAMILIES)}")
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ConfigError(f"render_mode is {render_mode!r}; allowed are None, 'rgb_array'")
+        self.family = family
+        self.config = Config() if config is None else config
+        self.render_mode = render_mode
+        self.grid = Grid.from_config(self.config.grid)
+        self.world = World(self.grid, self.config.sim.step_s)
+        self._camera = make_camera(self.config.camera) if camera is None else camera
+        self._image: np.ndarray | None = None
+        self._steps = 0
+        self._over = True
+        wall, px = self.grid.arena_m / 2, self.config.camera.size_px
+        farthest = np.array([wall, wall, math.pi])
+        self.action_space = spaces.Discrete(len(Action))
+        self.observation_space = spaces.Dict(
+            {
+                "image": spaces.Box(0, 255, (px, px, 3), np.uint8),
+                "pose": spaces.Box(-farthest, farthest, dtype=np.float64),
+                "goal": spaces.Box(-wall, wall, (2,), np.float64),
+            }
+        )
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Starts an episode in `options["scene"]`, or else in a training scene of the family.
+
+        Raises:
+            SceneError: the car cannot stand on the scene's start.
+        """
+        super().reset(seed=seed)
+        scene = (options or {}).get("scene")
+        if scene is None:
+            scene = self._training_scene()
+        sim_steps = self.world.reset(scene)
+        self._steps, self._over = 0, False
+        pose = self.world.pose
+        return self._observe(scene, pose), self._about(scene, pose, sim_steps)
+
+    def step(self, action: int) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """Drives one action to its end.
+
+        Raises:
+            ResetNeeded: the episode is over, or none has begun.
+            InvalidAction: `action` is none of 0 to 4.
+        """
+        scene = self.world.scene
+        if self._over or scene is None:
+            raise ResetNeeded("step() without an episode; call reset() first")
+        if not self.action_space.contains(action):
+            raise InvalidAction(f"action is {action!r}; allowed are the integers 0 to {len(Action) - 1}")
+        driven = self.world.drive(int(action))
+        self._steps += 1
+        place, rewards = driven.pose[:2], self.config.reward
+        success = not driven.contact and math.dist(place, scene.goal) <= self.config.sim.success_radius_m
+        terms = RewardTerms(
+            distance=target_distance(place, scene.goal),
+            safety=obstacle_avoidance(driven.contact, rewards.collision, rewards.safe),
+            goal=target_reached(success, rewards.goal, rewards.step),
+        )
+        terminated = success or driven.contact
+        truncated = not terminated and self._steps >= self.config.sim.max_steps
+        self._over = terminated or truncated
+        info = self._about(scene, driven.pose, driven.sim_steps)
+        info |= {"reward_terms": terms._asdict(), "success": success, "collision": driven.contact}
+        return self._observe(scene, driven.pose), terms.total, terminated, truncated, info
+
+    def render(self) -> np.ndarray | None:
+        """The camera's last image, `(px, px, 3)` uint8, in mode `rgb_array`; None in the mode that renders nothing."""
+        if self.render_mode is None:
+            return None
+        if self._image is None:
+            raise ResetNeeded("render() without an episode; call reset() first")
+        return self._image.copy()
+
+    def close(self) -> None:
+        """Ends the physics."""
+        self.world.close()
+
+    def _training_scene(self) -> Scene:
+        count = self.config.scenes.train_scenes
+        if self.family == "singleton":
+            count = min(count, families.SINGLETON_SCENES)
+        index = int(self.np_random.integers(count))
+        return families.generate(self.family, families.split_seed("train", index))
+
+    def _observe(self, scene: Scene, pose: Pose) -> dict[str, np.ndarray]:
+        roll_rad, pitch_rad = self.world.tilt
+        self._image = self._camera.render(scene, pose, roll_rad, pitch_rad, self.world.people)
+        return {"image": self._image, "pose": np.array(pose), "goal": np.array(scene.goal, dtype=np.float64)}
+
+    def _about(self, scene: Scene, pose: Pose, sim_steps: int) -> dict[str, Any]:
+        state = self.grid.lattice_state(pose)
+        ends = [successor(state, action) for action in Action]
+        mask = np.array([self.grid.on_grid(end.ix, end.iy) for end in ends])
+        return {"scene": scene.name, "action_mask": mask, "sim_steps": sim_steps}
