@@ -102,6 +102,7 @@ class VisualActHead(nn.Module):
         )
         # a column keeps its width: its tokens, top to bottom, become its features
         self.fold = nn.Linear(side * width, column_width)
+        self.column_of_token = nn.Linear(column_width, width)
         self.register_buffer("spread", _spread(side, RAYS), persistent=False)
         self.context = nn.Linear(column_width, column_width)
         self.columns = nn.Sequential(Residual1d(column_width), Residual1d(column_width))
@@ -121,12 +122,13 @@ class VisualActHead(nn.Module):
         batch, side = tokens.shape[:2]
         x = torch.relu(self.project((tokens - self.mean) * self.scale))
         x = torch.relu(x + self.mix(x.permute(0, 3, 1, 2)).permute(0, 2, 3, 1))
-        flat = x.reshape(batch, side * side, -1)
+        columns = self.fold(x.transpose(1, 2).reshape(batch, side, -1))
+        columns = torch.relu(columns + self.context(columns.mean(1, keepdim=True)))
+        flat = (x + self.column_of_token(columns)[:, None]).reshape(batch, side * side, -1)
         looked = torch.cat([self.attention(flat), flat.mean(1, keepdim=True).expand(-1, ACTIONS, -1)], -1)
         actions = torch.stack([network(looked[:, a]) for a, network in enumerate(self.action_networks)], 1)
-        columns = self.fold(x.transpose(1, 2).reshape(batch, side, -1))
-        columns = self.spread @ torch.relu(columns + self.context(columns.mean(1, keepdim=True)))
-        rays = self.ray_bins(self.columns(columns.transpose(1, 2))).transpose(1, 2)
+        columns = self.columns((self.spread @ columns).transpose(1, 2))
+        rays = self.ray_bins(columns).transpose(1, 2)
         return actions[..., :BINS], actions[..., BINS], rays
 
 

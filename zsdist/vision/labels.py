@@ -15,8 +15,11 @@ HEADINGS_RAD = np.array([0.0, np.pi / 4, -np.pi / 4])
 
 SECTOR_HALF_RAD = np.pi / 12  # forward is the middle third of a view of 90 degrees, left and right are what is beyond
 STOP_M = 0.75  # room of this much or less is none
-FREE_M = 3.0  # room of this much or more is all one can wish for
+FREE_M = 4.0  # room of this much or more is all one can wish for
 DYNAMIC_EXTRA_M = 0.75  # something that walks asks for so much more of both
+OPENNESS_WEIGHT = 0.6  # of a reward label; the rest is for progress
+GOAL_BEARING_SPREAD_RAD = 1.0
+GOAL_DISTANCE_M = (0.7, 14.0)
 STEP_M = 1.0  # progress is measured over a step of this length
 
 
@@ -76,12 +79,12 @@ def progress(goal_bearing_rad: np.ndarray, goal_distance_m: np.ndarray) -> np.nd
 def reward_label(openness_of_action: Array, progress_of_action: Array) -> Array:
     """The reward label of an action, Eq. (3), `r_a = f(d_obs, d_g, type_obs)`, from -2 to 2.
 
-    `f` is the sum of `progress` (the change of d_g over a step in the action's direction, -1 to 1) and of `openness`
-    (of d_obs and type_obs) mapped to -1 to 1. It is of the size of the paper's example, [2, -1, -1]. Open ground
-    counts for as much as the goal's direction, so the goal alone does not tell the best action, nor the image alone.
-    At inference the goal is known and the head supplies d_obs and type_obs.
+    `f` is a weighted sum of `progress` (the change of d_g over a step in the action's direction, -1 to 1) and of
+    `openness` (of d_obs and type_obs) mapped to -1 to 1, of the size of the paper's example, [2, -1, -1]. Room
+    counts for more than the goal's direction, so that the goal alone does not tell the best action, nor the image
+    alone. At inference the goal is known and the head supplies d_obs and type_obs.
     """
-    return progress_of_action + 2.0 * openness_of_action - 1.0
+    return 2.0 * ((1.0 - OPENNESS_WEIGHT) * progress_of_action + OPENNESS_WEIGHT * (2.0 * openness_of_action - 1.0))
 
 
 def expected_openness(probabilities: Array, centres_m: Array, dynamic: Array, goal_distance_m: Array) -> Array:
@@ -94,3 +97,9 @@ def expected_openness(probabilities: Array, centres_m: Array, dynamic: Array, go
         goal_distance_m: `(B,)`.
     """
     return (probabilities * openness(centres_m, dynamic[..., None], goal_distance_m[:, None, None])).sum(-1)
+
+
+def random_goals(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Bearings `(count,)` in radians, mostly ahead, and distances `(count,)` in metres of goals nobody drives to."""
+    bearing = GOAL_BEARING_SPREAD_RAD * rng.standard_normal(count)
+    return bearing.astype(np.float32), rng.uniform(*GOAL_DISTANCE_M, count).astype(np.float32)

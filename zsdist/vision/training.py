@@ -17,16 +17,13 @@ import safetensors.torch
 import torch
 
 from zsdist.vision.head import VisualActHead
-from zsdist.vision.labels import expected_openness, nearest, openness, progress, reward_label
+from zsdist.vision.labels import expected_openness, nearest, openness, progress, random_goals, reward_label
 from zsdist.vision.losses import action_losses, distance_loss, kind_loss
 from zsdist.vision.rays import BIN_CENTRES_M, RANGE_M, soft_labels
 from zsdist.vision.visual_act import METADATA_FILE, WEIGHTS_FILE
 
 CLEARANCE_WEIGHT = 0.5
 KIND_WEIGHT = 0.2
-GOAL_BEARING_SPREAD_RAD = 1.0
-GOAL_DISTANCE_M = (0.7, 14.0)
-SWAP_LEFT_RIGHT = [0, 2, 1]
 
 
 @dataclass(frozen=True)
@@ -72,12 +69,6 @@ class Targets:
     goal_distance_m: torch.Tensor
     progress: torch.Tensor
     reward: torch.Tensor
-
-
-def random_goals(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Bearings `(count,)` in radians, mostly ahead, and distances `(count,)` in metres of goals nobody drives to."""
-    bearing = GOAL_BEARING_SPREAD_RAD * rng.standard_normal(count)
-    return bearing.astype(np.float32), rng.uniform(*GOAL_DISTANCE_M, count).astype(np.float32)
 
 
 def targets(examples: Examples, index: np.ndarray, mirrored: np.ndarray, rng: np.random.Generator) -> Targets:

@@ -1,0 +1,294 @@
+"""`python -m zsdist.pretrain`: trains the visual-act head on rendered streets (Algorithm 1), or checks a trained one.
+
+With `--check` the model that `vision.weights` names looks at fresh pictures of the wilderness, families that no
+training has seen, and is compared with three yardsticks that know less or more than it does.
+"""
+
+import argparse
+import itertools
+import json
+import math
+import shlex
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from zsdist import __version__, cli
+from zsdist import config as configuration
+from zsdist.config import CameraConfig, Config
+from zsdist.errors import RunError
+from zsdist.sim.camera import make_camera
+from zsdist.sim.families import generate
+from zsdist.sim.kinds import SIGHT_HEIGHT_M
+from zsdist.sim.manifest import MANIFEST, OOD_FAMILIES, SPLITS, split_seed
+from zsdist.sim.views import POSES_PER_SCENE, LabelledView, free_pose, label, labelled_views
+from zsdist.vision.encoder import EfficientNetLite0, Encoder
+from zsdist.vision.labels import nearest, openness, progress, random_goals, reward_label
+from zsdist.vision.rays import RAYS, quantile_m, ray_angles_rad
+from zsdist.vision.scores import action_scores, depth_rays_m, ray_scores
+from zsdist.vision.visual_act import CAMERA_KEYS, VisualAct
+
+BATCH = 16  # pictures read at once
+VALIDATION_SHARE = 0.08  # validation pictures for each training picture
+PICTURES_SHARE = 0.5  # of the minutes allowed that may go into pictures
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The command's options."""
+    parser = cli.Parser(prog="zsdist.pretrain", description=__doc__)
+    parser.add_argument(
+        "--images", type=_count, help="pictures to train on (default: 8000) or to check on (default: 300)"
+    )
+    parser.add_argument("--epochs", type=_count, default=24, help="passes over them (default: 24)")
+    parser.add_argument("--minutes", type=_minutes, default=math.inf, help="hurry so as to be done by then")
+    parser.add_argument("--out", type=Path, metavar="DIR", default=Path("runs/visual-act"), help="where weights go")
+    parser.add_argument("--check", action="store_true", help="check trained weights instead of training")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures of the check there")
+    parser.add_argument("--seed", type=int, default=0, help="of scenes, places, looks and weights (default: 0)")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="camera, and weights to check")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change a setting")
+    return parser
+
+
+def main(options: argparse.Namespace) -> int:
+    """Runs the command; returns its exit status."""
+    config = configuration.load(options.config, tuple(options.set))
+    if options.check:
+        check(config, options.images or 300, options.seed, options.json)
+    else:
+        pretrain(config, options)
+    return 0
+
+
+def pretrain(config: Config, options: argparse.Namespace) -> None:
+    """Renders and encodes pictures, trains a head on them and writes it with what it was made from and how well it did.
+
+    Raises:
+        RunError: the folder cannot be written.
+    """
+    from zsdist.vision import training  # imports torch, which a check does not need
+
+    begin, allowed_s = time.monotonic(), options.minutes * 60
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunError(f"--out {options.out} cannot be made: {error.strerror or error}") from error
+    count, encoder, purpose = options.images or 8000, EfficientNetLite0(), MANIFEST["vision-training"]
+
+    def views(number: int, seed: int) -> Iterator[LabelledView]:
+        return labelled_views(list(purpose.families), purpose.split, number, seed, config.camera, varied=True)
+
+    def pictures_left() -> bool:
+        return time.monotonic() - begin < PICTURES_SHARE * allowed_s
+
+    examples, scenes = gather(views(count, options.seed), count, encoder, config.camera, pictures_left)
+    held_out = math.ceil(VALIDATION_SHARE * len(examples))
+    others = (view for view in views(2 * held_out, options.seed + 1) if view.scene_hash not in scenes)
+    validation, _ = gather(itertools.islice(others, held_out), held_out, encoder, config.camera, lambda: True)
+    head = training.new_head(examples, math.radians(config.camera.field_of_view_deg), options.seed)
+    recipe, epochs = training.Recipe(epochs=options.epochs), []
+    rng, train_begin = np.random.default_rng([options.seed, 1]), time.monotonic()
+    train_s = max(allowed_s - (train_begin - begin), 1.0)
+    for figures in training.train(
+        head, examples, validation, recipe, rng, lambda: (time.monotonic() - train_begin) / train_s
+    ):
+        epochs.append(figures)
+        print(
+            f"epoch {figures['epoch']:3d} of {recipe.epochs}: loss {figures['loss']:.3f}, "
+            f"validation {figures['validation_loss']:.3f} (rays {figures['validation_rays']:.3f}), "
+            f"{time.monotonic() - begin:.0f} s",
+            flush=True,
+        )
+    best = min(epochs, key=lambda figures: figures["validation_loss"])
+    metadata = {
+        "encoder": {"name": encoder.name, "sha256": encoder.sha256},
+        "camera": {key: getattr(config.camera, key) for key in CAMERA_KEYS},
+        "command": shlex.join(["python", "-m", "zsdist.pretrain", *sys.argv[1:]]),
+        "version": __version__,
+        "seed": options.seed,
+        "families": list(purpose.families),
+        "images": len(examples),
+        "scenes": len(scenes),
+        "validation": {key: round(value, 4) for key, value in best.items()},
+    }
+    digest = training.save(head, options.out, metadata)
+    print(
+        f"weights {digest[:16]}, of epoch {best['epoch']}, are in {options.out}; use them by --set vision.weights=..."
+    )
+
+
+def gather(
+    views: Iterable[LabelledView], count: int, encoder: Encoder, camera: CameraConfig, go_on: Callable[[], bool]
+) -> tuple["Any", set[str]]:
+    """Encodes pictures as they come; the pictures themselves are not kept.
+
+    Args:
+        views: at most `count` of them.
+        count: for how many there is room.
+        encoder: of the pictures.
+        camera: that took them.
+        go_on: asked after each batch.
+
+    Returns:
+        `training.Examples`, and the hashes of the scenes they are of.
+    """
+    from zsdist.vision.training import Examples
+
+    angles = ray_angles_rad(RAYS, math.radians(camera.field_of_view_deg))
+    distance, dynamic = np.empty((count, RAYS), np.float32), np.empty((count, RAYS), bool)
+    tokens, made, scenes = None, 0, set()
+    for batch in batched(views, BATCH):
+        found = encoder.tokens(np.stack([view.image for view in batch]))
+        if tokens is None:
+            tokens = np.empty((count, *found.shape[1:]), np.float16)
+        rows = slice(made, made + len(batch))
+        tokens[rows] = found
+        distance[rows] = [view.ray_clearance_m for view in batch]
+        dynamic[rows] = [view.ray_dynamic for view in batch]
+        scenes |= {view.scene_hash for view in batch}
+        made += len(batch)
+        if made % (50 * BATCH) == 0:
+            print(f"{made} of {count} pictures encoded", flush=True)
+        if not go_on():
+            break
+    return Examples(tokens[:made], distance[:made], dynamic[:made], angles), scenes
+
+
+class Wild(NamedTuple):
+    """A picture of the wilderness, its depth image, and its family's name and truth."""
+
+    image: np.ndarray
+    depth_m: np.ndarray
+    family: str
+    truth: dict[str, np.ndarray]
+
+
+def wilderness(count: int, seed: int, camera: CameraConfig) -> Iterator[Wild]:
+    """Pictures of scenes from the families and seeds that are kept for tests, as they look when driven through."""
+    rng = np.random.default_rng([seed, 2])
+    made = 0
+    for family in itertools.cycle(OOD_FAMILIES):
+        scene = generate(family, split_seed("test", int(rng.integers(len(SPLITS["test"])))))
+        eye = make_camera(camera)
+        for _ in range(min(POSES_PER_SCENE, count - made)):
+            pose = free_pose(scene, rng)
+            image, depth_m, _ = eye.render_labelled(scene, pose)
+            yield Wild(image, depth_m, family, label(scene, pose, camera))
+            made += 1
+        if made == count:
+            return
+
+
+def check(config: Config, count: int, seed: int, out: Path | None) -> dict[str, Any]:
+    """Figures of the trained model and of three yardsticks on the same fresh pictures, printed and written as JSON.
+
+    The goals are random and mostly ahead, as they are to a car that drives to one. The yardsticks:
+
+    * `always_forward` says that everything is free and the goal straight ahead, whatever is there;
+    * `goal_only` knows the goal and looks at nothing: every direction is equally open and every ray free;
+    * `depth_oracle` has the true depth image instead of the picture and takes everything to stand still: what
+      remains is what no look at distances from there could tell.
+
+    Raises:
+        WeightsError: the weights cannot be used.
+        RunError: the file cannot be written.
+    """
+    model = VisualAct.load(config.vision, config.camera)
+    angles = ray_angles_rad(RAYS, math.radians(config.camera.field_of_view_deg))
+    bearing, distance = random_goals(count, np.random.default_rng([seed, 3]))
+    said, said_rays, depth_rays, truths, families, times = [], [], [], [], [], []
+    for start, batch in zip(itertools.count(0, BATCH), batched(wilderness(count, seed, config.camera), BATCH)):
+        rows, images = slice(start, start + len(batch)), np.stack([wild.image for wild in batch])
+        begin = time.perf_counter()
+        views = model(images, bearing[rows], distance[rows])
+        times.append((time.perf_counter() - begin) / len(batch))
+        said += [view.advice for view in views]
+        said_rays += [quantile_m(view.ray_probabilities, config.vision.ray_quantile) for view in views]
+        depth_rays += [_depth_rays(wild.depth_m, config.camera) for wild in batch]
+        truths += [wild.truth for wild in batch]
+        families += [wild.family for wild in batch]
+    gain, goal_m = progress(bearing, distance), distance[:, None]
+    true_rays = np.stack([truth["ray_clearance_m"] for truth in truths])
+    clearance_m, dynamic = (np.stack([truth[key] for truth in truths]) for key in ("clearance_m", "dynamic"))
+    labels = reward_label(openness(clearance_m, dynamic, goal_m), gain)
+    depth_rays = np.stack(depth_rays)
+    depth_clearance_m, still = nearest(depth_rays, np.zeros(depth_rays.shape, bool), angles)
+    free = np.full_like(true_rays, config.camera.range_m)
+    ahead = reward_label(1.0, progress(np.zeros(count), np.full(count, 10.0)))
+    readings = {
+        "model": (np.stack(said), np.stack(said_rays)),
+        "always_forward": (ahead, free),
+        "goal_only": (reward_label(0.5, gain), free),
+        "depth_oracle": (reward_label(openness(depth_clearance_m, still, goal_m), gain), depth_rays),
+    }
+    scores = {
+        name: action_scores(reward, labels) | ray_scores(rays, true_rays) for name, (reward, rays) in readings.items()
+    }
+    by_family = {
+        family: action_scores(readings["model"][0][mine], labels[mine])
+        | ray_scores(readings["model"][1][mine], true_rays[mine])
+        for family in OOD_FAMILIES
+        if (mine := np.array(families) == family).any()
+    }
+    result = {
+        "images": count,
+        **scores.pop("model"),
+        **scores,
+        "families": by_family,
+        "ms_per_image": 1e3 * float(np.median(times)),
+        "seed": seed,
+        "encoder": model.encoder_name,
+        "weights_sha256": model.weights_sha256,
+    }
+    _show(result)
+    if out is not None:
+        try:
+            out.write_text(json.dumps(result, indent=1) + "\n")
+        except OSError as error:
+            raise RunError(f"--json {out} cannot be written: {error.strerror or error}") from error
+    return result
+
+
+def batched(items: Iterable[Any], size: int) -> Iterator[list[Any]]:
+    """Lists of `size` items, the last of what is left."""
+    iterator = iter(items)
+    while batch := list(itertools.islice(iterator, size)):
+        yield batch
+
+
+def _depth_rays(depth_m: np.ndarray, camera: CameraConfig) -> np.ndarray:
+    return depth_rays_m(
+        depth_m, RAYS, math.radians(camera.field_of_view_deg), camera.height_m, camera.range_m, SIGHT_HEIGHT_M
+    )
+
+
+def _show(result: dict[str, Any]) -> None:
+    keys = ("best_action_accuracy", "regret", "mae", "miss_rate", "false_alarm_rate")
+    rows = {"model": result} | {name: result[name] for name in ("always_forward", "goal_only", "depth_oracle")}
+    rows |= result["families"]
+    print(" " * 16 + "".join(f"{key:>22}" for key in keys))
+    for name, row in rows.items():
+        print(f"{name:16}" + "".join(f"{row[key]:22.3f}" for key in keys))
+    print(f"{result['images']} pictures, {result['ms_per_image']:.1f} ms each, seed {result['seed']}")
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{value} is not 1 or more")
+    return value
+
+
+def _minutes(text: str) -> float:
+    value = float(text)
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"{value} is not more than 0")
+    return value
+
+
+if __name__ == "__main__":
+    cli.execute(main, make_parser())
