@@ -172,7 +172,7 @@ class Actor(Role):
         """Takes credit for a step, and for a whole option in case one begins, so that flushing never has to wait."""
         if not car.errand.trains or car.over:
             return True
-        for level, wanted in ((Level.LOW, 1), (Level.HIGH, self.config.agent.option_max_steps)):
+        for level, wanted in ((Level.LOW, car.unoffered + 1), (Level.HIGH, self.config.agent.option_max_steps)):
             missing = wanted - car.credit[level]
             if missing > 0:
                 if not self._outboxes[level].reserve(missing):
@@ -188,6 +188,7 @@ class Actor(Role):
             car.advance(view, self._q_functions(car.errand))
             if car.errand.trains:
                 self.env_steps += not ended
+                car.unoffered += not ended
                 self._collect(car)
             if ended:
                 self._report(car)
@@ -202,6 +203,8 @@ class Actor(Role):
         for trajectory in car.agent.drain():
             self._outboxes[trajectory.level].offer([trajectory])
             car.credit[trajectory.level] -= len(trajectory)
+            if trajectory.level is Level.LOW:
+                car.unoffered -= len(trajectory)
 
     def _report(self, car: Car) -> None:
         trains = car.errand.trains

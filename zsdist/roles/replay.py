@@ -1,5 +1,6 @@
 """The replay role: stores both levels' transitions, sizes itself by the reward, and paces actors and learners."""
 
+import json
 from collections import deque
 from dataclasses import dataclass
 
@@ -183,7 +184,7 @@ class Replay(Role):
                 "stored": shelf.stored,
                 "rejected": shelf.rejected,
                 "sampled": shelf.sampled,
-                "rng": shelf.rng.bit_generator.state,
+                "rng": json.dumps(shelf.rng.bit_generator.state),  # as text: its integers have 128 bits
                 "books": shelf.books(),
                 "open": len(shelf.inbox.open_streams()),
             }
@@ -196,7 +197,7 @@ class Replay(Role):
             shelf.batch_size = meta["batch_size"]
             shelf.inbox.restore(meta["inbox"])
             shelf.stored, shelf.rejected, shelf.sampled = meta["stored"], dict(meta["rejected"]), meta["sampled"]
-            shelf.rng.bit_generator.state = meta["rng"]
+            shelf.rng.bit_generator.state = json.loads(meta["rng"])
             shelf.buffer.restore(state.part(f"{level}/"))
             shelf.limiter.restore(meta["limiter"])
 

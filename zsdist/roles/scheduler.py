@@ -317,12 +317,12 @@ class Scheduler(Role):
             },
         }
 
-    def _drives(self) -> dict[str, list[tuple[str, int]]]:
+    def _drives(self) -> dict[str, list[list]]:
         """Outstanding drives dealt to the actors in turn; the same drive to the same actor each time."""
-        drives: dict[str, list[tuple[str, int]]] = {actor: [] for actor in sorted(self._epochs)}
+        drives: dict[str, list[list]] = {actor: [] for actor in sorted(self._epochs)}
         actors = list(drives)
         for name, scene in self.merge.outstanding() if self.merge else []:
-            drives[actors[(scene + self.merge.candidates.index(name)) % len(actors)]].append((name, scene))
+            drives[actors[(scene + self.merge.candidates.index(name)) % len(actors)]].append([name, scene])
         return drives
 
     # -- state --------------------------------------------------------------------------------------------------
