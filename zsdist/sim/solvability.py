@@ -12,7 +12,7 @@ SUCCESS_RADIUS_M = SimConfig().success_radius_m
 
 
 @cache
-def footprints(grid: Grid = DEFAULT_GRID) -> FootprintTable:
+def footprints(grid: Grid) -> FootprintTable:
     """The car's footprint table of a grid, made once a process."""
     return FootprintTable(grid)
 

@@ -97,5 +97,5 @@ def test_an_occupancy_of_another_shape_is_refused():
 
 
 def test_a_car_too_long_for_the_table_is_refused():
-    with pytest.raises(ValueError, match="allowed is 5.00 m"):
+    with pytest.raises(ValueError, match=r"allowed is 5\.00 m"):
         FootprintTable(GRID, length_m=12.0)

@@ -74,7 +74,7 @@ def test_the_fine_frame_covers_the_arena_and_cell_centres_are_corners_of_its_squ
 
 
 def test_sizes_that_do_not_fit_together_are_refused_by_name():
-    with pytest.raises(ConfigError, match="grid.arena_m is 19"):
+    with pytest.raises(ConfigError, match=r"grid\.arena_m is 19"):
         Grid(arena_m=19.0)
-    with pytest.raises(ConfigError, match="grid.blocks"):
+    with pytest.raises(ConfigError, match=r"grid\.blocks"):
         Grid(blocks=5)
