@@ -10,7 +10,12 @@ HIT_WALL = -2
 
 
 def ray_distances(
-    circles: np.ndarray, boxes: np.ndarray, arena_half_m: float, x_m: float, y_m: float, angles_rad: np.ndarray,
+    circles: np.ndarray,
+    boxes: np.ndarray,
+    arena_half_m: float,
+    x_m: float,
+    y_m: float,
+    angles_rad: np.ndarray,
     max_m: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """How far one sees along each ray from a point, in the plane.
@@ -31,7 +36,11 @@ def ray_distances(
     return _ray_distances(
         np.ascontiguousarray(circles, np.float64).reshape(-1, 3),
         np.ascontiguousarray(boxes, np.float64).reshape(-1, 5),
-        float(arena_half_m), float(x_m), float(y_m), np.ascontiguousarray(angles_rad, np.float64), float(max_m),
+        float(arena_half_m),
+        float(x_m),
+        float(y_m),
+        np.ascontiguousarray(angles_rad, np.float64),
+        float(max_m),
     )
 
 

@@ -14,7 +14,7 @@ from zsdist.sim.camera.variation import worn
 from zsdist.sim.collision import touching
 from zsdist.sim.families import generate
 from zsdist.sim.kinds import KINDS
-from zsdist.sim.manifest import SPLITS, Split, split_seed
+from zsdist.sim.manifest import Split, split_seed
 from zsdist.sim.raycast import ray_distances
 from zsdist.sim.scene import Scene
 from zsdist.types import Pose
@@ -22,6 +22,7 @@ from zsdist.vision.labels import nearest
 from zsdist.vision.rays import RAYS, ray_angles_rad
 
 POSES_PER_SCENE = 8
+_SCENES = 1_000_000  # of a family and split, from which those of a call are drawn
 PLACE_HALF_M = 11.0  # places are drawn within plus and minus this
 _NEAR_SHARE = 0.6  # of the poses look at an obstacle from close by; elsewhere most pictures would be empty
 _NEAR_M = (0.9, 4.5)  # from its surface, of the car's centre
@@ -76,7 +77,7 @@ def labelled_views(
     rng = np.random.default_rng([seed, *split.encode()])
     made = 0
     for family in itertools.cycle(families):
-        scene = generate(family, split_seed(split, int(rng.integers(len(SPLITS[split])))))
+        scene = generate(family, split_seed(split, int(rng.integers(_SCENES))))
         for view in _views_of(scene, min(POSES_PER_SCENE, count - made), rng, camera, varied):
             made += 1
             yield view

@@ -86,7 +86,8 @@ def test_the_two_back_ends_see_the_same(pose):
 @pytest.mark.parametrize("back_end", ["caster", "pybullet"])
 def test_people_are_drawn_where_they_are_told_to_be(back_end):
     camera = make_camera(CameraConfig(size_px=SIZE, back_end=back_end))
-    world = scene(Obstacle("rock", 6.0, 3.0, 0.5), Obstacle("person", 4.0, 2.0, 0.3, path=((4.0, 2.0), (4.0, -2.0)), speed_mps=1.0))
+    walker = Obstacle("person", 4.0, 2.0, 0.3, path=((4.0, 2.0), (4.0, -2.0)), speed_mps=1.0)
+    world = scene(Obstacle("rock", 6.0, 3.0, 0.5), walker)
     places = []
     for people in (None, np.array([[4.0, -2.0]])):
         _, _, segments = camera.render_labelled(world, Pose(0.0, 0.0, 0.0), people=people)
@@ -111,7 +112,8 @@ def test_a_camera_keeps_scenes_apart():
 
 
 def test_grounds_differ_in_colour():
-    means = [make_camera(CAMERA).render(scene(ground=g), POSES[0])[-20:].mean((0, 1)) for g in ("sand", "grass", "asphalt")]
+    camera = make_camera(CAMERA)
+    means = [camera.render(scene(ground=g), POSES[0])[-20:].mean((0, 1)) for g in ("sand", "grass", "asphalt")]
     assert means[0][0] > means[2][0] + 20  # sand is brighter than asphalt
     assert means[1][1] > means[1][0] + 10  # grass is green
 

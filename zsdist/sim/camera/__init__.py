@@ -30,7 +30,7 @@ class Camera(Protocol):
 
 
 def make_camera(config: CameraConfig, look: Look = of_scene) -> Camera:
-    """The camera that `config.back_end` names: `caster`, or `pybullet` (TinyRenderer, the reference; 20 times slower)."""
+    """The camera that `config.back_end` names: `caster`, or `pybullet` (TinyRenderer, the slow reference)."""
     if config.back_end == "pybullet":
         from zsdist.sim.camera.tiny import TinyCamera  # starts a PyBullet client, which the default never needs
 

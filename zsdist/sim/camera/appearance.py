@@ -58,19 +58,20 @@ class Appearance:
 
 
 _SURFACES: dict[str, tuple[Texture, float, float]] = {  # texture, noise strength, texel in metres
-    "tree": (Texture.BARK, 0.5, 0.02),
+    "tree": (Texture.BARK, 0.5, 0.01),
     "person": (Texture.PLAIN, 0.15, 0.01),
-    "sand_pile": (Texture.PLAIN, 0.25, 0.015),
-    "rock": (Texture.PLAIN, 0.5, 0.02),
-    "bush": (Texture.PLAIN, 0.9, 0.03),
+    "sand_pile": (Texture.PLAIN, 0.25, 0.008),
+    "rock": (Texture.PLAIN, 0.5, 0.01),
+    "bush": (Texture.PLAIN, 0.9, 0.02),
     "pole": (Texture.PLAIN, 0.12, 0.01),
-    "box": (Texture.PLAIN, 0.2, 0.02),
+    "box": (Texture.PLAIN, 0.2, 0.01),
     "car": (Texture.PLAIN, 0.06, 0.02),
 }
 _CROWN: tuple[tuple[float, float, float], float, float] = ((0.22, 0.40, 0.14), 0.9, 0.04)
 _GLASS = (0.10, 0.13, 0.16)
 _SKIN = (0.72, 0.54, 0.43)
 _TROUSERS = (0.18, 0.20, 0.28)
+_LIGHT = 1.4  # of sun and sky together
 _STREET_FURNITURE_M = 1.2  # boxes higher than this get bricks or windows
 
 
@@ -78,7 +79,7 @@ def of_scene(scene: Scene, primitives: Primitives) -> Appearance:
     """The look of a scene, drawn from its hash: each kind's own colour and surface, a little different each time."""
     rng = np.random.default_rng(int(scene.hash(), 16))
     obstacles = [_own_colours(obstacle, rng) for obstacle in scene.obstacles]
-    wall = _row(_near(WALL_COLOUR, rng, 0.02, 0.1), Texture.BRICK, 0.2, 0.03, rng)
+    wall = _row(_near(WALL_COLOUR, rng, 0.02, 0.1), Texture.BRICK, 0.2, 0.012, rng)
     materials = [
         wall if owner < 0 else obstacles[owner].get(part, obstacles[owner][Part.BODY])
         for owner, part in zip(primitives.owners, primitives.parts, strict=True)
@@ -88,7 +89,9 @@ def of_scene(scene: Scene, primitives: Primitives) -> Appearance:
     second = _near(ground.base_colour, rng, 0.05, 0.25)
     pattern = Pattern.LANES if scene.ground == "asphalt" and rng.random() < 0.5 else Pattern.NONE
     return Appearance(
-        np.array(materials), _ground(colour, second, pattern, ground.roughness, rng, (0.85, 0.85, 0.82)), _sky(rng),
+        np.array(materials),
+        _ground(colour, second, pattern, ground.roughness, rng, (0.85, 0.85, 0.82)),
+        _sky(rng),
         _light(rng, (0.4, 0.6), 0.1),
     )
 
@@ -109,7 +112,7 @@ def varied(scene: Scene, primitives: Primitives, rng: np.random.Generator) -> Ap
     sky = _sky(rng)
     if not natural:
         sky[:6] = np.clip(sky[:6] * np.tile(rng.uniform(0.5, 1.2, 3), 2), 0, 1)
-    return Appearance(np.array(materials), ground, sky, _light(rng, (0.3, 0.75), 0.3))
+    return Appearance(np.array(materials), ground, sky, _light(rng, (0.35, 0.8), 0.25))
 
 
 def _own_colours(obstacle: Obstacle, rng: np.random.Generator) -> dict[Part, np.ndarray]:
@@ -120,10 +123,8 @@ def _own_colours(obstacle: Obstacle, rng: np.random.Generator) -> dict[Part, np.
         texture = Texture(rng.choice([Texture.PLAIN, Texture.BRICK, Texture.WINDOWS]))
     if kind.name == "pole" and rng.random() < 0.3:
         texture = Texture.BANDS
-    if kind.name in ("person", "car"):  # clothes and paint have any hue
-        colour = _any_colour(rng)
-    else:
-        colour = _near(kind.base_colour, rng, 0.04, 0.2)
+    painted = kind.name in ("person", "car")  # clothes and paint have any hue
+    colour = _any_colour(rng) if painted else _near(kind.base_colour, rng, 0.04, 0.2)
     parts = {Part.BODY: _row(colour, texture, noise, texel, rng)}
     if kind.shape == "tree":
         parts[Part.TOP] = _row(_near(_CROWN[0], rng, 0.05, 0.2), Texture.PLAIN, _CROWN[1], _CROWN[2], rng)
@@ -137,26 +138,30 @@ def _own_colours(obstacle: Obstacle, rng: np.random.Generator) -> dict[Part, np.
 
 def _any_colours(rng: np.random.Generator) -> dict[Part, np.ndarray]:
     return {
-        part: _row(_any_colour(rng), Texture(rng.integers(len(Texture))), rng.uniform(0, 0.9), rng.uniform(0.01, 0.05), rng)
-        for part in Part
+        part: _row(_any_colour(rng), texture, rng.uniform(0, 0.9), rng.uniform(0.006, 0.03), rng)
+        for part, texture in zip(Part, rng.choice(Texture, len(Part)), strict=True)
     }
 
 
 def _row(
     colour: tuple[float, ...], texture: Texture, noise: float, texel_m: float, rng: np.random.Generator
 ) -> np.ndarray:
-    second = _near(colour, rng, 0.05, 0.35) if texture is not Texture.WINDOWS else _near(_GLASS, rng, 0.05, 0.2)
-    if texture is Texture.BANDS:
+    second = _near(_GLASS, rng, 0.05, 0.2) if texture == Texture.WINDOWS else _near(colour, rng, 0.05, 0.35)
+    if texture == Texture.BANDS:
         second = _any_colour(rng)
     return np.array([*colour, *second, texture, noise, texel_m, rng.uniform(0, 10), rng.uniform(0.4, 1.6)])
 
 
 def _ground(
-    colour: tuple[float, ...], second: tuple[float, ...], pattern: Pattern, roughness: float,
-    rng: np.random.Generator, figure: tuple[float, ...],
+    colour: tuple[float, ...],
+    second: tuple[float, ...],
+    pattern: Pattern,
+    roughness: float,
+    rng: np.random.Generator,
+    figure: tuple[float, ...],
 ) -> np.ndarray:
     angle = rng.uniform(0, math.pi)
-    texel, period = rng.uniform(0.01, 0.025), rng.uniform(0.5, 3.0)
+    texel, period = rng.uniform(0.007, 0.015), rng.uniform(0.5, 3.0)
     return np.array(
         [*colour, *second, pattern, 0.15 + 0.4 * roughness, texel, period, math.cos(angle), math.sin(angle),
          rng.uniform(0.2, 0.8), rng.uniform(0.3, 0.9), *figure]
@@ -174,15 +179,15 @@ def _light(rng: np.random.Generator, ambient: tuple[float, float], gain: float) 
     azimuth, height = rng.uniform(0, math.tau), rng.uniform(0.5, 1.2)
     sun = (math.cos(height) * math.cos(azimuth), math.cos(height) * math.sin(azimuth), math.sin(height))
     shade = rng.uniform(*ambient)
-    return np.array([*sun, shade, 1.15 - shade, rng.uniform(40, 150), rng.uniform(1 - gain, 1 + gain)])
+    return np.array([*sun, shade, _LIGHT - shade, rng.uniform(40, 150), rng.uniform(1 - gain, 1 + gain)])
 
 
 def _any_colour(rng: np.random.Generator) -> tuple[float, float, float]:
-    return colorsys.hsv_to_rgb(rng.random(), rng.random() ** 1.5, rng.uniform(0.1, 0.95))
+    return colorsys.hsv_to_rgb(rng.random(), rng.random() ** 1.5, rng.uniform(0.2, 0.95))
 
 
 def _near(colour: tuple[float, ...], rng: np.random.Generator, hue: float, rest: float) -> tuple[float, float, float]:
-    """A colour whose hue differs by up to `hue` (of a turn) and whose saturation and value by up to `rest`, relatively."""
+    """A colour whose hue differs by up to `hue` (of a turn), saturation and value by up to `rest`, relatively."""
     h, s, v = colorsys.rgb_to_hsv(*colour)
     return colorsys.hsv_to_rgb(
         (h + rng.uniform(-hue, hue)) % 1.0,

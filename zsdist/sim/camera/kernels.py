@@ -115,10 +115,10 @@ def _rectangle(form, row, o, f, left, up, tangent, size):  # noqa: ANN001, ANN20
     limit = tangent * 1.01
     a0, a1 = max(a0, -limit), min(a1, limit)
     b0, b1 = max(b0, -limit), min(b1, limit)
-    column0 = max(int(math.floor(size / 2 - a1 * scale - 0.5)), 0)
-    column1 = min(int(math.ceil(size / 2 - a0 * scale + 0.5)), size)
-    row0 = max(int(math.floor(size / 2 - b1 * scale - 0.5)), 0)
-    row1 = min(int(math.ceil(size / 2 - b0 * scale + 0.5)), size)
+    column0 = max(math.floor(size / 2 - a1 * scale - 0.5), 0)
+    column1 = min(math.ceil(size / 2 - a0 * scale + 0.5), size)
+    row0 = max(math.floor(size / 2 - b1 * scale - 0.5), 0)
+    row1 = min(math.ceil(size / 2 - b0 * scale + 0.5), size)
     return row0, row1, column0, column1
 
 

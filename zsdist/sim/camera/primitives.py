@@ -80,8 +80,12 @@ def primitives_of(scene: Scene) -> Primitives:
             walkers.append((first, len(entries)))
     forms, rows, owners, parts, segments = zip(*entries, strict=True)
     return Primitives(
-        np.array(forms, np.int64), np.array(rows, np.float64), np.array(owners, np.int64), np.array(parts, np.int64),
-        np.array(segments, np.uint8), np.array(walkers, np.int64).reshape(-1, 2),
+        np.array(forms, np.int64),
+        np.array(rows, np.float64),
+        np.array(owners, np.int64),
+        np.array(parts, np.int64),
+        np.array(segments, np.uint8),
+        np.array(walkers, np.int64).reshape(-1, 2),
     )
 
 

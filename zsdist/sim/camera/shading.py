@@ -95,8 +95,22 @@ def _ground_figure(pattern, x, y, period):  # noqa: ANN001, ANN202
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
 def shade(  # noqa: ANN201
-    forms, rows, materials, ground, sky, light, shadow, shadow_half, discs, pyramid, origin, axes, tangent,  # noqa: ANN001
-    depth, index, image,  # noqa: ANN001
+    forms,
+    rows,
+    materials,
+    ground,
+    sky,
+    light,
+    shadow,
+    shadow_half,
+    discs,
+    pyramid,
+    origin,
+    axes,
+    tangent,  # noqa: ANN001
+    depth,
+    index,
+    image,  # noqa: ANN001
 ):
     """Fill `image` `(n, n, 3)` uint8 from `depth` and `index`; the other arrays are those of `Appearance`."""
     n = depth.shape[0]
@@ -104,6 +118,9 @@ def shade(  # noqa: ANN201
     sun_x, sun_y, sun_z, ambient, sunlight, haze_m, gain = light
     cells = shadow.shape[0]
     cell = 2.0 * shadow_half / cells
+    turns = np.empty((len(rows), 2))
+    for p in range(len(rows)):
+        turns[p, 0], turns[p, 1] = math.cos(rows[p, 6]), math.sin(rows[p, 6])
     for i in range(n):
         b = tangent - step * (i + 0.5)
         for j in range(n):
@@ -154,7 +171,7 @@ def shade(  # noqa: ANN201
                     image[i, j, c] = np.uint8(min(max(value, 0.0), 1.0) * 255.0)
                 continue
             row = rows[p]
-            co, si = math.cos(row[6]), math.sin(row[6])
+            co, si = turns[p, 0], turns[p, 1]
             wx, wy = x - row[0], y - row[1]
             lx, ly, lz = co * wx + si * wy, co * wy - si * wx, z - row[2]
             nx, ny, nz = 0.0, 0.0, 0.0

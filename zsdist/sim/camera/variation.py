@@ -11,8 +11,11 @@ def worn(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     if rng.random() < 0.5:
         image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.3, 1.6))
     values = image.astype(np.float32)
+    level = values.mean()
     contrast, cast = rng.uniform(0.7, 1.3), rng.uniform(0.85, 1.15, 3).astype(np.float32)
-    values = (values - 127.0) * (contrast * cast) + 127.0 + rng.uniform(-30, 30)
+    # Towards middle grey at most: nothing is to be learned from a black picture.
+    shift = rng.uniform(-0.2, 0.2) * level + rng.uniform(0, 0.4) * (127.0 - level)
+    values = (values - level) * (contrast * cast) + level + shift
     if rng.random() < 0.2:  # towards grey
         values += rng.uniform(0.3, 1.0) * (values.mean(-1, keepdims=True) - values)
     if rng.random() < 0.6:
