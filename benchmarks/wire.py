@@ -1,0 +1,125 @@
+"""Transitions encoded and decoded a CPU second, and bytes a transition, by state size and frame size.
+
+`python benchmarks/wire.py [--quick]` prints a table, then one JSON line. The yardstick is pickle of the same frame
+under the same zstd level: what a program without a format of its own would send, with no check of what comes back.
+"""
+
+import argparse
+import json
+import os
+import pickle
+import platform
+import statistics
+import time
+from collections.abc import Callable
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+import zstandard
+
+from zsdist.agent.features import HIGH_STATE_SIZE, LOW_STATE_SIZE
+from zsdist.types import NO_GUIDE, Behaviour, Level, Trajectory
+from zsdist.wire.codec import decode, encode
+from zsdist.wire.messages import Push
+
+ACTIONS = 5
+LENGTH = 8  # transitions of a trajectory
+CASES = (  # name, state features, transitions in a frame
+    ("low_frame16", LOW_STATE_SIZE, 16),
+    ("low_frame64", LOW_STATE_SIZE, 64),
+    ("low_frame256", LOW_STATE_SIZE, 256),
+    ("high_frame64", HIGH_STATE_SIZE, 64),
+    ("features512_frame64", 512, 64),
+)
+
+
+def main() -> None:
+    """Runs the cases and prints their figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="fewer repeats, within 50 s on two cores")
+    repeats, target_s = (5, 0.1) if parser.parse_args().quick else (15, 0.3)
+    figures: dict[str, float] = {}
+    ratios: dict[str, float] = {}
+    print(f"{'case':22s} {'features':>8s} {'encode/s':>10s} {'decode/s':>10s} {'bytes':>7s} {'pickle bytes':>13s}")
+    for name, state_size, transitions in CASES:
+        frame = make_frame(np.random.default_rng(0), state_size, transitions)
+        payload, pickled = encode(frame), pickle_pairs(frame)
+        functions = (
+            lambda frame=frame: encode(frame),
+            lambda frame=frame: pickle_pairs(frame),
+            lambda payload=payload: decode(payload),
+            lambda pickled=pickled: unpickle(pickled),
+        )
+        rates = [[rate(function, transitions, target_s) for function in functions] for _ in range(repeats + 1)][1:]
+        encoded, pickle_encoded, decoded, pickle_decoded = (
+            statistics.median(column) for column in zip(*rates, strict=True)
+        )
+        sizes = len(payload) / transitions, len(pickled) / transitions
+        print(f"{name:22s} {state_size:8d} {encoded:10.0f} {decoded:10.0f} {sizes[0]:7.0f} {sizes[1]:13.0f}")
+        figures[f"{name}_encode_transitions_per_s"] = round(encoded)
+        figures[f"{name}_decode_transitions_per_s"] = round(decoded)
+        figures[f"{name}_bytes_per_transition"] = round(sizes[0], 1)
+        ratios[f"{name}_encode_vs_pickle_zstd"] = round(encoded / pickle_encoded, 3)
+        ratios[f"{name}_decode_vs_pickle_zstd"] = round(decoded / pickle_decoded, 3)
+        ratios[f"{name}_compactness_vs_pickle_zstd"] = round(sizes[1] / sizes[0], 3)
+    machine = {"cpus": os.cpu_count(), "processor": platform.machine(), "python": platform.python_version()}
+    print(json.dumps({"subject": "wire", "machine": machine, "figures": figures, "ratios": ratios}))
+
+
+def make_frame(rng: np.random.Generator, state_size: int, transitions: int) -> Push:
+    """A frame of random trajectories whose features move slowly, a third of them being flags."""
+    trajectories = tuple(make_trajectory(rng, state_size) for _ in range(transitions // LENGTH))
+    return Push(Level.LOW, "a0", 1, 0, transitions, False, trajectories)
+
+
+def make_trajectory(rng: np.random.Generator, state_size: int) -> Trajectory:
+    """One trajectory of `LENGTH` transitions."""
+    states = rng.normal(size=state_size) + np.cumsum(rng.normal(size=(LENGTH + 1, state_size)) * 0.05, axis=0)
+    flags = state_size // 3
+    states[:, :flags] = rng.random((LENGTH + 1, flags)) < 0.2
+    return Trajectory(
+        level=Level.LOW,
+        states=states.astype(np.float32),
+        actions=rng.integers(0, ACTIONS, LENGTH).astype(np.uint8),
+        rewards=rng.normal(size=LENGTH).astype(np.float32),
+        discounts=np.full(LENGTH, 0.99, np.float32),
+        successors=np.arange(1, LENGTH + 1, dtype=np.uint16),
+        masks=rng.random((LENGTH + 1, ACTIONS)) < 0.8,
+        guides=rng.integers(NO_GUIDE, ACTIONS, LENGTH).astype(np.int8),
+        behaviours=rng.integers(0, len(Behaviour), LENGTH).astype(np.uint8),
+        weight_version=3,
+    )
+
+
+def pickle_pairs(frame: Push) -> bytes:
+    """The same transitions the plain way: state and next state of each in float32, pickled, compressed."""
+    columns = [
+        np.concatenate([getattr(trajectory, name)[cut] for trajectory in frame.trajectories])
+        for name, cut in (
+            ("states", slice(None, -1)),
+            ("states", slice(1, None)),
+            ("masks", slice(None, -1)),
+            ("masks", slice(1, None)),
+            *((name, slice(None)) for name in ("actions", "rewards", "discounts", "guides", "behaviours")),
+        )
+    ]
+    return zstandard.ZstdCompressor(level=1).compress(pickle.dumps(columns, protocol=5))
+
+
+def unpickle(payload: bytes) -> object:
+    """The other way of `pickle_pairs`."""
+    return pickle.loads(zstandard.ZstdDecompressor().decompress(payload))
+
+
+def rate(function: Callable[[], object], transitions: int, target_s: float) -> float:
+    """Transitions a CPU second of calls that go on for about `target_s`."""
+    calls, started = 0, time.process_time()
+    while (passed := time.process_time() - started) < target_s:
+        function()
+        calls += 1
+    return calls * transitions / passed
+
+
+if __name__ == "__main__":
+    main()
