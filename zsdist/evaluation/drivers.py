@@ -1,0 +1,105 @@
+"""Who drives an evaluated episode: the contract of a driver, what it may see, and the learned policy under it."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import partial
+
+import numpy as np
+
+from zsdist.agent.hierarchy import HierarchicalAgent
+from zsdist.config import Config
+from zsdist.dqn import network
+from zsdist.planning.rewards import RewardTerms
+from zsdist.sim.scene import Scene
+from zsdist.types import Level, Parameters, Pose, View
+
+RANGE_ANGLES_RAD = np.linspace(math.pi / 4, -math.pi / 4, 91)  # of `Sees.RANGES`: 90 degrees, leftmost first
+
+VisualAct = Callable[[np.ndarray, np.ndarray, np.ndarray], Sequence[View]]
+
+
+class Sees(StrEnum):
+    """What a driver learns of its surroundings."""
+
+    NOTHING = "pose and goal only"
+    CAMERA = "the camera, by the visual-act model"
+    RANGES = "true distances within the camera's view"
+    MAP = "the whole true map"
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What a driver decides on.
+
+    Attributes:
+        image: `(px, px, 3)` uint8, of the camera at the true pose.
+        pose: the true pose.
+        goal: `(x_m, y_m)`.
+        allowed: `(5,)` bool, actions that do not lead off the grid.
+        ranges_m: `(R,)` true distances in the directions of `RANGE_ANGLES_RAD`; None unless it sees them.
+    """
+
+    image: np.ndarray
+    pose: Pose
+    goal: tuple[float, float]
+    allowed: np.ndarray
+    ranges_m: np.ndarray | None = None
+
+
+class Driver(ABC):
+    """Chooses the actions of one car, an episode at a time.
+
+    Attributes:
+        shield_changes: decisions of this episode in which the shield masked what would have been chosen.
+    """
+
+    shield_changes = 0
+
+    @abstractmethod
+    def begin(self, pose: Pose, goal: tuple[float, float], truth: Scene | None, rng: np.random.Generator) -> None:
+        """A new episode; `truth` is given to drivers that see the whole true map, and to no other."""
+
+    @abstractmethod
+    def act(self, observed: Observed) -> int:
+        """The next action."""
+
+    def result(self, terms: RewardTerms, terminated: bool, truncated: bool) -> None:  # noqa: B027 (most learn nothing)
+        """How the action went."""
+
+
+class LearnedDriver(Driver):
+    """The greedy policy of both networks: argmax only, and the shield may only mask."""
+
+    def __init__(self, config: Config, parameters: dict[Level, Parameters], visual_act: VisualAct) -> None:
+        self._agent = HierarchicalAgent(config)
+        self._visual_act = visual_act
+        self._q = {level: partial(network.apply, parameters[level]) for level in Level}
+
+    def begin(self, pose: Pose, goal: tuple[float, float], truth: Scene | None, rng: np.random.Generator) -> None:
+        """Starts the agent without exploration, under the shield."""
+        self.shield_changes = 0
+        versions = dict.fromkeys(Level, 0)
+        self._agent.begin(pose, goal, epsilon=0.0, shielded=True, rng=rng, weight_versions=versions, learning=False)
+
+    def act(self, observed: Observed) -> int:
+        """Looks, then takes the best action of Q_low under the best subgoal of Q_high."""
+        self._agent.observe(observed.pose, look(self._visual_act, observed))
+        decision = self._agent.act(self._q)
+        self.shield_changes += bool(decision.shield_changed)
+        return int(decision.action)
+
+    def result(self, terms: RewardTerms, terminated: bool, truncated: bool) -> None:
+        """Tells the agent, whose options end with the episode."""
+        self._agent.result(terms, terminated, truncated)
+
+
+def look(visual_act: VisualAct, observed: Observed) -> View:
+    """What the visual-act model says of the observed's image."""
+    pose, goal = observed.pose, observed.goal
+    east, north = goal[0] - pose.x_m, goal[1] - pose.y_m
+    bearing_rad = math.remainder(math.atan2(north, east) - pose.heading_rad, math.tau)
+    (view,) = visual_act(observed.image[None], np.array([bearing_rad]), np.array([math.hypot(east, north)]))
+    return view

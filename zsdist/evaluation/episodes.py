@@ -1,0 +1,133 @@
+"""Drives one greedy episode and writes down what an evaluation needs of it."""
+
+import math
+from collections.abc import Callable
+
+import gymnasium
+import numpy as np
+
+from zsdist.config import Config
+from zsdist.evaluation.drivers import RANGE_ANGLES_RAD, Driver, Observed, Sees
+from zsdist.evaluation.metrics import EpisodeRecord, path_length_m
+from zsdist.planning import shortest_path
+from zsdist.planning.footprint import FootprintTable
+from zsdist.planning.grid import Grid
+from zsdist.planning.rewards import RewardTerms
+from zsdist.sim.collision import clearance_m
+from zsdist.sim.raycast import ray_distances
+from zsdist.sim.scene import Scene
+from zsdist.sim.solvability import footprints
+from zsdist.types import Outcome, Pose
+
+
+class Course:
+    """The shortest drivable way of one scene: what a driven path is held against."""
+
+    def __init__(self, scene: Scene, table: FootprintTable, success_radius_m: float) -> None:
+        self._grid = table.grid
+        self._blocked = table.blocked(scene.occupancy(table.grid))
+        self._metres = shortest_path.metres_cost(table.grid)
+        self._goals = shortest_path.goal_mask(table.grid, scene.goal, success_radius_m)
+        self._cost = shortest_path.cost_to_go(self._blocked, self._goals, self._metres)
+        self._start = table.grid.lattice_state(scene.start.pose)
+
+    def length_m(self, pose: Pose) -> float | None:
+        """Metres to the goal from the lattice state nearest to a pose; None where no way leads on from it."""
+        state = self._grid.lattice_state(pose)
+        if not math.isfinite(self._cost[state.iy, state.ix, state.heading]):
+            return None
+        way = shortest_path.path(self._cost, self._blocked, state, self._metres)
+        return shortest_path.length_m(way.states, self._grid.cell_size_m)
+
+    def fewest_steps(self) -> int | None:
+        """Fewest actions from the start to the goal; None where there is no way."""
+        costs = shortest_path.cost_to_go(self._blocked, self._goals, shortest_path.STEPS_COST)
+        fewest = float(costs[self._start.iy, self._start.ix, self._start.heading])
+        return int(fewest) if math.isfinite(fewest) else None
+
+
+class Examiner:
+    """Puts a driver through episodes in one environment.
+
+    Args:
+        env: a `CarNavigation`, or anything with its observations and infos.
+        config: the run's; the grid, the camera and the success radius are read.
+        driver: who drives.
+        sees: what it is shown.
+        clock: monotonic seconds, by which decisions are timed.
+    """
+
+    def __init__(
+        self, env: gymnasium.Env, config: Config, driver: Driver, sees: Sees, clock: Callable[[], float]
+    ) -> None:
+        self._env = env
+        self._config = config
+        self._driver = driver
+        self._sees = sees
+        self._clock = clock
+        self._table = footprints(Grid.from_config(config.grid))
+
+    def drive(self, scene: Scene, rng: np.random.Generator) -> EpisodeRecord:
+        """One episode; `rng` is the driver's."""
+        driver = self._driver
+        observation, info = self._env.reset(options={"scene": scene})
+        poses = [_pose(observation)]
+        driver.begin(poses[0], scene.goal, scene if self._sees is Sees.MAP else None, rng)
+        decision_ms, terminated, truncated = [], False, False
+        least_m = self._clearance_m(scene, poses[0])
+        while not (terminated or truncated):
+            observed = self._observed(observation, info, scene)
+            began_s = self._clock()
+            action = driver.act(observed)
+            decision_ms.append(1000 * (self._clock() - began_s))
+            observation, _, terminated, truncated, info = self._env.step(action)
+            driver.result(RewardTerms(**info["reward_terms"]), terminated, truncated)
+            poses.append(_pose(observation))
+            least_m = min(least_m, self._clearance_m(scene, poses[-1]))
+        outcome = Outcome.TIMEOUT
+        if terminated:
+            outcome = Outcome.SUCCESS if info["success"] else Outcome.COLLISION
+        course = Course(scene, self._table, self._config.sim.success_radius_m)
+        return EpisodeRecord(
+            scene=scene.name,
+            outcome=outcome,
+            steps=len(decision_ms),
+            fewest_steps=course.fewest_steps(),
+            path_m=path_length_m(poses),
+            shortest_m=course.length_m(poses[0]),
+            remaining_m=next((way for pose in reversed(poses) if (way := course.length_m(pose)) is not None), None),
+            min_clearance_m=0.0 if outcome is Outcome.COLLISION else least_m,
+            static=not scene.walkers(),
+            decision_ms=tuple(decision_ms),
+            shield_changes=driver.shield_changes,
+            poses=tuple(poses),
+        )
+
+    def _observed(self, observation: dict, info: dict, scene: Scene) -> Observed:
+        pose = _pose(observation)
+        ranges_m = self._ranges_m(scene, pose) if self._sees is Sees.RANGES else None
+        return Observed(observation["image"], pose, scene.goal, info["action_mask"], ranges_m)
+
+    def _ranges_m(self, scene: Scene, pose: Pose) -> np.ndarray:
+        camera = self._config.camera
+        distances, _ = ray_distances(
+            scene.circles(self._people(scene)),
+            scene.boxes(),
+            self._config.grid.arena_m / 2,
+            pose.x_m + camera.forward_m * math.cos(pose.heading_rad),
+            pose.y_m + camera.forward_m * math.sin(pose.heading_rad),
+            pose.heading_rad + RANGE_ANGLES_RAD,
+            camera.range_m,
+        )
+        return distances
+
+    def _people(self, scene: Scene) -> np.ndarray | None:
+        return self._env.unwrapped.world.people if scene.walkers() else None
+
+    def _clearance_m(self, scene: Scene, pose: Pose) -> float:
+        circles = scene.circles(self._people(scene))
+        return clearance_m(pose, circles, scene.boxes(), arena_m=self._config.grid.arena_m)
+
+
+def _pose(observation: dict) -> Pose:
+    return Pose(*(float(value) for value in observation["pose"]))

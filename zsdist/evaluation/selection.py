@@ -1,0 +1,50 @@
+"""Which scenes an evaluation drives: of a folder, a family, or a split of the configuration."""
+
+from pathlib import Path
+
+from zsdist.config import Config
+from zsdist.errors import SceneError
+from zsdist.planning.grid import Grid
+from zsdist.sim import families, scene
+from zsdist.sim.scene import Scene
+
+DEFAULT_EPISODES = 50
+SEED_STRIDE = 1000  # seeds of evaluations are this many scenes apart
+SPLIT_SIZE = 1_000_000
+SPLITS = ("train", "validation", "test")
+
+
+def select(name: str, config: Config, episodes: int | None, seed: int) -> list[Scene]:
+    """The scenes of an evaluation, in the order in which they are reported.
+
+    Args:
+        name: a folder of scene files; a family, of which the test scenes are taken; or a split of the configuration:
+            `train` and `validation` (of `scenes.train`) or `test` (of `scenes.test`), the families in turn.
+        config: whose families, and whose grid scene files are held against.
+        episodes: how many; None: all files of a folder, else 50. More than a folder has go through it again.
+        seed: which scenes of a family, the same for every policy; a folder's are always its files in order.
+
+    Raises:
+        SceneError: the name is none of these, or a scene file is wrong.
+    """
+    if Path(name).is_dir():
+        files = scene.read_folder(name, Grid.from_config(config.grid))
+        return [files[index % len(files)] for index in range(episodes or len(files))]
+    if name in families.FAMILIES:
+        return [_draw(name, "test", index, seed) for index in range(episodes or DEFAULT_EPISODES)]
+    if name in SPLITS:
+        sources = config.scenes.test if name == "test" else config.scenes.train
+        drawn = []
+        for index in range(episodes or DEFAULT_EPISODES):
+            source = sources[index % len(sources)]
+            if Path(source).is_dir():
+                drawn += select(source, config, index // len(sources) + 1, seed)[-1:]
+            else:
+                drawn.append(_draw(source, name, index // len(sources), seed))
+        return drawn
+    allowed = ", ".join((*SPLITS, *families.FAMILIES))
+    raise SceneError(f"scenes is {name!r}; allowed are {allowed} and a folder of scene files")
+
+
+def _draw(family: str, split: str, index: int, seed: int) -> Scene:
+    return families.draw(family, split, (seed * SEED_STRIDE + index) % SPLIT_SIZE)
