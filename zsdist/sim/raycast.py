@@ -45,7 +45,9 @@ def ray_distances(
 
 
 @njit(cache=True)
-def _ray_distances(circles, boxes, half, x, y, angles, max_m):  # noqa: ANN001, ANN202 (numba infers them)
+def _ray_distances(
+    circles: np.ndarray, boxes: np.ndarray, half: float, x: float, y: float, angles: np.ndarray, max_m: float
+) -> tuple[np.ndarray, np.ndarray]:
     distances = np.full(len(angles), max_m)
     hits = np.full(len(angles), HIT_NOTHING)
     for ray in range(len(angles)):

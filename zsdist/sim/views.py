@@ -1,9 +1,11 @@
 """Labelled pictures from random places in random scenes: what the visual-act model is trained and tested on."""
 
+import contextlib
 import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -85,7 +87,7 @@ def labelled_views(
             return
 
 
-def label(scene: Scene, pose: Pose, camera: CameraConfig, people: np.ndarray | None = None) -> dict[str, np.ndarray]:
+def label(scene: Scene, pose: Pose, camera: CameraConfig, people: np.ndarray | None = None) -> dict[str, Any]:
     """The truth of one pose: the label fields of `LabelledView`.
 
     Args:
@@ -132,17 +134,17 @@ def free_pose(scene: Scene, rng: np.random.Generator, people: np.ndarray | None 
 def _views_of(
     scene: Scene, count: int, rng: np.random.Generator, config: CameraConfig, varied: bool
 ) -> Iterator[LabelledView]:
-    camera = _varied_camera(config, rng) if varied else make_camera(config)
-    for _ in range(count):
-        people = _people(scene, rng)
-        pose = free_pose(scene, rng, people)
-        roll, pitch = rng.uniform(-_TILT_JITTER_RAD, _TILT_JITTER_RAD, 2) if varied else (0.0, 0.0)
-        image = camera.render(scene, pose, roll, pitch, people)
-        if varied:
-            image = worn(image, rng)
-        yield LabelledView(
-            image=image, pose=pose, scene=scene.name, scene_hash=scene.hash(), **label(scene, pose, config, people)
-        )
+    with contextlib.closing(_varied_camera(config, rng) if varied else make_camera(config)) as camera:
+        for _ in range(count):
+            people = _people(scene, rng)
+            pose = free_pose(scene, rng, people)
+            roll, pitch = rng.uniform(-_TILT_JITTER_RAD, _TILT_JITTER_RAD, 2) if varied else (0.0, 0.0)
+            image = camera.render(scene, pose, roll, pitch, people)
+            if varied:
+                image = worn(image, rng)
+            yield LabelledView(
+                image=image, pose=pose, scene=scene.name, scene_hash=scene.hash(), **label(scene, pose, config, people)
+            )
 
 
 def _varied_camera(config: CameraConfig, rng: np.random.Generator) -> Camera:

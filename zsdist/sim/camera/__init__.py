@@ -28,6 +28,9 @@ class Camera(Protocol):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The picture, depth in metres `(size_px, size_px)` float32, segments `(size_px, size_px)` uint8."""
 
+    def close(self) -> None:
+        """Give back what it holds; it draws nothing any more."""
+
 
 def make_camera(config: CameraConfig, look: Look = of_scene) -> Camera:
     """The camera that `config.back_end` names: `caster`, or `pybullet` (TinyRenderer, the slow reference)."""

@@ -74,6 +74,10 @@ class CasterCamera:
         depth = np.where(self._depth >= SKY_DEPTH_M, np.float32(np.inf), self._depth)
         return image, depth, prepared.segments[self._index + 2]
 
+    def close(self) -> None:
+        """Forget the prepared scenes."""
+        self._kept.clear()
+
     def _draw(
         self, scene: Scene, pose: Pose, roll_rad: float, pitch_rad: float, people: np.ndarray | None
     ) -> tuple[np.ndarray, _Prepared]:

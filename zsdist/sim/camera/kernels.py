@@ -22,7 +22,7 @@ _FRUSTUM, _ELLIPSOID, _BOX = int(Form.FRUSTUM), int(Form.ELLIPSOID), int(Form.BO
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
-def _enter(form, row, ox, oy, oz, dx, dy, dz):  # noqa: ANN001, ANN202 (numba infers them)
+def _enter(form: int, row: np.ndarray, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
     """Depth at which a ray in the primitive's own frame (origin at its row's place) first meets it; -1: never."""
     if form == _FRUSTUM:
         height, r0 = row[3], row[4]
@@ -71,7 +71,7 @@ def _enter(form, row, ox, oy, oz, dx, dy, dz):  # noqa: ANN001, ANN202 (numba in
 
 
 @njit(cache=True)
-def _extents(form, row):  # noqa: ANN001, ANN202
+def _extents(form: int, row: np.ndarray) -> tuple[float, float, float, float]:
     """Half extents in x and y and the z range of a primitive's bounding box, in its own frame."""
     if form == _FRUSTUM:
         r = max(row[4], row[5])
@@ -82,7 +82,16 @@ def _extents(form, row):  # noqa: ANN001, ANN202
 
 
 @njit(cache=True)
-def _rectangle(form, row, o, f, left, up, tangent, size):  # noqa: ANN001, ANN202
+def _rectangle(
+    form: int,
+    row: np.ndarray,
+    o: np.ndarray,
+    f: np.ndarray,
+    left: np.ndarray,
+    up: np.ndarray,
+    tangent: float,
+    size: int,
+) -> tuple[int, int, int, int]:
     """Pixel rectangle (first and last row, first and last column, ends excluded) that holds the primitive's image."""
     hx, hy, z0, z1 = _extents(form, row)
     corners = np.empty((8, 3))
@@ -123,7 +132,7 @@ def _rectangle(form, row, o, f, left, up, tangent, size):  # noqa: ANN001, ANN20
 
 
 @njit(cache=True)
-def _local(row, vector, out):  # noqa: ANN001, ANN202
+def _local(row: np.ndarray, vector: np.ndarray, out: np.ndarray) -> None:
     """A world vector turned into the primitive's frame."""
     c, s = math.cos(row[6]), math.sin(row[6])
     out[0] = c * vector[0] + s * vector[1]
@@ -132,7 +141,15 @@ def _local(row, vector, out):  # noqa: ANN001, ANN202
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
-def cast(forms, rows, origin, axes, tangent, depth, index):  # noqa: ANN001, ANN201
+def cast(
+    forms: np.ndarray,
+    rows: np.ndarray,
+    origin: np.ndarray,
+    axes: np.ndarray,
+    tangent: float,
+    depth: np.ndarray,
+    index: np.ndarray,
+) -> None:
     """Fill `depth` `(n, n)` and `index` `(n, n)` with the nearest primitive, `GROUND` or `SKY` of every pixel."""
     n = depth.shape[0]
     step = 2.0 * tangent / n
@@ -167,7 +184,9 @@ def cast(forms, rows, origin, axes, tangent, depth, index):  # noqa: ANN001, ANN
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
-def shadow_map(forms, rows, fixed, sun, half, out):  # noqa: ANN001, ANN201
+def shadow_map(
+    forms: np.ndarray, rows: np.ndarray, fixed: np.ndarray, sun: np.ndarray, half: float, out: np.ndarray
+) -> None:
     """How much light reaches the ground, `out` `(n, n)` `[iy, ix]` float32 over plus and minus `half` metres.
 
     Sunlight is blocked by what stands in its way; close to an obstacle the sky is hidden too (contact shadow).

@@ -47,7 +47,7 @@ def noise_pyramid() -> np.ndarray:
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy", inline="always")
-def _noise(pyramid, spectrum, u, v, per_m, footprint):  # noqa: ANN001, ANN202 (numba infers them)
+def _noise(pyramid: np.ndarray, spectrum: int, u: float, v: float, per_m: float, footprint: float) -> float:
     """Noise at a place in metres, of `per_m` texels a metre, from the halving whose texel is about the pixel's size."""
     size, start, level = _NOISE_SIZE, 0, 1
     while footprint * per_m > 1.0 and level < _NOISE_LEVELS:
@@ -61,7 +61,7 @@ def _noise(pyramid, spectrum, u, v, per_m, footprint):  # noqa: ANN001, ANN202 (
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
-def _figure(texture, u, v, period):  # noqa: ANN001, ANN202
+def _figure(texture: int, u: float, v: float, period: float) -> float:
     """Whether a place on a surface bears the texture's second colour, 0 to 1."""
     if texture == _BRICK:
         course = math.floor(v / 0.2)
@@ -78,7 +78,7 @@ def _figure(texture, u, v, period):  # noqa: ANN001, ANN202
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
-def _ground_figure(pattern, x, y, period):  # noqa: ANN001, ANN202
+def _ground_figure(pattern: int, x: float, y: float, period: float) -> float:
     """Whether a place on the ground bears the pattern's second colour, 0 to 1."""
     u, v = x / period, y / period
     u, v = u - math.floor(u), v - math.floor(v)
@@ -94,25 +94,38 @@ def _ground_figure(pattern, x, y, period):  # noqa: ANN001, ANN202
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
-def shade(  # noqa: ANN201
-    forms,
-    rows,
-    materials,
-    ground,
-    sky,
-    light,
-    shadow,
-    shadow_half,
-    discs,
-    pyramid,
-    origin,
-    axes,
-    tangent,  # noqa: ANN001
-    depth,
-    index,
-    image,  # noqa: ANN001
-):
-    """Fill `image` `(n, n, 3)` uint8 from `depth` and `index`; the other arrays are those of `Appearance`."""
+def shade(
+    forms: np.ndarray,
+    rows: np.ndarray,
+    materials: np.ndarray,
+    ground: np.ndarray,
+    sky: np.ndarray,
+    light: np.ndarray,
+    shadow: np.ndarray,
+    shadow_half: float,
+    discs: np.ndarray,
+    pyramid: np.ndarray,
+    origin: np.ndarray,
+    axes: np.ndarray,
+    tangent: float,
+    depth: np.ndarray,
+    index: np.ndarray,
+    image: np.ndarray,
+) -> None:
+    """Fill `image` `(n, n, 3)` uint8 from `depth` and `index` as `kernels.cast` left them.
+
+    Args:
+        forms, rows: the primitives, see `Primitives`.
+        materials, ground, sky, light: see `Appearance`.
+        shadow: `(m, m)` from `kernels.shadow_map`, over plus and minus `shadow_half` metres.
+        shadow_half: in metres.
+        discs: `(W, 3)` x, y, radius of what walks and so has no shadow in the map.
+        pyramid: from `noise_pyramid`.
+        origin, axes: of the camera, see `optics.mount`.
+        tangent: of half the field of view.
+        depth, index: `(n, n)`.
+        image: `(n, n, 3)` uint8, written.
+    """
     n = depth.shape[0]
     step = 2.0 * tangent / n
     sun_x, sun_y, sun_z, ambient, sunlight, haze_m, gain = light
