@@ -18,26 +18,26 @@ MAX_STATE_SIZE = 65_536
 MAX_VERSION = 2**62
 
 TRAJECTORY_COLUMNS = {
-    "states": ("float16", 2),
-    "actions": ("uint8", 1),
-    "rewards": ("float32", 1),
-    "discounts": ("float32", 1),
-    "successors": ("uint16", 1),
-    "masks": ("uint8", 2),
-    "guides": ("int8", 1),
-    "behaviours": ("uint8", 1),
-    "lengths": ("uint16", 1),
-    "versions": ("uint64", 1),
+    "states": (np.dtype("float16"), 2),
+    "actions": (np.dtype("uint8"), 1),
+    "rewards": (np.dtype("float32"), 1),
+    "discounts": (np.dtype("float32"), 1),
+    "successors": (np.dtype("uint16"), 1),
+    "masks": (np.dtype("uint8"), 2),
+    "guides": (np.dtype("int8"), 1),
+    "behaviours": (np.dtype("uint8"), 1),
+    "lengths": (np.dtype("uint16"), 1),
+    "versions": (np.dtype("uint64"), 1),
 }
 BATCH_COLUMNS = {
-    "states": ("float16", 2),
-    "actions": ("uint8", 1),
-    "rewards": ("float32", 1),
-    "discounts": ("float32", 1),
-    "next_states": ("float16", 2),
-    "next_masks": ("uint8", 2),
-    "masks": ("uint8", 2),
-    "guides": ("int8", 1),
+    "states": (np.dtype("float16"), 2),
+    "actions": (np.dtype("uint8"), 1),
+    "rewards": (np.dtype("float32"), 1),
+    "discounts": (np.dtype("float32"), 1),
+    "next_states": (np.dtype("float16"), 2),
+    "next_masks": (np.dtype("uint8"), 2),
+    "masks": (np.dtype("uint8"), 2),
+    "guides": (np.dtype("int8"), 1),
 }
 
 
@@ -126,7 +126,7 @@ def to_trajectories(columns: Mapping[str, np.ndarray], actions: int, level: Leve
 def from_batch(batch: Batch) -> tuple[dict[str, np.ndarray], int]:
     """Columns of a batch and its number of actions; raises `DecodeError`."""
     columns = {
-        name: _narrow(getattr(batch, name), name, np.dtype(dtype).type)
+        name: _narrow(getattr(batch, name), name, dtype.type)
         for name, (dtype, _) in BATCH_COLUMNS.items()
         if "masks" not in name
     }
@@ -162,12 +162,12 @@ def to_batch(columns: Mapping[str, np.ndarray], actions: int) -> Batch:
     )
 
 
-def require_columns(columns: Mapping[str, np.ndarray], schema: Mapping[str, tuple[str, int]]) -> None:
+def require_columns(columns: Mapping[str, np.ndarray], schema: Mapping[str, tuple[np.dtype, int]]) -> None:
     """Raises `DecodeError` unless exactly the columns of a schema are there, of its dtypes and dimensions."""
     if set(columns) != set(schema):
         raise DecodeError("column", ", ".join(sorted(set(columns) ^ set(schema)))[:120])
     for name, (dtype, dimensions) in schema.items():
-        if columns[name].dtype.name != dtype:
+        if columns[name].dtype != dtype:
             raise DecodeError("dtype", f"column {name!r} is {columns[name].dtype}; it must be {dtype}")
         if columns[name].ndim != dimensions:
             raise DecodeError("shape", f"column {name!r} has {columns[name].ndim} dimensions, not {dimensions}")

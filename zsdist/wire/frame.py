@@ -36,6 +36,7 @@ _CHECKED = _HEADER.size - _SIZE.size  # bytes of the header that the checksum co
 _ZSTD_LEVEL = 1  # level 3 gains under 3.5 % here
 _INTEGERS = ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64")
 _DTYPES = {name: np.dtype(name).newbyteorder("<") for name in ("bool", *_INTEGERS, "float16", "float32", "float64")}
+_DTYPE_NAMES = {np.dtype(name): name for name in _DTYPES}  # a dtype's own `name` is slow
 _local = threading.local()
 
 
@@ -48,8 +49,8 @@ def pack(kind: int, meta: dict[str, Any], columns: Mapping[str, np.ndarray], lim
     described = []
     parts = [b"", b""]
     for name, column in columns.items():
-        dtype = column.dtype.name
-        if dtype not in _DTYPES:
+        dtype = _DTYPE_NAMES.get(column.dtype)
+        if dtype is None:
             raise DecodeError("dtype", f"column {name!r} is {dtype}")
         described.append([name, dtype, list(column.shape)])
         parts.append(np.ascontiguousarray(column, dtype=_DTYPES[dtype]).tobytes())
@@ -107,12 +108,7 @@ def unpack(payload: bytes, limit: int) -> tuple[dict[str, Any], dict[str, np.nda
     start = _SIZE.size + size
     if start > len(content):
         raise DecodeError("content")
-    described = _parse_json(content[_SIZE.size : start])
-    if not isinstance(described, dict) or set(described) != {"meta", "columns"}:
-        raise DecodeError("meta")
-    meta, listed = described["meta"], described["columns"]
-    if not isinstance(meta, dict) or not isinstance(listed, list) or len(listed) > MAX_COLUMNS:
-        raise DecodeError("meta")
+    meta, listed = _parse_json(content[_SIZE.size : start])
     columns: dict[str, np.ndarray] = {}
     for item in listed:
         name, dtype, shape = _describe(item)
@@ -169,16 +165,23 @@ def _inflate(frame: memoryview, limit: int) -> bytes:
     return content
 
 
-def _parse_json(text: bytes) -> object:
+def _parse_json(text: bytes) -> tuple[dict[str, Any], list[Any]]:
+    """The meta object, all sound JSON, and the list that describes the columns, of which nothing is known yet."""
+
     def refuse(word: str) -> None:
         raise DecodeError("json", f"{word} is no JSON number")
 
     try:
-        value = json.loads(text.decode(), parse_constant=refuse)
-        require_json(value)
+        described = json.loads(text.decode(), parse_constant=refuse)
+        if not isinstance(described, dict) or set(described) != {"meta", "columns"}:
+            raise DecodeError("meta")
+        meta, listed = described["meta"], described["columns"]
+        if not isinstance(meta, dict) or not isinstance(listed, list) or len(listed) > MAX_COLUMNS:
+            raise DecodeError("meta")
+        require_json(meta)
     except (ValueError, RecursionError) as error:
         raise DecodeError("json", str(error)) from error
-    return value
+    return meta, listed
 
 
 def _describe(item: object) -> tuple[str, np.dtype, tuple[int, ...]]:
