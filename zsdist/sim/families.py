@@ -172,7 +172,8 @@ def _street(rng: np.random.Generator, name: str) -> Scene:
 
 def _varied(rng: np.random.Generator, name: str) -> Scene:
     canvas = _any_other_way(rng) if rng.random() < 0.5 else _west_to_east(rng)
-    canvas.scatter(int(rng.integers(8, 25)), VARIED, scale=float(rng.uniform(0.6, 1.4)))
+    canvas.scatter(int(rng.integers(1, 5)), {"pole": 1.0}, scale=4.0)  # columns as thick as a trunk
+    canvas.scatter(int(rng.integers(6, 21)), VARIED, scale=float(rng.uniform(0.6, 1.4)))
     return canvas.scene(name, _ground(rng, TRAINED_GROUNDS))
 
 

@@ -121,12 +121,13 @@ def test_goal_cells_are_those_whose_centre_is_within_the_success_radius():
 
 def test_live_states_are_the_largest_set_that_can_be_stayed_in(blocked):
     live = live_states(blocked)
+    free = np.argwhere(~blocked)
+    ends = np.array([successor(LatticeState(ix, iy, heading), action) for iy, ix, heading, action in free])
     expected = ~blocked.all(axis=3)
     while True:  # the definition, step by step
         following = np.zeros_like(expected)
-        for iy, ix, heading, action in np.argwhere(~blocked):
-            end = successor(LatticeState(ix, iy, heading), action)
-            following[iy, ix, heading] |= expected[end.iy, end.ix, end.heading]
+        stays = expected[ends[:, 1], ends[:, 0], ends[:, 2]]
+        following[tuple(free[stays, :3].T)] = True
         if (following == expected).all():
             break
         expected = following

@@ -16,7 +16,7 @@ from zsdist.sim.scene import DEFAULT_GRID, Obstacle, Start, check
 from zsdist.sim.solvability import shortest_m, solve
 from zsdist.types import Pose
 
-SEEDS = range(8)
+SEEDS = range(5)
 EVERY = [(family, seed) for family in FAMILIES for seed in SEEDS]
 
 
@@ -100,7 +100,7 @@ def test_iid_leads_from_west_to_east_among_12_to_20_and_start_goal_leads_elsewhe
         assert scene.start.x_m < -7 and scene.goal[0] > 7
         assert abs(toward_goal(scene)) < families.OFF_EAST_DEG < abs(toward_goal(generate("ood-start-goal", seed)))
         assert 12 <= len(scene.obstacles) <= 20
-    kinds = [obstacle.kind for seed in SEEDS for obstacle in generate("iid", seed).obstacles]
+    kinds = [obstacle.kind for seed in range(15) for obstacle in generate("iid", seed).obstacles]
     assert kinds.count("tree") > len(kinds) / 2
     assert all(o.radius_m == 1.0 for o in generate("iid", 0).obstacles if o.kind == "tree")
 
@@ -145,7 +145,7 @@ def test_people_walk_only_in_dynamic_scenes_and_clear_of_start_goal_and_what_sta
         for person in scene.walkers():
             assert 0 < person.speed_mps <= 1.2
             for (x0, y0), (x1, y1) in itertools.pairwise(person.path):
-                for t in np.linspace(0, 1, 30):
+                for t in np.linspace(0, 1, 12):
                     at = Pose(x0 + (x1 - x0) * t, y0 + (y1 - y0) * t, 0.0)
                     room = clearance_m(at, scene.standing_circles(), scene.boxes(), 0.0, 0.0) - person.radius_m
                     assert room > 0.05
