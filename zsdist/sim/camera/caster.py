@@ -18,7 +18,7 @@ from zsdist.types import Pose
 
 Look = Callable[[Scene, Primitives], Appearance]
 
-_SHADOW_CELLS = 384  # a side; 6.5 cm each
+_SHADOW_CELLS = 256  # a side; 10 cm each, read with interpolation
 _SCENES_KEPT = 32  # prepared scenes: one for each car of an actor, and some
 
 

@@ -115,15 +115,21 @@ def shade(
     """Fill `image` `(n, n, 3)` uint8 from `depth` and `index` as `kernels.cast` left them.
 
     Args:
-        forms, rows: the primitives, see `Primitives`.
-        materials, ground, sky, light: see `Appearance`.
+        forms: see `Primitives`.
+        rows: see `Primitives`.
+        materials: see `Appearance`.
+        ground: see `Appearance`.
+        sky: see `Appearance`.
+        light: see `Appearance`.
         shadow: `(m, m)` from `kernels.shadow_map`, over plus and minus `shadow_half` metres.
         shadow_half: in metres.
         discs: `(W, 3)` x, y, radius of what walks and so has no shadow in the map.
         pyramid: from `noise_pyramid`.
-        origin, axes: of the camera, see `optics.mount`.
+        origin: of the camera, see `optics.mount`.
+        axes: of the camera, see `optics.mount`.
         tangent: of half the field of view.
-        depth, index: `(n, n)`.
+        depth: `(n, n)` metres along the axis.
+        index: `(n, n)` which primitive, or `GROUND` or `SKY`.
         image: `(n, n, 3)` uint8, written.
     """
     n = depth.shape[0]
