@@ -31,7 +31,6 @@ GROUND_GROUP, WHEEL_GROUP, SKIN_GROUP, OBSTACLE_GROUP = 1, 2, 4, 8
 _WHEELS = [(AXLES_M, TREAD_M / 2), (AXLES_M, -TREAD_M / 2), (-AXLES_M, TREAD_M / 2), (-AXLES_M, -TREAD_M / 2)]
 _UPRIGHT = [0.0, 0.0, 0.0, 1.0]
 _ACROSS = [math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]  # a cylinder's axis along the axle
-_ALOFT_M = 50.0
 
 
 class Motion(NamedTuple):
@@ -99,19 +98,14 @@ class Car:
         pybullet.changeDynamics(self.body, -1, activationState=awake, physicsClientId=client)
 
     def place(self, pose: Pose) -> None:
-        """Stands the car still at `pose`, as if it had never been anywhere else.
-
-        It is lifted first, so that the contacts of its last place, from which the solver would start, are forgotten.
-        """
+        """Stands the car still at `pose`, as if it had never been anywhere else."""
         turned = pybullet.getQuaternionFromEuler([0.0, 0.0, pose.heading_rad])
         self.command(STOPPED)
-        for height_m in (_ALOFT_M, 0.0):
-            position = [pose.x_m, pose.y_m, CENTRE_OF_MASS_M + height_m]
-            pybullet.resetBasePositionAndOrientation(self.body, position, turned, physicsClientId=self._client)
-            pybullet.resetBaseVelocity(self.body, [0.0] * 3, [0.0] * 3, physicsClientId=self._client)
-            for wheel in self._wheels:
-                pybullet.resetJointState(self.body, wheel, 0.0, 0.0, physicsClientId=self._client)
-            pybullet.performCollisionDetection(physicsClientId=self._client)
+        position = [pose.x_m, pose.y_m, CENTRE_OF_MASS_M]
+        pybullet.resetBasePositionAndOrientation(self.body, position, turned, physicsClientId=self._client)
+        pybullet.resetBaseVelocity(self.body, [0.0] * 3, [0.0] * 3, physicsClientId=self._client)
+        for wheel in self._wheels:
+            pybullet.resetJointState(self.body, wheel, 0.0, 0.0, physicsClientId=self._client)
 
     def command(self, rates: Rates) -> None:
         """Sets the rates at which the four motors turn their wheels."""

@@ -88,6 +88,13 @@ def test_a_replay_is_bit_equal_after_other_episodes_in_the_same_world(world):
     assert hash_of_drive(world, SCATTERED, ROUTE) == first
 
 
+def test_a_replay_is_bit_equal_where_the_car_already_stands_on_its_start(world):
+    first = hash_of_drive(world, SCATTERED, ROUTE)
+    for _ in range(3):
+        world.reset(SCATTERED)
+    assert hash_of_drive(world, SCATTERED, ROUTE) == first
+
+
 def test_a_replay_is_bit_equal_after_a_collision_and_in_a_new_world(world):
     crash = hash_of_drive(world, OTHER, [RIGHT] + [FORWARD] * 9)
     hash_of_drive(world, SCATTERED, ROUTE)
