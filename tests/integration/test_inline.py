@@ -1,0 +1,165 @@
+import pytest
+
+from rehearsal import Tap, episodes, rehearse, resume, start
+from zsdist.dqn import network
+from zsdist.run.checkpoint import load_policy
+from zsdist.types import Level
+from zsdist.wire.messages import Ack, Candidate, Jobs, Orders, Push, Records, WeightsMessage
+
+pytestmark = pytest.mark.integration
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    tap = Tap()
+    setting = start(tmp_path_factory.mktemp("runs") / "one")
+    return setting, rehearse(setting, watch=tap), tap.by_kind()
+
+
+def test_two_runs_with_one_seed_end_in_equal_weights(run, tmp_path):
+    _, summary, _ = run
+    again = rehearse(start(tmp_path / "two"))
+    assert again["weights"]["sha256"] == summary["weights"]["sha256"]
+    assert again["transitions"] == summary["transitions"]
+    other = rehearse(start(tmp_path / "three", "seed=1", "run.episodes=4"))
+    assert other["weights"]["sha256"] != summary["weights"]["sha256"]
+
+
+def test_the_books_balance_and_every_lease_is_finished_once(run):
+    setting, summary, _ = run
+    for books in summary["transitions"].values():
+        assert books["produced"] == books["stored"] + books["rejected"] > 0
+        assert books["abandoned_at_most"] == 0
+    assert sorted(record["episode"] for record in episodes(setting.folder)) == list(range(1, 9))
+    assert sum(summary["outcomes"].values()) == summary["episodes"] == 8
+    assert summary["env_steps"] == sum(record["steps"] for record in episodes(setting.folder))
+    assert summary["transitions"]["low"]["produced"] == summary["env_steps"]
+
+
+def test_transitions_flow_from_every_actor_to_the_replay(run):
+    _, summary, said = run
+    pushes = [message for message in said["push"] if isinstance(message, Push)]
+    assert {push.actor for push in pushes} == {"actor-0", "actor-1"}
+    assert {push.stream for push in pushes} == set(Level)
+    for level in Level:
+        unique = {(push.actor, push.sequence): push.count for push in pushes if push.stream is level}
+        assert sum(unique.values()) == summary["transitions"][level]["stored"]
+
+
+def test_the_replay_acknowledges_and_grants_credit_to_every_stream(run):
+    _, _, said = run
+    acks = [ack for ack in said["ack"] if isinstance(ack, Ack)]
+    for actor in ("actor-0", "actor-1"):
+        for stream in ("high", "low", "episodes", "evaluation"):
+            assert max(ack.received for ack in acks if (ack.actor, ack.stream) == (actor, stream)) > 0
+        granted = [ack.credit for ack in acks if (ack.actor, ack.stream) == (actor, "low")]
+        assert granted[0] is None  # unlimited until learning starts
+        limits = [credit for credit in granted if credit is not None]
+        assert limits == sorted(limits)
+        assert limits[-1] > 0
+
+
+def test_actors_act_with_the_weights_that_the_learners_broadcast(run):
+    setting, summary, said = run
+    for level in Level:
+        broadcast = [message for message in said["weights"] if message.weights.level is level]
+        assert all(isinstance(message, WeightsMessage) for message in broadcast)
+        versions = {message.weights.version for message in broadcast}
+        acted = [record[f"{level}_version"] for record in episodes(setting.folder)]
+        assert set(acted) <= versions
+        assert max(acted) > min(acted)  # later episodes were driven with newer weights
+        assert broadcast[-1].sha256 == summary["weights"]["sha256"][level]
+        acting = [one[f"{level}_weight_version"] for one in said["stats"] if one["role"] == "actor" and f"{level}_weight_version" in one]
+        assert max(acting) > 0
+
+
+def test_both_learners_are_fed_by_the_replay_at_the_configured_pace(run):
+    setting, summary, _ = run
+    for level, settings in ((Level.HIGH, setting.config.high), (Level.LOW, setting.config.low)):
+        books = summary["transitions"][level]
+        updates = summary["learner_updates"][level]
+        assert 0 < updates <= books["stored"] * settings.updates_per_insert
+        assert updates > 0.6 * books["stored"] * settings.updates_per_insert  # the run ends before the last ones
+        assert books["sampled"] > 0
+
+
+def test_the_scheduler_leases_episodes_and_hears_how_each_ended(run):
+    _, _, said = run
+    orders = [message for message in said["control"] if isinstance(message, Orders) and message.role == "actor"]
+    leased = {number for message in orders for numbers in message.content["leases"].values() for number in numbers}
+    assert leased == set(range(1, 9))
+    reports = [message for message in said["episodes"] if isinstance(message, Records)]
+    assert {record["episode"] for report in reports for record in report.records} == set(range(1, 9))
+
+
+def test_each_merge_drives_candidates_on_equal_scenes_and_promotes_the_best(run):
+    _, summary, said = run
+    assert [merge["episode"] for merge in summary["merges"]] == [4, 8]
+    assert summary["merges"][0]["candidates"] == ["recent", "distilled"]
+    assert summary["merges"][1]["candidates"] == ["recent", "distilled", "best"]
+    offered = {(one.level, one.merge, one.name) for one in said["candidate"] if isinstance(one, Candidate)}
+    assert len(offered) == 2 * (2 + 3)
+    jobs = {tuple(drive) for one in said["evaluation"] if isinstance(one, Jobs) for drive in one.content["drives"]}
+    assert jobs == {(name, scene) for name in ("recent", "distilled", "best") for scene in (0, 1)}
+    results = [record for one in said["evaluation"] if isinstance(one, Records) for record in one.records]
+    for merge in summary["merges"]:
+        assert merge["scores"][merge["chosen"]] == max(merge["scores"].values())
+    for index in (1, 2):
+        scenes = {record["scene_index"]: record["scene"] for record in results if record["merge"] == index}
+        assert all(record["scene"] == scenes[record["scene_index"]] for record in results if record["merge"] == index)
+    merged = [message.merge for message in said["weights"]]
+    assert max(merged) == 2
+
+
+def test_evaluation_drives_count_in_no_training_total(run):
+    _, summary, said = run
+    results = [record for one in said["evaluation"] if isinstance(one, Records) for record in one.records]
+    assert results
+    assert all(record["epsilon"] == 0 and "episode" not in record for record in results)
+    assert sum(summary["outcomes"].values()) == 8
+
+
+def test_every_role_tells_its_statistics_and_that_it_lives(run):
+    _, _, said = run
+    roles = {("scheduler", "0"), ("replay", "0"), ("learner", "high"), ("learner", "low"), ("actor", "0"), ("actor", "1")}
+    assert {(one["role"], one["id"]) for one in said["stats"]} == roles
+    assert all({"time_s", "host", "pid", "epoch"} <= set(one) for one in said["stats"])
+    came = {key.split("/", 3)[3] for key, payload in said["alive"] if payload == b"1"}
+    assert came == {f"{role}/{one}" for role, one in roles}
+
+
+def test_a_run_is_gone_on_with_and_its_files_are_appended_to(tmp_path):
+    first = rehearse(start(tmp_path / "run", "run.episodes=4"))
+    second = rehearse(resume(tmp_path / "run", "run.episodes=7"))
+    assert (first["episodes"], second["episodes"]) == (4, 7)
+    assert sorted(record["episode"] for record in episodes(tmp_path / "run")) == list(range(1, 8))
+    for level in Level:
+        assert second["learner_updates"][level] > first["learner_updates"][level]
+        assert second["weights"]["version"][level] > first["weights"]["version"][level]
+        books = second["transitions"][level]
+        assert books["stored"] > first["transitions"][level]["stored"]
+        assert books["produced"] == books["stored"] + books["rejected"]
+    assert [merge["episode"] for merge in second["merges"]] == [4]
+    assert second["wall_s"] > first["wall_s"]
+
+
+def test_an_interruption_saves_everything_and_counts_no_cut_episode(tmp_path):
+    rounds = iter(range(10**9))
+    summary = rehearse(start(tmp_path / "run", "run.episodes=100"), interrupted=lambda: next(rounds) > 6)
+    assert summary["ended"] == "interrupted"
+    assert summary["episodes"] == len(episodes(tmp_path / "run")) < 100
+    for books in summary["transitions"].values():
+        assert books["produced"] == books["stored"] + books["rejected"] > 0
+    finished = rehearse(resume(tmp_path / "run", f"run.episodes={summary['episodes'] + 2}"))
+    assert finished["ended"] == "complete"
+    numbers = [record["episode"] for record in episodes(tmp_path / "run")]
+    assert len(numbers) == len(set(numbers)) == summary["episodes"] + 2
+
+
+def test_a_checkpoint_holds_the_policy_that_was_broadcast_last(run):
+    setting, summary, _ = run
+    policy = load_policy(setting.folder)
+    assert set(policy.parameters) == set(Level)
+    assert policy.config == setting.config
+    for level in Level:
+        assert network.sha256(policy.parameters[level]) == summary["weights"]["sha256"][level]
