@@ -1,0 +1,118 @@
+import math
+
+import pybullet
+import pytest
+
+from zsdist.planning.footprint import CAR_LENGTH_M, CAR_WIDTH_M
+from zsdist.planning.grid import Grid
+from zsdist.sim import car as subject
+from zsdist.sim.car import GAINS, STOPPED, Car, Manoeuvre, Motion
+from zsdist.sim.scene import Scene, Start
+from zsdist.sim.world import World
+from zsdist.types import Action, Pose
+
+AHEAD = Pose(0.625, 0.0, 0.0)
+HERE = Pose(0.0, 0.0, 0.0)
+
+
+def rest(pose: Pose) -> Motion:
+    return Motion(pose, 0.0, 0.0)
+
+
+@pytest.fixture
+def client():
+    client = pybullet.connect(pybullet.DIRECT)
+    yield client
+    pybullet.disconnect(client)
+
+
+def test_the_planners_box_is_the_cars_outline():
+    assert pytest.approx(2 * (subject.AXLES_M + subject.WHEEL_RADIUS_M)) == CAR_LENGTH_M
+    assert pytest.approx(subject.TREAD_M + subject.WHEEL_WIDTH_M) == CAR_WIDTH_M
+    assert subject.CABINET_M[0] < CAR_LENGTH_M
+    assert subject.CABINET_M[1] < CAR_WIDTH_M
+
+
+def test_table_1_has_its_wheels_tread_and_cabinet():
+    assert (subject.WHEEL_RADIUS_M, subject.TREAD_M, subject.CABINET_M[:2]) == (0.5, 1.0, (2.0, 0.9))
+
+
+def test_friction_and_inertia_reach_the_wheels_and_not_the_base(client):
+    car = Car(client)
+    for wheel in range(4):
+        mass_kg, friction, inertia = pybullet.getDynamicsInfo(car.body, wheel, physicsClientId=client)[:3]
+        assert (mass_kg, friction) == (subject.WHEEL_KG, subject.WHEEL_FRICTION)
+        assert inertia[1] == subject.AXLE_INERTIA_KG_M2
+    mass_kg, friction = pybullet.getDynamicsInfo(car.body, -1, physicsClientId=client)[:2]
+    assert mass_kg == subject.CABINET_KG
+    assert friction != subject.WHEEL_FRICTION
+
+
+def test_a_placed_car_is_still_and_level_at_its_pose(client):
+    car = Car(client)
+    pose = Pose(-3.0, 2.0, 2.5)
+    car.place(pose)
+    motion = car.motion()
+    assert motion.pose == pytest.approx(pose)
+    assert (motion.speed_mps, motion.turn_rate_rad_s) == (0.0, 0.0)
+    assert car.tilt() == pytest.approx((0.0, 0.0))
+
+
+def test_the_turn_comes_before_the_advance():
+    manoeuvre = Manoeuvre(Pose(0.625, 0.625, math.pi / 4), True, True, 0.05)
+    rates = manoeuvre.rates(rest(HERE))
+    assert rates.left == -rates.right < 0  # to the left, in place
+    rates = manoeuvre.rates(rest(Pose(0.0, 0.0, math.pi / 4)))
+    assert rates.left == pytest.approx(rates.right)
+    assert rates.left > 0
+
+
+def test_a_rolling_car_brakes_before_it_turns():
+    manoeuvre = Manoeuvre(Pose(0.0, 0.0, math.pi / 2), False, True, 0.05)
+    assert manoeuvre.rates(Motion(HERE, 1.0, 0.0)) == STOPPED
+    assert manoeuvre.rates(rest(HERE)).right > 0
+
+
+def test_an_advance_keeps_the_speed_it_begins_with():
+    slow = Manoeuvre(AHEAD, True, False, 0.05).rates(rest(HERE))
+    fast = Manoeuvre(AHEAD, True, False, 0.05).rates(Motion(HERE, 1.0, 0.0))
+    assert slow.left * subject.WHEEL_RADIUS_M == pytest.approx(GAINS.speed_up_mps2 * 0.05)
+    assert fast.left * subject.WHEEL_RADIUS_M == pytest.approx(1.0 + GAINS.speed_up_mps2 * 0.05)
+
+
+@pytest.mark.parametrize(("aside_m", "left_is_faster"), [(0.08, True), (-0.08, False)])
+def test_an_advance_steers_back_to_its_line(aside_m, left_is_faster):
+    rates = Manoeuvre(AHEAD, True, False, 0.05).rates(rest(Pose(0.0, aside_m, 0.0)))
+    assert (rates.left > rates.right) == left_is_faster
+
+
+def test_a_car_at_its_target_is_done_and_one_that_spins_there_is_not():
+    assert Manoeuvre(HERE, False, True, 0.05).rates(rest(HERE)) is None
+    assert Manoeuvre(HERE, False, True, 0.05).rates(Motion(HERE, 0.0, 1.0)) == STOPPED
+
+
+@pytest.mark.parametrize("heading_rad", [-3.1, -1.0, 0.3, 3.1])
+def test_rates_stay_within_what_the_wheels_may_be_asked(heading_rad):
+    for advance in (False, True):
+        rates = Manoeuvre(AHEAD, advance, False, 0.05).rates(Motion(Pose(0.0, 0.0, heading_rad), 1.5, 0.0))
+        most = GAINS.speed_most_mps / subject.WHEEL_RADIUS_M + GAINS.turn_most_rad_s
+        assert max(abs(rate) for rate in rates) <= most
+
+
+def test_an_advance_after_an_advance_takes_fewer_steps_than_one_from_rest():
+    world = World(Grid())
+    world.reset(Scene("empty", "sand", Start(0.3125, 0.3125, 0.0), (8.0, 8.0), ()))
+    steps = [world.drive(Action.FORWARD).sim_steps for _ in range(4)]
+    world.close()
+    assert max(steps[1:]) < steps[0]
+
+
+def test_the_car_drives_level_enough_for_its_camera():
+    world = World(Grid())
+    world.reset(Scene("empty", "sand", Start(0.3125, 0.3125, 0.0), (8.0, 8.0), ()))
+    tilts = []
+    for action in (Action.FORWARD, Action.FORWARD, Action.TURN_LEFT_90, Action.LEFT_45, Action.FORWARD):
+        world.drive(action)
+        tilts += world.tilt
+    world.close()
+    assert max(map(abs, tilts)) < math.radians(3.0)
