@@ -154,3 +154,21 @@ class Weights:
     level: Level
     version: int
     parameters: Parameters
+
+
+@dataclass(frozen=True)
+class Ack:
+    """What a receiver holds of one (stream, actor, epoch), and what it may still be sent.
+
+    Attributes:
+        sender_epoch: incarnation of the receiver, which is the sender of this.
+        received: every frame numbered below this is held.
+        credit: absolute total of transitions the stream may produce in this epoch; None: unlimited.
+    """
+
+    sender_epoch: int
+    actor: str
+    epoch: int
+    stream: str
+    received: int
+    credit: int | None

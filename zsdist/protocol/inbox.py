@@ -9,10 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from zsdist.types import Level
-from zsdist.wire.messages import Ack, Push, Records
-
-Frame = Push | Records
+from zsdist.protocol.frames import Frame
+from zsdist.types import Ack, Level
 
 HOLD_FRAMES = 256  # frames ahead of the next expected one that are held; beyond, they are refused and come again
 ACK_EVERY_FRAMES = 8

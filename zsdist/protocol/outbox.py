@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from zsdist.errors import ProtocolError
-from zsdist.types import Level, Trajectory
-from zsdist.wire.messages import Ack, Push, Records
+from zsdist.protocol.frames import Frame
+from zsdist.types import Ack, Level, Trajectory
 
 Item = Trajectory | dict[str, Any]
-Frame = Push | Records
 
 COMBINE = 16  # transitions from which a frame of trajectories is worth sending by itself
 MAX_COUNT = 256  # from which no further item is added to a frame
@@ -67,7 +66,8 @@ class Outbox:
             resend_after_s: age from which an unacknowledged frame is sent again; doubles with each sending up to
                 `BACKOFF_MAX` times this.
             give_up_after_s: how long the oldest frame may stay unacknowledged by a receiver that lives.
-            make_frame: `Push` or `Records`.
+            make_frame: the message that a frame travels as, such as `Push`: called with stream, actor, epoch,
+                sequence, produced, closes and the tuple of items.
         """
         self.stream = stream
         self.actor = actor

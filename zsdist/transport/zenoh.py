@@ -10,7 +10,7 @@ import secrets
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import zenoh
 
@@ -50,6 +50,12 @@ class ZenohHub:
                 if "in use" not in str(error):
                     raise TransportError(f"cannot listen at {self.endpoint}: {_brief(error)}") from error
         raise TransportError(f"cannot listen at {endpoint}: it and the {PORTS_TRIED - 1} ports above it are taken")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def close(self) -> None:
         """Stops listening; clients go on trying to connect."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from zsdist.types import Batch, Level, Parameters, Trajectory, Weights
+from zsdist.types import Ack, Batch, Level, Parameters, Trajectory, Weights
 
 EPISODES = "episodes"  # stream of how each episode ended
 EVALUATION = "evaluation"  # stream of the results of greedy drives
@@ -65,23 +65,6 @@ class Records:
     def count(self) -> int:
         """Records in this frame."""
         return len(self.records)
-
-
-@dataclass(frozen=True)
-class Ack:
-    """What a receiver holds of one (stream, actor, epoch), and what it may still be sent.
-
-    Attributes:
-        received: every frame numbered below this is held.
-        credit: absolute total of transitions the stream may produce in this epoch; None: unlimited.
-    """
-
-    sender_epoch: int
-    actor: str
-    epoch: int
-    stream: str
-    received: int
-    credit: int | None
 
 
 @dataclass(frozen=True)

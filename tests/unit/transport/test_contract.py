@@ -312,12 +312,9 @@ def test_a_malformed_endpoint_is_named(endpoint: str) -> None:
 
 
 def test_a_hub_whose_port_is_taken_listens_at_the_next_free_one(hub: ZenohHub) -> None:
-    second = ZenohHub(hub.endpoint)
-    try:
+    with ZenohHub(hub.endpoint) as second:
         assert int(second.endpoint.rpartition(":")[2]) > int(hub.endpoint.rpartition(":")[2])
         ZenohTransport(second.endpoint).close()
-    finally:
-        second.close()
 
 
 def test_clients_outlive_their_hub_and_retained_values_of_the_gap_arrive() -> None:
