@@ -28,9 +28,9 @@ class CarNavigation(gymnasium.Env):
         `pose`: `(3,)` float64, the true `x_m`, `y_m`, `heading_rad`.
         `goal`: `(2,)` float64, its `x_m`, `y_m`.
 
-    The reward is the sum of the terms in `zsdist.planning.rewards`. An episode terminates at a collision or at the goal, and is
-    truncated after `config.sim.max_steps` actions. A move off the grid is masked in `info`; made all the same, it only
-    turns the car. Nothing of the scene but its name is in observations and `info`.
+    The reward is the sum of the terms in `zsdist.planning.rewards`. An episode terminates at a collision or at the
+    goal, and is truncated after `config.sim.max_steps` actions. A move off the grid is masked in `info`; made all the
+    same, it only turns the car. Nothing of the scene but its name is in observations and `info`.
 
     `info` of a reset: `scene`, `action_mask` `(5,)` bool, `sim_steps`; that of a step also `success`, `collision` and
     `reward_terms`, a dictionary of `distance`, `safety`, `goal`.
