@@ -63,6 +63,8 @@ class Learner(Role):
         self._ask(now)
         self._publish(now)
         for message in self._checkpoints.drain():
+            if self.updates != self._published_updates:  # what a checkpoint holds has a version of its own
+                self._publish_weights(now)
             message.reply(codec.encode(self.state()))
         if self._ready and not self._paused:
             return now
@@ -134,13 +136,12 @@ class Learner(Role):
     def _publish(self, now: float) -> None:
         fresh = self.updates != self._published_updates and now - self._published_s >= WEIGHTS_EVERY_S
         if fresh or now - self._published_s >= REPEAT_EVERY_S:
-            if fresh:
-                self.version += 1
             self._publish_weights(now)
         if self._paused and now - self._offered_s >= REPEAT_EVERY_S:
             self._publish_candidates(now)
 
     def _publish_weights(self, now: float) -> None:
+        self.version += self.updates != self._published_updates
         self._published_s, self._published_updates = now, self.updates
         parameters = self.dqn.parameters()
         weights = Weights(self.level, self.version, parameters)
@@ -178,5 +179,5 @@ class Learner(Role):
         self._best = self._candidates[chosen]
         self.dqn.promote(self._best, reset_online=chosen != RECENT)
         self.merge, self._candidates, self._paused = index, {}, False
-        self.version += 1
+        self._published_updates = -1  # the networks may have changed without an update
         self._publish_weights(now)
