@@ -34,10 +34,10 @@ def main() -> None:
     began = time.perf_counter()
     make_camera(CameraConfig(size_px=32)).render(_scenes(1)[0], Pose(0.0, 0.0, 0.0))
     figures = {"first_picture_s": round(time.perf_counter() - began, 3)}  # compiles, or reads numba's cache
-    scenes = _scenes(2 if quick else 8)
+    scenes = _scenes(2 if quick else 4)
     rng = np.random.default_rng(0)
     looks = [(scene, free_pose(scene, rng)) for scene in scenes for _ in range(5 if quick else 10)]
-    figures |= _speed(looks, repeats=2 if quick else 5) | _agreement(looks)
+    figures |= _speed(looks, repeats=2 if quick else 3) | _agreement(looks)
     ratios = {
         f"caster_vs_tiny_{size}px": round(figures[f"pybullet_{size}px_ms"] / figures[f"caster_{size}px_ms"], 2)
         for size in SIZES_PX
