@@ -21,7 +21,7 @@ def wilson_95(successes: int, trials: int) -> tuple[float, float]:
     spread = Z_95**2 / trials
     centre = (rate + spread / 2) / (1 + spread)
     half = Z_95 * math.sqrt(rate * (1 - rate) / trials + spread / (4 * trials)) / (1 + spread)
-    return max(0.0, centre - half), min(1.0, centre + half)
+    return (0.0 if successes == 0 else centre - half), (1.0 if successes == trials else centre + half)
 
 
 def bootstrap_95(values: np.ndarray, rng: np.random.Generator) -> tuple[float, float]:

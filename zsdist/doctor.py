@@ -1,0 +1,259 @@
+"""`python -m zsdist.doctor`: checks this machine and a cluster address, says what is wrong and what to do."""
+
+import argparse
+import importlib.metadata
+import json
+import os
+import shutil
+import socket
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
+from rich.console import Console
+
+from zsdist import cli
+from zsdist.config import Config
+from zsdist.errors import WeightsError
+
+CORES, MEMORY_GIB, DISK_GIB = 2, 4.0, 2.0  # with less, the default run is slow or fails
+CONNECT_TIMEOUT_S = 3.0
+RAY_PORT, RAY_CLIENT_PORT = 6379, 10001
+COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
+
+
+class Verdict(StrEnum):
+    """How a check came out; `WARN`: it works, with a restriction."""
+
+    OK = "ok"
+    WARN = "warn"
+    FAIL = "fail"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One check: what was found, and what to do where that is not well."""
+
+    check: str
+    verdict: Verdict
+    found: str
+    advice: str = ""
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The command's options."""
+    parser = cli.Parser(prog="zsdist.doctor", description=__doc__)
+    parser.add_argument("--address", metavar="RAY", help="also check this Ray cluster: ray://HOST:PORT or auto")
+    parser.add_argument("--endpoint", help="of the hub on that cluster (transport.endpoint)")
+    parser.add_argument("--json", action="store_true", help="print the findings as JSON")
+    return parser
+
+
+def main(options: argparse.Namespace) -> int:
+    """Runs all checks; 1 where one of them failed."""
+    findings, console = [], Console()
+    for finding in examine(options.address, options.endpoint):
+        findings.append(finding)
+        if not options.json:
+            colour = COLOURS[finding.verdict]
+            console.print(f"[{colour}]{finding.verdict:4}[/{colour}] {finding.check}: {finding.found}", highlight=False)
+            if finding.advice:
+                console.print(f"     {finding.advice}", highlight=False)
+    failed = any(finding.verdict is Verdict.FAIL for finding in findings)
+    if options.json:
+        print(json.dumps({"ok": not failed, "checks": [asdict(finding) for finding in findings]}, indent=1))
+    return 1 if failed else 0
+
+
+def examine(address: str | None, endpoint: str | None) -> Iterator[Finding]:
+    """All checks, one after another; what a check did not expect is a failure of that check, not of the command."""
+    yield check_python()
+    yield from check_packages()
+    yield from check_machine()
+    for name, check in (("camera", check_camera), ("vision", check_vision), ("zenoh", check_zenoh), ("ray", check_ray)):
+        yield guarded(name, check)
+    if address is not None:
+        yield check_address(address)
+        yield check_endpoint(Config().transport.endpoint if endpoint is None else endpoint)
+
+
+def guarded(name: str, check: Callable[[], Finding]) -> Finding:
+    """A check's finding; a failure with the exception's own words where it raises one."""
+    try:
+        return check()
+    except Exception as error:  # the point of a doctor is to survive any illness
+        return Finding(
+            name, Verdict.FAIL, f"{type(error).__name__}: {' '.join(str(error).split())}", "Run make install."
+        )
+
+
+def check_python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
+    """The interpreter against what the package requires."""
+    text = ".".join(str(part) for part in version)
+    try:
+        required = importlib.metadata.metadata("zsdist")["Requires-Python"]
+    except importlib.metadata.PackageNotFoundError:
+        return Finding("python", Verdict.FAIL, f"{text}; zsdist itself is not installed", "Run make install.")
+    if not SpecifierSet(required).contains(text):
+        return Finding("python", Verdict.FAIL, f"{text}; allowed is {required}", "Install with Python 3.11.")
+    return Finding("python", Verdict.OK, f"{text} at {sys.executable}")
+
+
+def check_packages(requirements: list[str] | None = None) -> Iterator[Finding]:
+    """Every required package against its range; one line where all is well."""
+    if requirements is None:
+        try:
+            requirements = importlib.metadata.requires("zsdist") or []
+        except importlib.metadata.PackageNotFoundError:
+            return  # said by `check_python`
+    needed = [requirement for text in requirements if (requirement := Requirement(text)).marker is None]
+    well = True
+    for requirement in needed:
+        try:
+            version = importlib.metadata.version(requirement.name)
+        except importlib.metadata.PackageNotFoundError:
+            version = "missing"
+        if version == "missing" or not requirement.specifier.contains(version):
+            well = False
+            found = f"{version}; allowed is {requirement.specifier}"
+            yield Finding(f"package {requirement.name}", Verdict.FAIL, found, "Run make install.")
+    if well:
+        yield Finding("packages", Verdict.OK, f"{len(needed)} packages within their ranges")
+
+
+def check_machine() -> Iterator[Finding]:
+    """Cores, memory and disk."""
+    cores = os.cpu_count() or 1
+    yield enough("cores", cores, CORES, "", "Expect the default run to take longer.")
+    memory_gib = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    yield enough("memory", memory_gib, MEMORY_GIB, " GiB", "Use fewer actors: --actors 1.")
+    free_gib = shutil.disk_usage(Path.cwd()).free / 2**30
+    yield enough("disk", free_gib, DISK_GIB, " GiB free here", "Make room, or set --run-dir to another disk.")
+
+
+def enough(check: str, found: float, wanted: float, unit: str, advice: str) -> Finding:
+    """A warning where there is less than wanted."""
+    if found >= wanted:
+        return Finding(check, Verdict.OK, f"{found:.3g}{unit}")
+    return Finding(check, Verdict.WARN, f"{found:.3g}{unit}; {wanted:g} are recommended", advice)
+
+
+def check_camera() -> Finding:
+    """Renders one picture of a scene."""
+    from zsdist.sim import families
+    from zsdist.sim.camera import make_camera
+
+    config, scene = Config().camera, families.draw("iid", "train", 0)
+    camera = make_camera(config)
+    camera.render(scene, scene.start.pose)
+    began_s = time.perf_counter()
+    image = camera.render(scene, scene.start.pose)
+    taken_ms = 1000 * (time.perf_counter() - began_s)
+    if image.std() == 0:
+        return Finding("camera", Verdict.FAIL, f"{config.back_end}: the picture is empty", "Try the other back end.")
+    return Finding("camera", Verdict.OK, f"{config.back_end}, {config.size_px} px in {taken_ms:.1f} ms")
+
+
+def check_vision() -> Finding:
+    """One pass of encoder and head."""
+    from zsdist.vision.visual_act import VisualAct
+
+    config = Config()
+    try:
+        model = VisualAct.load(config.vision, config.camera)
+    except WeightsError as error:
+        advice = "Install the package whole (make install), or make weights: python -m zsdist.pretrain."
+        return Finding("vision", Verdict.FAIL, str(error), advice)
+    image = np.zeros((1, config.camera.size_px, config.camera.size_px, 3), dtype=np.uint8)
+    model(image, np.zeros(1), np.ones(1))
+    began_s = time.perf_counter()
+    model(image, np.zeros(1), np.ones(1))
+    taken_ms = 1000 * (time.perf_counter() - began_s)
+    return Finding(
+        "vision", Verdict.OK, f"{model.encoder_name}, weights {model.weights_sha256[:12]}, {taken_ms:.1f} ms"
+    )
+
+
+def check_zenoh() -> Finding:
+    """A hub, two clients, and one message there and back."""
+    from zsdist.transport.base import Mailbox
+    from zsdist.transport.zenoh import ZenohHub, ZenohTransport
+
+    arrived = threading.Event()
+    hub, clients = ZenohHub(Config().transport.endpoint), []
+    try:
+        clients = [ZenohTransport(hub.endpoint) for _ in range(2)]
+        clients[0].subscribe("zsdist/doctor", Mailbox(1024, arrived.set))
+        began_s = time.perf_counter()
+        while not arrived.is_set() and time.perf_counter() - began_s < CONNECT_TIMEOUT_S:
+            clients[1].publish("zsdist/doctor", b"ping")  # again and again: a subscription takes a while to be known
+            arrived.wait(0.05)
+    finally:
+        for client in clients:
+            client.close()
+        hub.close()
+    if not arrived.is_set():
+        advice = "Look for a firewall on the loopback interface."
+        return Finding("zenoh", Verdict.FAIL, f"no message came through {hub.endpoint}", advice)
+    return Finding("zenoh", Verdict.OK, f"a message came through {hub.endpoint}")
+
+
+def check_ray() -> Finding:
+    """Whether the Ray runner can be imported."""
+    from zsdist.run import ray  # noqa: F401 (that it can be imported is what is checked)
+
+    return Finding("ray", Verdict.OK, f"version {importlib.metadata.version('ray')}")
+
+
+def check_address(address: str) -> Finding:
+    """Whether something listens at a Ray address."""
+    check = f"cluster {address}"
+    place = _current_cluster() if address == "auto" else address
+    if place is None:
+        return Finding(check, Verdict.FAIL, "no Ray cluster runs on this machine", "Start one: ray start --head.")
+    port = RAY_CLIENT_PORT if place.startswith("ray://") else RAY_PORT
+    host, _, digits = place.removeprefix("ray://").rpartition(":")
+    if not digits.isdecimal():
+        host, digits = digits, str(port)
+    try:
+        socket.create_connection((host, int(digits)), timeout=CONNECT_TIMEOUT_S).close()
+    except (OSError, OverflowError) as error:
+        advice = "Check that the head node runs, and that this port is open between here and there."
+        return Finding(check, Verdict.FAIL, f"{host}:{digits} does not answer: {error}", advice)
+    return Finding(check, Verdict.OK, f"{host}:{digits} answers")
+
+
+def check_endpoint(endpoint: str) -> Finding:
+    """Whether the roles of a cluster could reach the hub's endpoint."""
+    check, advice = f"endpoint {endpoint}", "Set transport.endpoint to this machine's address: tcp/HOST:7447."
+    protocol, _, place = endpoint.partition("/")
+    host = place.rpartition(":")[0].strip("[]")
+    if not protocol or not host:
+        return Finding(check, Verdict.FAIL, "it is not of the form PROTOCOL/HOST:PORT", advice)
+    try:
+        places = {item[4][0] for item in socket.getaddrinfo(host, None)}
+    except OSError as error:
+        return Finding(check, Verdict.FAIL, f"{host} has no address: {error}", advice)
+    if any(place.startswith("127.") or place in ("::1", "0.0.0.0", "::") for place in places):
+        return Finding(check, Verdict.FAIL, "other machines cannot reach it", advice)
+    return Finding(check, Verdict.OK, f"{', '.join(sorted(places))}; other machines may reach it")
+
+
+def _current_cluster() -> str | None:
+    """Address of the cluster that `auto` means: of the environment, or of the one started here last."""
+    if address := os.environ.get("RAY_ADDRESS"):
+        return address
+    note = Path(tempfile.gettempdir()) / "ray" / "ray_current_cluster"
+    return note.read_text().strip() or None if note.is_file() else None
+
+
+if __name__ == "__main__":
+    cli.execute(main, make_parser())
