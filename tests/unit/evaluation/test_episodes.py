@@ -1,0 +1,132 @@
+import itertools
+import math
+
+import numpy as np
+import pytest
+from fakes import FakeVisualAct, LatticeEnv
+
+from zsdist.config import Config, load
+from zsdist.evaluation.drivers import Driver, LearnedDriver, Sees
+from zsdist.evaluation.episodes import Course, Examiner
+from zsdist.planning.footprint import FootprintTable
+from zsdist.planning.grid import Grid
+from zsdist.run import program
+from zsdist.sim.scene import Obstacle, Scene, Start
+from zsdist.types import Action, Level, Outcome
+
+CONFIG = Config()
+TABLE = FootprintTable(Grid.from_config(CONFIG.grid))
+OPEN = Scene("open", "grass", Start(-5.3125, 0.3125, 0.0), (5.9375, 0.3125), ())
+POLE = Scene("pole", "grass", OPEN.start, OPEN.goal, (Obstacle("pole", 0.0, 0.3125, radius_m=0.2),))
+BESIDE_GOAL = (((2.5, 0.0), (0.5, 5.5, 2.0)), ((-2.5, 0.0), (0.5, 5.5, 2.0)))
+BEFORE_GOAL = (((0.0, 2.5), (5.5, 0.5, 2.0)), ((0.0, -2.5), (5.5, 0.5, 2.0)))
+SHUT_IN = Scene(
+    "shut in",
+    "grass",
+    OPEN.start,
+    OPEN.goal,
+    tuple(Obstacle("box", 5.9375 + x, 0.3125 + y, size_m=size) for (x, y), size in BESIDE_GOAL + BEFORE_GOAL),
+)
+
+
+class Scripted(Driver):
+    """Repeats a list of actions, and remembers what it was shown."""
+
+    def __init__(self, *actions):
+        self.actions, self.seen, self.results, self.truth = actions, [], [], None
+
+    def begin(self, pose, goal, truth, rng):
+        self.queue, self.truth = itertools.cycle(self.actions), truth
+
+    def act(self, observed):
+        self.seen.append(observed)
+        return next(self.queue)
+
+    def result(self, terms, terminated, truncated):
+        self.results.append((terms, terminated, truncated))
+
+
+def examine(driver, scene, sees=Sees.NOTHING, config=CONFIG, clock=lambda: 0.0):
+    return Examiner(LatticeEnv(config=config), config, driver, sees, clock).drive(scene, np.random.default_rng(0))
+
+
+def test_a_straight_drive_to_the_goal_is_a_success_without_detour():
+    record = examine(Scripted(Action.FORWARD), OPEN)
+    assert (record.outcome, record.steps, record.fewest_steps) == (Outcome.SUCCESS, 18, 18)
+    assert record.path_m == pytest.approx(11.25) and record.shortest_m == pytest.approx(11.25)
+    assert record.remaining_m == 0.0 and record.static and len(record.poses) == 19
+
+
+def test_driving_into_an_obstacle_is_a_collision_with_the_rest_of_the_way_remaining():
+    record = examine(Scripted(Action.FORWARD), POLE)
+    assert record.outcome is Outcome.COLLISION and record.min_clearance_m == 0.0
+    assert 5.0 < record.remaining_m < 10.0
+
+
+def test_turning_on_the_spot_until_the_step_limit_is_a_timeout():
+    config = load(overrides=("sim.max_steps=7",))
+    record = examine(Scripted(Action.TURN_LEFT_90), OPEN, config=config)
+    assert (record.outcome, record.steps, record.path_m) == (Outcome.TIMEOUT, 7, pytest.approx(0.0))
+    assert record.remaining_m == pytest.approx(record.shortest_m)
+
+
+def test_clearance_is_the_least_along_the_way():
+    scene = Scene("beside", "grass", OPEN.start, OPEN.goal, (Obstacle("pole", 0.0, 2.0, radius_m=0.2),))
+    record = examine(Scripted(Action.FORWARD), scene)
+    assert record.min_clearance_m == pytest.approx(2.0 - 0.3125 - 0.2 - 1.09 / 2, abs=0.02)
+
+
+def test_decisions_are_timed_by_the_clock():
+    ticks = itertools.count(step=0.25)
+    record = examine(Scripted(Action.FORWARD), OPEN, clock=lambda: next(ticks))
+    assert record.decision_ms == (250.0,) * 18
+
+
+@pytest.mark.parametrize(
+    ("sees", "map_shown", "ranges_shown"),
+    [(Sees.NOTHING, False, False), (Sees.CAMERA, False, False), (Sees.RANGES, False, True), (Sees.MAP, True, False)],
+)
+def test_a_driver_is_shown_only_what_it_declared(sees, map_shown, ranges_shown):
+    driver = Scripted(Action.FORWARD)
+    examine(driver, POLE, sees)
+    assert (driver.truth is not None) == map_shown
+    assert all((observed.ranges_m is not None) == ranges_shown for observed in driver.seen)
+
+
+def test_ranges_are_those_of_the_camera_at_its_place():
+    driver = Scripted(Action.FORWARD)
+    examine(driver, POLE, Sees.RANGES)
+    middle = [observed.ranges_m[45] for observed in driver.seen]
+    expected = [min(5.0, -0.2 - (observed.pose.x_m + CONFIG.camera.forward_m)) for observed in driver.seen]
+    assert middle == pytest.approx(expected)
+
+
+def test_the_driver_hears_how_each_action_went():
+    driver = Scripted(Action.FORWARD)
+    examine(driver, OPEN)
+    assert [terminated for _, terminated, _ in driver.results] == [False] * 17 + [True]
+    assert driver.results[-1][0].goal == CONFIG.reward.goal
+
+
+def test_a_goal_without_a_way_has_no_length():
+    course = Course(SHUT_IN, TABLE, CONFIG.sim.success_radius_m)
+    assert course.length_m(SHUT_IN.start.pose) is None and course.fewest_steps() is None
+
+
+def learned(config=CONFIG):
+    parameters = {level: program.make_learner(config, level).parameters() for level in Level}
+    return LearnedDriver(config, parameters, FakeVisualAct())
+
+
+def test_the_learned_driver_is_greedy_so_randomness_changes_nothing():
+    config = load(overrides=("sim.max_steps=25",))
+    examiner = Examiner(LatticeEnv(config=config), config, learned(config), Sees.CAMERA, lambda: 0.0)
+    first, second = (examiner.drive(POLE, np.random.default_rng(seed)) for seed in (1, 2))
+    assert first.poses == second.poses and math.isfinite(first.path_m)
+
+
+def test_the_learned_driver_counts_what_the_shield_changed_for_each_episode_anew():
+    config = load(overrides=("sim.max_steps=25",))
+    examiner = Examiner(LatticeEnv(config=config), config, learned(config), Sees.CAMERA, lambda: 0.0)
+    first, second = (examiner.drive(POLE, np.random.default_rng(0)) for _ in range(2))
+    assert first.shield_changes == second.shield_changes <= first.steps

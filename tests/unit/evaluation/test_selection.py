@@ -1,0 +1,68 @@
+import pytest
+
+from zsdist.config import Config, load
+from zsdist.errors import SceneError
+from zsdist.evaluation.selection import select
+from zsdist.sim import families, scene
+
+CONFIG = Config()
+
+
+def hashes(*arguments):
+    return [chosen.hash() for chosen in select(*arguments)]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for index in range(3):
+        scene.write(families.draw("iid", "test", index), tmp_path / f"{index}.yaml")
+    return tmp_path
+
+
+def test_a_folder_is_driven_once_in_the_order_of_its_files(folder):
+    expected = [families.draw("iid", "test", index).hash() for index in range(3)]
+    assert hashes(str(folder), CONFIG, None, 7) == expected == hashes(str(folder), CONFIG, 3, 0)
+
+
+def test_more_episodes_than_files_go_through_the_folder_again(folder):
+    once = hashes(str(folder), CONFIG, None, 0)
+    assert hashes(str(folder), CONFIG, 5, 0) == once + once[:2]
+
+
+def test_a_family_gives_its_test_scenes_and_another_seed_others():
+    first = hashes("iid", CONFIG, 3, 0)
+    assert first == [families.draw("iid", "test", index).hash() for index in range(3)]
+    assert first == hashes("iid", CONFIG, 5, 0)[:3]
+    assert not set(first) & set(hashes("iid", CONFIG, 3, 1))
+
+
+def test_splits_take_the_configured_families_in_turn():
+    names = [chosen.name for chosen in select("test", CONFIG, 6, 0)]
+    assert [name.rsplit("-", 1)[0] for name in names] == [*CONFIG.scenes.test] * 2
+    assert len(set(names)) == 6
+
+
+def test_train_and_validation_scenes_are_of_the_training_families_and_never_the_same():
+    train, validation = (hashes(name, CONFIG, 4, 0) for name in ("train", "validation"))
+    assert len(set(train + validation)) == 8
+    assert train == [families.draw("iid", "train", index).hash() for index in range(4)]
+
+
+def test_a_configured_folder_serves_as_a_training_family(folder):
+    config = load(overrides=(f"scenes.train=[{folder}, iid]",))
+    chosen = hashes("train", config, 4, 0)
+    assert chosen[0::2] == hashes(str(folder), config, 2, 0)
+    assert chosen[1::2] == [families.draw("iid", "train", index).hash() for index in range(2)]
+
+
+def test_singleton_has_ten_scenes():
+    assert len(set(hashes("singleton", CONFIG, 12, 0))) == 10
+
+
+def test_default_is_fifty_scenes_of_a_family():
+    assert len(select("singleton", CONFIG, None, 0)) == 50
+
+
+def test_an_unknown_name_is_refused_with_what_is_allowed():
+    with pytest.raises(SceneError, match=r"'mars'.*validation.*ood-layout.*folder"):
+        select("mars", CONFIG, 1, 0)
