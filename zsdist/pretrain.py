@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,9 @@ from zsdist.vision.rays import RAYS, quantile_m, ray_angles_rad
 from zsdist.vision.scores import action_scores, depth_rays_m, ray_scores
 from zsdist.vision.visual_act import CAMERA_KEYS, VisualAct
 
+if TYPE_CHECKING:
+    from zsdist.vision.training import Examples
+
 BATCH = 16  # pictures read at once
 VALIDATION_SHARE = 0.08  # validation pictures for each training picture
 PICTURES_SHARE = 0.5  # of the minutes allowed that may go into pictures
@@ -48,7 +51,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, metavar="DIR", default=Path("runs/visual-act"), help="where weights go")
     parser.add_argument("--check", action="store_true", help="check trained weights instead of training")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures of the check there")
-    parser.add_argument("--seed", type=int, default=0, help="of scenes, places, looks and weights (default: 0)")
+    parser.add_argument("--seed", type=_seed, default=0, help="of scenes, places, looks and weights (default: 0)")
     parser.add_argument("--config", type=Path, metavar="FILE", help="camera, and weights to check")
     parser.add_argument("--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change a setting")
     return parser
@@ -123,7 +126,7 @@ def pretrain(config: Config, options: argparse.Namespace) -> None:
 
 def gather(
     views: Iterable[LabelledView], count: int, encoder: Encoder, camera: CameraConfig, go_on: Callable[[], bool]
-) -> tuple["Any", set[str]]:
+) -> tuple["Examples", set[str]]:
     """Encodes pictures as they come; the pictures themselves are not kept.
 
     Args:
@@ -134,7 +137,7 @@ def gather(
         go_on: asked after each batch.
 
     Returns:
-        `training.Examples`, and the hashes of the scenes they are of.
+        What can be trained on, and the hashes of the scenes they are of.
     """
     from zsdist.vision.training import Examples
 
@@ -170,10 +173,9 @@ class Wild(NamedTuple):
 def wilderness(count: int, seed: int, camera: CameraConfig) -> Iterator[Wild]:
     """Pictures of scenes from the families and seeds that are kept for tests, as they look when driven through."""
     rng = np.random.default_rng([seed, 2])
-    made = 0
+    eye, made = make_camera(camera), 0
     for family in itertools.cycle(OOD_FAMILIES):
         scene = generate(family, split_seed("test", int(rng.integers(len(SPLITS["test"])))))
-        eye = make_camera(camera)
         for _ in range(min(POSES_PER_SCENE, count - made)):
             pose = free_pose(scene, rng)
             image, depth_m, _ = eye.render_labelled(scene, pose)
@@ -215,30 +217,26 @@ def check(config: Config, count: int, seed: int, out: Path | None) -> dict[str, 
     true_rays = np.stack([truth["ray_clearance_m"] for truth in truths])
     clearance_m, dynamic = (np.stack([truth[key] for truth in truths]) for key in ("clearance_m", "dynamic"))
     labels = reward_label(openness(clearance_m, dynamic, goal_m), gain)
-    depth_rays = np.stack(depth_rays)
+    depth_rays, said, said_rays = np.stack(depth_rays), np.stack(said), np.stack(said_rays)
     depth_clearance_m, still = nearest(depth_rays, np.zeros(depth_rays.shape, bool), angles)
     free = np.full_like(true_rays, config.camera.range_m)
-    ahead = reward_label(1.0, progress(np.zeros(count), np.full(count, 10.0)))
-    readings = {
-        "model": (np.stack(said), np.stack(said_rays)),
-        "always_forward": (ahead, free),
+    straight = np.tile(reward_label(1.0, progress(0.0, 10.0)), (count, 1))
+    yardsticks = {
+        "always_forward": (straight, free),
         "goal_only": (reward_label(0.5, gain), free),
         "depth_oracle": (reward_label(openness(depth_clearance_m, still, goal_m), gain), depth_rays),
     }
-    scores = {
-        name: action_scores(reward, labels) | ray_scores(rays, true_rays) for name, (reward, rays) in readings.items()
-    }
-    by_family = {
-        family: action_scores(readings["model"][0][mine], labels[mine])
-        | ray_scores(readings["model"][1][mine], true_rays[mine])
-        for family in OOD_FAMILIES
-        if (mine := np.array(families) == family).any()
-    }
+
+    def score(rewards: np.ndarray, rays: np.ndarray, of: np.ndarray | slice = slice(None)) -> dict[str, float]:
+        return action_scores(rewards[of], labels[of]) | ray_scores(rays[of], true_rays[of])
+
     result = {
         "images": count,
-        **scores.pop("model"),
-        **scores,
-        "families": by_family,
+        **score(said, said_rays),
+        **{name: score(*reading) for name, reading in yardsticks.items()},
+        "families": {
+            family: score(said, said_rays, np.array(families) == family) for family in dict.fromkeys(families)
+        },
         "ms_per_image": 1e3 * float(np.median(times)),
         "seed": seed,
         "encoder": model.encoder_name,
@@ -280,6 +278,13 @@ def _count(text: str) -> int:
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{value} is not 1 or more")
+    return value
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{value} is not 0 or more")
     return value
 
 

@@ -1,0 +1,94 @@
+import subprocess
+import sys
+from functools import cache
+
+import numpy as np
+import pytest
+
+from zsdist.errors import WeightsError
+from zsdist.vision import encoder as module
+from zsdist.vision.encoder import FEATURES, INPUT_PX, SIDE, EfficientNetLite0, resample
+
+
+@cache
+def encoder():
+    return EfficientNetLite0()
+
+
+def images(count=2, px=INPUT_PX):
+    """Smooth pictures, different left and right."""
+    coarse = np.random.default_rng(3).integers(0, 256, (count, 8, 8, 3), np.uint8)
+    return resample(coarse, px)
+
+
+def test_tokens_are_a_grid_of_places():
+    tokens = encoder().tokens(images())
+    assert tokens.shape == (2, SIDE, SIDE, FEATURES) and tokens.dtype == np.float32
+
+
+def test_tokens_keep_places_apart():
+    plain = images(1)
+    changed = plain.copy()
+    changed[:, :, -24:] = 255 - changed[:, :, -24:]
+    difference = np.abs(encoder().tokens(changed) - encoder().tokens(plain)).sum((0, 1, 3))
+    assert difference[-3:].sum() > 3 * difference[:3].sum()
+
+
+def test_an_image_has_the_same_tokens_alone_and_in_a_batch():
+    batch = images(3)
+    np.testing.assert_allclose(encoder().tokens(batch)[1:2], encoder().tokens(batch[1:2]), atol=1e-4)
+
+
+def test_the_tokens_of_a_mirrored_image_are_nearly_the_mirrored_tokens():
+    plain = encoder().tokens(images())
+    mirrored = encoder().tokens(np.ascontiguousarray(images()[:, :, ::-1]))
+    assert np.corrcoef(mirrored[:, :, ::-1].ravel(), plain.ravel())[0, 1] > 0.8
+    assert np.corrcoef(mirrored.ravel(), plain.ravel())[0, 1] < 0.7
+
+
+def test_an_image_of_another_size_has_nearly_the_same_tokens():
+    small, large = encoder().tokens(images(px=INPUT_PX)), encoder().tokens(images(px=512))
+    assert large.shape == small.shape
+    assert np.corrcoef(small.ravel(), large.ravel())[0, 1] > 0.95
+
+
+def test_resampling_keeps_the_mean_and_does_not_mix_colours():
+    image = np.zeros((1, 64, 64, 3), np.uint8)
+    image[..., 1] = 200
+    for px in (32, 48, 224):
+        np.testing.assert_array_equal(resample(image, px), np.broadcast_to(image[:, :1, :1], (1, px, px, 3)))
+    noise = np.random.default_rng(0).integers(0, 256, (1, 96, 96, 3), np.uint8)
+    assert resample(noise, 48).mean() == pytest.approx(noise.mean(), abs=1.0)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        np.zeros((2, 224, 224, 3), np.float32),
+        np.zeros((224, 224, 3), np.uint8),
+        np.zeros((1, 3, 224, 224), np.uint8),
+        np.zeros((1, 224, 200, 3), np.uint8),
+        np.zeros((0, 224, 224, 3), np.uint8),
+        np.zeros((1, 16, 16, 3), np.uint8),
+        "picture",
+    ],
+)
+def test_anything_but_square_colour_images_is_refused_in_one_line(wrong):
+    with pytest.raises(ValueError, match=r"allowed are .batch, px, px, 3. uint8") as refusal:
+        encoder().tokens(wrong)
+    assert "\n" not in str(refusal.value)
+
+
+def test_damaged_weights_are_named(tmp_path, monkeypatch):
+    path = tmp_path / "trunk.pth"
+    path.write_bytes(b"no weights")
+    monkeypatch.setenv("ZSDIST_CACHE", str(tmp_path / "cache"))
+    with pytest.raises(WeightsError, match=r"trunk\.pth are damaged"):
+        module._build(path, tmp_path / "trunk.onnx")
+
+
+def test_a_built_encoder_needs_no_torch():
+    encoder()
+    code = "import sys; from zsdist.vision import visual_act as v; v.EfficientNetLite0(); print('torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"

@@ -1,0 +1,91 @@
+import threading
+
+import numpy as np
+import pytest
+import torch
+
+from zsdist.errors import WeightsError
+from zsdist.vision.exported import cached_session, export, file_sha256
+
+EXAMPLE = np.arange(6, dtype=np.float32).reshape(2, 3)
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("ZSDIST_CACHE", str(tmp_path / "cache"))
+
+
+class Twice(torch.nn.Module):
+    def forward(self, x):
+        return 2 * x
+
+
+def build(path):
+    export(Twice(), EXAMPLE, path, "x", ["y"])
+
+
+def test_what_is_exported_computes_what_torch_does_for_any_batch():
+    session = cached_session("twice", build)
+    np.testing.assert_allclose(session.run(["y"], {"x": np.ones((5, 3), np.float32)})[0], 2.0)
+
+
+def test_a_network_is_built_once_and_then_read():
+    cached_session("twice", build)
+    cached_session("twice", lambda path: pytest.fail("built again"))
+
+
+def test_builders_at_the_same_time_leave_one_whole_file_and_nothing_else(tmp_path):
+    build(tmp_path / "made.onnx")
+    content, meet, written = (tmp_path / "made.onnx").read_bytes(), threading.Barrier(2), []
+
+    def together(path):
+        path.write_bytes(content[:100])
+        written.append(path)
+        meet.wait(timeout=30)  # both have half a file now
+        path.write_bytes(content)
+
+    threads = [threading.Thread(target=cached_session, args=("twice", together)) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(set(written)) == 2
+    assert [path.name for path in (tmp_path / "cache").iterdir()] == ["twice.onnx"]
+    cached_session("twice", build).run(["y"], {"x": EXAMPLE})
+
+
+def test_a_network_that_differs_from_its_export_is_refused():
+    class Drifting(torch.nn.Module):  # its export keeps the first answer, as one in training mode would
+        calls = 0
+
+        def forward(self, x):
+            self.calls += 1
+            return x * self.calls
+
+    with pytest.raises(WeightsError, match="differs from torch"):
+        cached_session("drifting", lambda path: export(Drifting(), EXAMPLE, path, "x", ["y"]))
+
+
+def test_layers_that_act_otherwise_in_training_are_exported_as_for_use():
+    dropout = torch.nn.Sequential(torch.nn.Dropout(0.9))
+    session = cached_session("dropout", lambda path: export(dropout.train(), EXAMPLE, path, "x", ["y"]))
+    np.testing.assert_array_equal(session.run(["y"], {"x": EXAMPLE})[0], EXAMPLE)
+
+
+def test_a_damaged_file_of_the_cache_is_named(tmp_path):
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "cache" / "twice.onnx").write_bytes(b"half a fi")
+    with pytest.raises(WeightsError, match=r"twice\.onnx is damaged.*delete it"):
+        cached_session("twice", build)
+
+
+def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("ZSDIST_CACHE", str(tmp_path / "file" / "cache"))
+    with pytest.raises(WeightsError, match="ZSDIST_CACHE"):
+        cached_session("twice", build)
+
+
+def test_the_hash_of_a_missing_file_names_it(tmp_path):
+    with pytest.raises(WeightsError, match="nowhere"):
+        file_sha256(tmp_path / "nowhere")

@@ -1,0 +1,111 @@
+import itertools
+import json
+import math
+
+import numpy as np
+import pytest
+
+from zsdist.vision.labels import nearest
+from zsdist.vision.rays import RANGE_M, RAYS, ray_angles_rad, soft_labels
+from zsdist.vision.training import Examples, Recipe, new_head, one_cycle, save, targets, train, validate
+from zsdist.vision.visual_act import METADATA_FILE, WEIGHTS_FILE, read_metadata
+
+SIDE, FEATURES = 8, 6
+ANGLES = ray_angles_rad(RAYS, math.pi / 2)
+QUICK = Recipe(epochs=6, batch=16)
+
+
+def examples(count, seed):
+    """A made-up world: a column's first feature is its distance, the second whether what is there moves."""
+    rng = np.random.default_rng(seed)
+    distance = np.where(rng.random((count, SIDE)) < 0.4, RANGE_M, rng.uniform(0.3, RANGE_M, (count, SIDE)))
+    moving = (rng.random((count, SIDE)) < 0.3) & (distance < RANGE_M)
+    tokens = 0.1 * rng.standard_normal((count, SIDE, SIDE, FEATURES))
+    tokens[..., 0] += distance[:, None]
+    tokens[..., 1] += 3 * moving[:, None]
+    each = RAYS // SIDE
+    return Examples(
+        tokens.astype(np.float16), distance.repeat(each, 1).astype(np.float32), moving.repeat(each, 1), ANGLES
+    )
+
+
+def fit(seed=0, recipe=QUICK, time_used=lambda: 0.0):
+    data = examples(128, 0)
+    head = new_head(data, math.pi / 2, seed)
+    history = list(train(head, data, examples(48, 1), recipe, np.random.default_rng(seed), time_used))
+    return head, history
+
+
+def test_training_lowers_each_part_of_the_loss_on_views_it_has_not_seen():
+    unseen = examples(48, 2)
+    before = validate(new_head(examples(128, 0), math.pi / 2, 0), unseen, 48)
+    after = validate(fit()[0], unseen, 48)
+    assert {name for name in before if after[name] >= before[name]} == set()
+    assert after["rays"] < 0.6 * before["rays"] and after["actions"] < 0.8 * before["actions"]
+
+
+def test_training_repeats_exactly_with_its_seed():
+    (first, history), (second, again) = fit(recipe=Recipe(epochs=2)), fit(recipe=Recipe(epochs=2))
+    assert history == again
+    for name, value in first.state_dict().items():
+        np.testing.assert_array_equal(value, second.state_dict()[name])
+
+
+def test_training_ends_with_the_weights_of_its_best_epoch():
+    head, history = fit(recipe=Recipe(epochs=3))
+    best = min(figures["validation_loss"] for figures in history)
+    assert sum(validate(head, examples(48, 1), 64).values()) == pytest.approx(best, rel=1e-5)
+
+
+def test_training_stops_when_its_time_is_used():
+    _, history = fit(recipe=Recipe(epochs=50), time_used=itertools.count(0, 0.15).__next__)
+    assert len(history) < 4 and history[-1]["learning_rate"] < 1e-3
+
+
+def test_training_stops_when_nothing_gets_better():
+    _, history = fit(recipe=Recipe(epochs=20, learning_rate=1e-9, patience=1))
+    assert len(history) < 20
+
+
+def test_the_learning_rate_rises_once_and_falls_to_nothing():
+    rates = [one_cycle(share) for share in np.linspace(0, 1, 101)]
+    assert max(rates) == pytest.approx(1.0, abs=0.01) and rates[-1] == pytest.approx(0, abs=1e-9)
+    assert np.argmax(rates) == 20 and (np.diff(rates)[21:] <= 0).all()
+
+
+def test_a_mirrored_view_has_mirrored_rays_and_its_left_and_right_exchanged():
+    data, index = examples(4, 5), np.arange(4)
+    plain = targets(data, index, np.zeros(4, bool), np.random.default_rng(0))
+    mirrored = targets(data, index, np.ones(4, bool), np.random.default_rng(0))
+    np.testing.assert_array_equal(mirrored.tokens, plain.tokens.flip(2))
+    np.testing.assert_array_equal(mirrored.rays, plain.rays.flip(1))
+    np.testing.assert_allclose(mirrored.clearance, plain.clearance[:, [0, 2, 1]], atol=1e-6)
+
+
+def test_making_targets_leaves_the_examples_as_they_are():
+    data, again = examples(4, 5), examples(4, 5)
+    targets(data, np.arange(4), np.ones(4, bool), np.random.default_rng(0))
+    np.testing.assert_array_equal(data.tokens, again.tokens)
+    np.testing.assert_array_equal(data.ray_distance_m, again.ray_distance_m)
+
+
+def test_labels_of_a_batch_are_those_of_its_rays():
+    data = examples(4, 5)
+    batch = targets(data, np.arange(4), np.zeros(4, bool), np.random.default_rng(0))
+    clearance, dynamic = nearest(data.ray_distance_m, data.ray_dynamic, ANGLES)
+    np.testing.assert_allclose(batch.clearance, soft_labels(clearance))
+    np.testing.assert_array_equal(batch.dynamic, dynamic)
+    np.testing.assert_array_equal(batch.present, clearance < RANGE_M)
+
+
+def test_saved_weights_carry_their_hash_and_metadata(tmp_path):
+    head = new_head(examples(8, 0), math.pi / 2, 0)
+    metadata = {
+        "encoder": {"name": "e", "sha256": "0"},
+        "camera": {"field_of_view_deg": 90, "range_m": 5, "height_m": 1},
+        "seed": 4,
+    }
+    digest = save(head, tmp_path / "new", metadata)
+    assert read_metadata(tmp_path / "new")["sha256"] == digest
+    assert json.loads((tmp_path / "new" / METADATA_FILE).read_text())["seed"] == 4
+    assert (tmp_path / "new" / WEIGHTS_FILE).stat().st_size < 3e6
