@@ -1,0 +1,49 @@
+import signal
+import subprocess
+import sys
+
+import psutil
+import pytest
+
+from zsdist import cli
+from zsdist.config import Config
+from zsdist.evaluation.workers import Entrant, drive_all
+from zsdist.sim import families
+
+pytestmark = pytest.mark.integration
+
+
+def test_several_processes_drive_what_one_drives():
+    entrant, heard = Entrant(Config(), baseline="random"), []
+    scenes = [families.draw("singleton", "test", index) for index in range(3)]
+    alone = drive_all(entrant, scenes, seed=4, workers=1, on_record=lambda record: None)
+    together = drive_all(entrant, scenes, seed=4, workers=2, on_record=heard.append)
+    assert [record.poses for record in together] == [record.poses for record in alone]
+    assert sorted(record.scene for record in heard) == sorted(scene.name for scene in scenes)
+
+
+def begin_and_wait_for_progress():
+    command = [sys.executable, "-m", "zsdist.evaluate", "random", "--scenes", "iid", "--episodes", "900"]
+    process = subprocess.Popen(
+        [*command, "--workers", "2"], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+    )
+    assert any(line.startswith("random: ") for line in process.stderr)  # a line of progress: the workers drive
+    children = psutil.Process(process.pid).children(recursive=True)
+    assert len(children) >= 2
+    return process, children
+
+
+def test_ctrl_c_ends_the_command_in_one_line_and_its_workers_too():
+    process, children = begin_and_wait_for_progress()
+    process.send_signal(signal.SIGINT)
+    _, complaint = process.communicate(timeout=30)
+    assert process.returncode == cli.INTERRUPTED
+    assert complaint.splitlines()[-1] == "zsdist.evaluate: interrupted" and "Traceback" not in complaint
+    assert psutil.wait_procs(children, timeout=10)[1] == []
+
+
+def test_workers_do_not_outlive_a_killed_command():
+    process, children = begin_and_wait_for_progress()
+    process.kill()
+    process.communicate(timeout=30)
+    assert psutil.wait_procs(children, timeout=30)[1] == []
