@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from zsdist.config import Config
-from zsdist.evaluate import Report, evaluate
 from zsdist.evaluation.figures import Track, draw_curves, draw_paths
+from zsdist.evaluation.report import Report, evaluate
 from zsdist.evaluation.selection import select
 from zsdist.evaluation.workers import Entrant
 from zsdist.run import program

@@ -105,7 +105,7 @@ class Parts:
 def simulation(config: Config) -> Parts:
     """The real thing: PyBullet cars, the camera, the shipped visual-act model."""
     return Parts(
-        make_env=lambda: CarNavigation.from_config(config),
+        make_env=lambda: CarNavigation(config=config),
         visual_act=PretrainedVisualAct.load(config.vision, config.camera),
         itinerary=Itinerary(config),
     )

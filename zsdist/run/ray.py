@@ -4,10 +4,11 @@ import os
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Callable, Sequence
 
 import ray
-from ray.exceptions import RayError
+from ray.exceptions import RayActorError, RayError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from zsdist.errors import RunError, ZsdistError
@@ -56,6 +57,9 @@ class RoleHost:
             self._step(role)
         except ZsdistError as error:
             return f"{self.place.name}: {error}"
+        except Exception:
+            traceback.print_exc()  # into the role's log; the supervisor ends the run
+            raise
         finally:
             transport.close()
             if self._hub is not None:
@@ -187,13 +191,15 @@ class _Supervisor:
         """A role ended: by itself, with a reason, or with its process."""
         try:
             reason = ray.get(reference)
-        except RayError as error:
-            reason = f"{name} died: {_last_line(error)}; its log is {self.setting.folder / 'logs' / name}.log"
+        except RayActorError as error:  # its process is gone
+            reason = f"{name} died: {_last_line(error)}"
             if self.places[name].role == "actor":
                 self._replace(name, reason)
                 return
+        except RayError as error:  # a defect would show again: no restart helps
+            reason = f"{name} failed: {_last_line(error)}"
         if reason:
-            raise RunError(reason)
+            raise RunError(f"{reason}; its log is {self.setting.folder / 'logs' / name}.log")
 
     def _replace(self, name: str, reason: str) -> None:
         self.restarts[name] = self.restarts.get(name, 0) + 1

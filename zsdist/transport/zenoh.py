@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 import zenoh
+import zenoh.handlers
 
 from zsdist.errors import TransportError
 from zsdist.transport.base import Mailbox, Message, Transport
@@ -95,7 +96,7 @@ class ZenohTransport(Transport):
             stamp = self._identity + number.to_bytes(8, "big")
             self._retained[key] = _Retained(number, stamp, payload, encoding)
             if number == 1:
-                self._keep(lambda: self._session.declare_queryable(key, self._tell_retained), key)
+                self._keep(lambda: self._session.declare_queryable(key, _direct(self._tell_retained)), key)
         self._try(
             lambda: self._session.put(key, payload, encoding=encoding, attachment=stamp, congestion_control=_DROP), key
         )
@@ -105,12 +106,11 @@ class ZenohTransport(Transport):
     def subscribe(self, pattern: str, mailbox: Mailbox, *, retained: bool = False) -> None:
         """See `Transport.subscribe`."""
         if not retained:
-            self._keep(
-                lambda: self._session.declare_subscriber(
-                    pattern, lambda sample: self._put(mailbox, Message(str(sample.key_expr), sample.payload.to_bytes()))
-                ),
-                pattern,
-            )
+
+            def put(sample: zenoh.Sample) -> None:
+                self._put(mailbox, Message(str(sample.key_expr), sample.payload.to_bytes()))
+
+            self._keep(lambda: self._session.declare_subscriber(pattern, _direct(put)), pattern)
             return
         newest = _Newest()
 
@@ -122,13 +122,16 @@ class ZenohTransport(Transport):
         def appeared(token: zenoh.Sample) -> None:  # a publisher that is there, comes, or comes back after the hub
             if token.kind == zenoh.SampleKind.PUT and self._open.is_set():
                 key = str(token.key_expr).removeprefix(_RETAINED)
-                self._session.get(
-                    key, lambda reply: None if reply.ok is None else arrived(reply.ok), congestion_control=_DROP
-                )
+                self._session.get(key, _direct(told), congestion_control=_DROP)
 
-        self._keep(lambda: self._session.declare_subscriber(pattern, arrived), pattern)
+        def told(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                arrived(reply.ok)
+
+        self._keep(lambda: self._session.declare_subscriber(pattern, _direct(arrived)), pattern)
         self._keep(
-            lambda: self._session.liveliness().declare_subscriber(_RETAINED + pattern, appeared, history=True), pattern
+            lambda: self._session.liveliness().declare_subscriber(_RETAINED + pattern, _direct(appeared), history=True),
+            pattern,
         )
 
     def serve(self, pattern: str, mailbox: Mailbox) -> None:
@@ -138,7 +141,7 @@ class ZenohTransport(Transport):
             payload = b"" if query.payload is None else query.payload.to_bytes()
             self._put(mailbox, Message(str(query.key_expr), payload, self._once(query)))
 
-        self._keep(lambda: self._session.declare_queryable(pattern, asked), pattern)
+        self._keep(lambda: self._session.declare_queryable(pattern, _direct(asked)), pattern)
 
     def request(self, key: str, payload: bytes, mailbox: Mailbox, *, timeout_s: float) -> None:
         """See `Transport.request`."""
@@ -148,7 +151,10 @@ class ZenohTransport(Transport):
                 self._put(mailbox, Message(key, reply.ok.payload.to_bytes()))
 
         self._try(
-            lambda: self._session.get(key, answered, payload=payload, timeout=timeout_s, congestion_control=_DROP), key
+            lambda: self._session.get(
+                key, _direct(answered), payload=payload, timeout=timeout_s, congestion_control=_DROP
+            ),
+            key,
         )
 
     def declare_alive(self, key: str) -> None:
@@ -162,7 +168,9 @@ class ZenohTransport(Transport):
             there = sample.kind == zenoh.SampleKind.PUT
             self._put(mailbox, Message(str(sample.key_expr), b"1" if there else b"0"))
 
-        self._keep(lambda: self._session.liveliness().declare_subscriber(pattern, changed, history=True), pattern)
+        self._keep(
+            lambda: self._session.liveliness().declare_subscriber(pattern, _direct(changed), history=True), pattern
+        )
 
     def close(self) -> None:
         """See `Transport.close`."""
@@ -253,6 +261,14 @@ def _config(
         except zenoh.ZError as error:
             raise TransportError(f"transport setting {key} is {value!r}: {_brief(error)}") from error
     return config
+
+
+def _direct(callback: Callable[[Any], None]) -> zenoh.handlers.Callback:
+    """Has zenoh's own thread call back; `callback` must do no more than fill a mailbox.
+
+    By default each callback has a queue without a bound and a Python thread that keeps its process from ending.
+    """
+    return zenoh.handlers.Callback(callback, indirect=False)
 
 
 def _split(endpoint: str) -> tuple[str, int]:

@@ -135,6 +135,7 @@ def test_a_late_subscriber_gets_the_last_retained_value_of_each_key_once(connect
     for version in (b"1", b"2", b"3"):
         sender.publish(f"{root}/weights/low", version, retained=True)
         sender.publish(f"{root}/weights/high", version, retained=True)
+    settle(sender, receiver, root)
     box = Inbox()
     receiver.subscribe(f"{root}/weights/*", box, retained=True)
     assert sorted((message.key[-4:], message.payload) for message in box.wait(2)) == [("/low", b"3"), ("high", b"3")]
@@ -156,9 +157,9 @@ def test_a_retained_value_published_after_the_subscription_arrives_once(connect:
 def test_a_plain_value_is_not_kept_for_late_subscribers(connect: Connect, root: str) -> None:
     sender, receiver = connect(), connect()
     sender.publish(f"{root}/events", b"gone")
+    settle(sender, receiver, root)
     box = Inbox()
     receiver.subscribe(f"{root}/events", box, retained=True)
-    settle(sender, receiver, root)
     assert not box.wait(1, 0.1)
 
 
@@ -336,6 +337,14 @@ def test_clients_outlive_their_hub_and_retained_values_of_the_gap_arrive() -> No
     assert alive.wait(3)[-1].payload == b"1"
     for closing in (sender, receiver, hub):
         closing.close()
+
+
+def test_a_process_that_forgets_to_close_its_transport_still_ends(hub: ZenohHub, root: str) -> None:
+    program = (
+        "import sys; from zsdist.transport.base import Mailbox; from zsdist.transport.zenoh import ZenohTransport;"
+        "t = ZenohTransport(sys.argv[1]); t.subscribe(sys.argv[2], Mailbox(100)); t.serve(sys.argv[2], Mailbox(100))"
+    )
+    subprocess.run([sys.executable, "-c", program, hub.endpoint, root], check=True, timeout=30)
 
 
 def test_the_token_of_a_killed_process_goes(hub: ZenohHub, root: str) -> None:
