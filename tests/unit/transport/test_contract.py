@@ -81,7 +81,7 @@ def root(request: pytest.FixtureRequest) -> str:
     return f"zsdist/{zlib.crc32(request.node.name.encode()):x}"
 
 
-def settle(sender: Transport, receiver: Transport, root: str, box: Inbox | None = None) -> None:
+def settle(sender: Transport, receiver: Transport, root: str) -> None:
     """Returns once what `receiver` declared is known at `sender`: on one connection, order is kept."""
     probe = Inbox()
     receiver.subscribe(f"{root}/settle", probe)
