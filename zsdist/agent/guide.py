@@ -12,7 +12,7 @@ from zsdist.agent.situation import Situation
 from zsdist.config import AgentConfig
 from zsdist.planning import policy_map, potential
 from zsdist.planning.footprint import ACTIONS, successor
-from zsdist.planning.shortest_path import METRES, path
+from zsdist.planning.shortest_path import path
 from zsdist.types import Action
 
 _RELUCTANCE = 0.5  # cosines that speak against an action for each time its end was visited, times the trail
@@ -73,20 +73,21 @@ class LowGuide:
         return potential.decompose(direction, state.heading * math.pi / 4, mask, reluctance)
 
 
-def high_choice(situation: Situation, options: Choices, cost_to_goal: np.ndarray) -> int:
+def high_choice(situation: Situation, options: Choices, cost_to_goal: np.ndarray, action_costs: np.ndarray) -> int:
     """The neighbouring block into which the shortest believed way to the goal leads next, or the goal itself.
 
     Args:
         situation: what the car knows.
         options: the choices of the high level.
-        cost_to_goal: `(cells, cells, 8)` metres on the believed map.
+        cost_to_goal: `(cells, cells, 8)` on the believed map.
+        action_costs: `(8, 5)` that it was made with.
     """
     state = situation.state
     if not np.isfinite(cost_to_goal[state.iy, state.ix, state.heading]):
         return GOAL_CHOICE
     grid = situation.grid
     goal_block = tuple(options.blocks[GOAL_CHOICE])
-    way = path(cost_to_goal, situation.blocked, state, METRES).states
+    way = path(cost_to_goal, situation.blocked, state, action_costs).states
     for step in way:
         block = grid.block_of(step.ix, step.iy)
         if block != situation.block:

@@ -13,10 +13,9 @@ from zsdist.agent.options import End, Option
 from zsdist.agent.situation import Situation
 from zsdist.config import Config
 from zsdist.planning.belief import BeliefMap
-from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import HEADINGS, Grid
 from zsdist.planning.rewards import RewardTerms
-from zsdist.planning.shortest_path import cost_to_go, goal_mask, metres_cost
+from zsdist.planning.shortest_path import cost_to_go, goal_mask
 from zsdist.types import Action, Behaviour, Level, Pose, Trajectory, View
 
 START_DISC_M = 1.5  # about the start, known to be free
@@ -61,8 +60,7 @@ class HierarchicalAgent:
     def __init__(self, config: Config) -> None:
         self._config = config
         self._grid = Grid.from_config(config.grid)
-        self._table = FootprintTable(self._grid)
-        self._metres = metres_cost(self._grid)
+        self._costs = learning.way_costs(self._grid)
         self._finished: list[Trajectory] = []
 
     def begin(
@@ -114,12 +112,10 @@ class HierarchicalAgent:
         self._situation = self._assess(pose, view, before)
         self._options = choices(self._situation)
         self._rooms = features.measure_rooms(self._situation)
-        self._low_mask, gave_way = self._allowed()
-        self._counts["shield_gave_way"] += gave_way
+        self._low_mask = self._allowed()
         self._low_state = self._high_state = None
         if self._learning:
-            goals = self._goals
-            self._cost_to_goal = cost_to_go(self._situation.blocked, goals, self._metres)
+            self._cost_to_goal = cost_to_go(self._situation.blocked, self._goals, self._costs)
         if self._outcome is not None:
             self._complete(before)
 
@@ -170,13 +166,13 @@ class HierarchicalAgent:
         self._option, self._tracks, self._outcome = None, {}, None
 
     def drain(self) -> list[Trajectory]:
-        """Trajectories completed since the last call: low ones end where the subgoal changes, high ones with options."""
+        """Trajectories completed since the last call: low ones end where the subgoal moves, high ones with options."""
         finished, self._finished = self._finished, []
         return finished
 
     def statistics(self) -> dict[str, float]:
         """Plain numbers about the episode so far."""
-        names = ("agent_steps", "shield_changes", "shield_gave_way", "options", "revisits")
+        names = ("agent_steps", "shield_changes", "shield_gave_way", "shield_forced", "options", "revisits")
         names += tuple(f"options_{end}" for end in End)
         names += tuple(f"{level}_{name.lower()}" for level in Level for name in Behaviour.__members__)
         counts: dict[str, float] = {name: int(self._counts[name]) for name in names}
@@ -197,30 +193,29 @@ class HierarchicalAgent:
         self._visits[state.iy, state.ix, state.heading] += 1
         if before is None or before.block != block:
             self._block_visits[block[1], block[0]] += 1
-        occupied = self._belief.occupied()
-        blocked = self._table.blocked(occupied)
+        judgement = shield.judge(self._belief, state, self._goals)
+        self._counts["shield_gave_way"] += judgement.gave_way
         return Situation(
             grid=self._grid,
             state=state,
             goal=self._goal,
             advice=view.advice,
-            occupied=occupied,
+            occupied=self._belief.occupied(),
             seen=self._belief.seen(),
-            blocked=blocked,
-            live=shield.live(blocked, state, self._goals),
-            reachable=reach.cells_from(blocked, state),
+            blocked=judgement.blocked,
+            live=judgement.live,
+            reachable=reach.cells_from(judgement.blocked, state),
             visits=self._visits,
             block_visits=self._block_visits,
             tries=self._tries,
             goal_tries=self._goal_tries,
         )
 
-    def _allowed(self) -> tuple[np.ndarray, bool]:
+    def _allowed(self) -> np.ndarray:
         situation = self._situation
-        self._shield_mask, gave_way = shield.mask(situation.blocked, situation.live, situation.state)
-        if self._shielded:
-            return self._shield_mask, gave_way
-        return shield.on_grid(situation.state, self._grid.cells), False
+        self._shield_mask, forced = shield.mask(situation.blocked, situation.live, situation.state)
+        self._counts["shield_forced"] += forced and self._shielded
+        return self._shield_mask if self._shielded else shield.on_grid(situation.state, self._grid.cells)
 
     def _decide_option(self, q: Callable[[np.ndarray], np.ndarray]) -> Option:
         guided = self._planned() if self._learning else None
@@ -247,7 +242,7 @@ class HierarchicalAgent:
         return _Choice(best, Behaviour.GREEDY, best != int(values.argmax()))
 
     def _planned(self) -> int:
-        return guide.high_choice(self._situation, self._options, self._cost_to_goal)
+        return guide.high_choice(self._situation, self._options, self._cost_to_goal, self._costs)
 
     def _state(self, level: Level) -> np.ndarray:
         """This step's features of a level, measured once."""
@@ -296,7 +291,7 @@ class HierarchicalAgent:
                 subgoals = np.zeros_like(self._goals)
                 ix, iy = self._grid.cell_at(*option.subgoal)
                 subgoals[iy, ix] = True
-                to_subgoal = learning.progress_m(cost_to_go(now.blocked, subgoals, self._metres), here, there)
+                to_subgoal = learning.progress_m(cost_to_go(now.blocked, subgoals, self._costs), here, there)
             revisits = int(self._visits[there]) - 1
             low = learning.shaped(to_subgoal, revisits, entered, reached, collided)
             high = learning.shaped(to_goal, 0, False, reached, collided)

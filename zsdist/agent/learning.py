@@ -4,17 +4,28 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from zsdist.types import NO_GUIDE, Behaviour, Level, Trajectory
+from zsdist.planning.grid import Grid
+from zsdist.planning.shortest_path import metres_cost
+from zsdist.types import NO_GUIDE, Action, Behaviour, Level, Trajectory
 
 # The low level's reward, in units in which the way through a block is worth about two.
 PROGRESS_A_METRE = 0.5
 STEP = -0.05
 REVISIT = -0.05  # for each earlier visit of the state reached, up to MAX_REVISITS
 MAX_REVISITS = 5
-ENTRY = 1.5
-GOAL = 5.0
-COLLISION = -5.0
+ENTRY = 0.5
+GOAL = 2.0
+COLLISION = -4.0
+TURN_45_M, TURN_90_M = 0.1, 0.4  # what turns add to the length of a way, so that turning towards it is progress too
 MAX_PROGRESS_M = 2.0  # a change of the map may move the way's length by more; that is no merit of the action
+
+
+def way_costs(grid: Grid) -> np.ndarray:
+    """Cost of each action by heading `(8, 5)`, in metres with something for turns: the measure of progress."""
+    costs = metres_cost(grid)
+    costs[:, [Action.LEFT_45, Action.RIGHT_45]] += TURN_45_M
+    costs[:, [Action.TURN_LEFT_90, Action.TURN_RIGHT_90]] += TURN_90_M
+    return costs
 
 
 def progress_m(cost: np.ndarray, before: tuple[int, int, int], after: tuple[int, int, int]) -> float:

@@ -1,23 +1,86 @@
 """The shield: masks what would hit believed-occupied space or end where no free way leads on. It never chooses."""
 
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
+
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from zsdist.agent import reach
-from zsdist.planning.footprint import ACTIONS, successor
+from zsdist.planning.belief import BeliefMap
+from zsdist.planning.footprint import ACTIONS, MARGIN_M, FootprintTable, successor
+from zsdist.planning.grid import Grid
 from zsdist.planning.shortest_path import live_states
 from zsdist.types import Action, LatticeState
 
+WARY_M = 2.2  # how far from its centre the car reaches in one action
+HIDING_SQUARES = 3  # an obstacle does not hide in unseen ground this close to seen ground
 _IN_PLACE = (Action.TURN_LEFT_90, Action.TURN_RIGHT_90)
 
 
-def live(blocked: np.ndarray, state: LatticeState, goals: np.ndarray) -> np.ndarray:
-    """States with a believed-safe way on, `(cells, cells, 8)` bool.
+class Rung(NamedTuple):
+    """How careful a reading of the belief is.
 
-    Those from which the goal can be reached through space not believed occupied; where the car itself is not one of
-    them (the map may be wrong about the goal), those from which it can keep going.
+    Attributes:
+        margin_m: about the car's box.
+        above: log-odds from which a square counts as occupied.
+        wary: whether unseen ground within the reach of one action counts as occupied.
     """
-    leading = reach.states_to(blocked, goals)
-    return leading if leading[state.iy, state.ix, state.heading] else live_states(blocked)
+
+    margin_m: float
+    above: float
+    wary: bool
+
+
+RUNGS = (
+    Rung(MARGIN_M, 0.0, True),
+    Rung(MARGIN_M, 0.0, False),
+    Rung(0.0, 0.0, False),
+    Rung(0.0, 1.0, False),
+    Rung(-0.08, 1.0, False),  # squares that are touched rather than covered add as much again
+)
+USUAL_RUNGS = 2  # below these the shield has given way
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What the shield makes of the belief.
+
+    Attributes:
+        blocked: `(cells, cells, 8, 5)` bool, actions that are not to be taken.
+        live: `(cells, cells, 8)` bool, states with a believed-safe way on.
+        gave_way: whether the usual care left the car no way to the goal.
+    """
+
+    blocked: np.ndarray
+    live: np.ndarray
+    gave_way: bool
+
+
+def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray) -> Judgement:
+    """The most careful reading of the belief under which a way leads from the car to the goal.
+
+    The belief errs, and the car has no reverse gear: with one fixed reading it is sooner or later walled in by what is
+    not there. Where no reading leads to the goal, the usual one holds and a state is live from which the car can keep
+    going.
+
+    Args:
+        belief: what is occupied and what was seen.
+        state: where the car is.
+        goals: `(cells, cells)` bool.
+    """
+    grid = belief.grid
+    for index, rung in enumerate(RUNGS):
+        squares = belief.occupied(rung.above)
+        if rung.wary:
+            _add_unseen(squares, belief.seen(), grid, state)
+        blocked = _table(grid, rung.margin_m).blocked(squares)
+        live = reach.states_to(blocked, goals)
+        if live[state.iy, state.ix, state.heading]:
+            return Judgement(blocked, live, index >= USUAL_RUNGS)
+    blocked = _table(grid, MARGIN_M).blocked(belief.occupied())
+    return Judgement(blocked, live_states(blocked), True)
 
 
 def on_grid(state: LatticeState, cells: int) -> np.ndarray:
@@ -29,7 +92,7 @@ def on_grid(state: LatticeState, cells: int) -> np.ndarray:
 def mask(blocked: np.ndarray, live: np.ndarray, state: LatticeState) -> tuple[np.ndarray, bool]:
     """Actions that the shield allows, `(5,)` bool, and whether it had to give way.
 
-    Where no action passes, those that are not blocked; then turns in place; the caller counts how often.
+    Where no action passes, those that are not blocked; then turns in place.
     """
     free = ~blocked[state.iy, state.ix, state.heading]
     ends = [successor(state, action) for action in range(ACTIONS)]
@@ -41,3 +104,22 @@ def mask(blocked: np.ndarray, live: np.ndarray, state: LatticeState) -> tuple[np
     turns = np.zeros(ACTIONS, bool)
     turns[list(_IN_PLACE)] = True
     return turns, True
+
+
+@cache
+def _table(grid: Grid, margin_m: float) -> FootprintTable:
+    return FootprintTable(grid, margin_m)
+
+
+def _add_unseen(squares: np.ndarray, seen: np.ndarray, grid: Grid, state: LatticeState) -> None:
+    """Marks unseen ground within `WARY_M` of the car in `squares`, but not the seam of what was seen."""
+    x_m, y_m = grid.centre(state.ix, state.iy)
+    fx, fy = grid.fine_index(x_m, y_m)
+    reach_squares = round(WARY_M / grid.fine_m)
+    wide = reach_squares + HIDING_SQUARES
+    top, left = max(fy - wide, 0), max(fx - wide, 0)
+    window = (slice(top, fy + wide), slice(left, fx + wide))
+    hidden = ~binary_dilation(seen[window], iterations=HIDING_SQUARES)
+    xs, ys = grid.fine_centres()
+    near = (xs[None, window[1]] - x_m) ** 2 + (ys[window[0], None] - y_m) ** 2 < WARY_M**2
+    squares[window] |= hidden & near

@@ -9,6 +9,7 @@ import math
 import numba
 import numpy as np
 
+from zsdist.planning.footprint import CAR_LENGTH_M, CAR_WIDTH_M
 from zsdist.planning.grid import Grid
 from zsdist.types import Pose, View
 
@@ -17,7 +18,6 @@ PASS = 0.4  # log-odds a certain passage takes away; a hit of one look in five h
 CEILING = 2.4  # belief stays correctable: six certain passages undo whatever was believed
 FLOOR = -1.2  # and one certain hit
 THICKNESS_M = 0.4  # what is behind a surface is occupied so far; deeper is unknown
-CAR_LENGTH_M, CAR_WIDTH_M = 2.04, 1.09
 
 
 class BeliefMap:
@@ -71,9 +71,13 @@ class BeliefMap:
         self._log_odds[inside] = FLOOR
         self._seen |= inside
 
-    def occupied(self) -> np.ndarray:
-        """Squares believed occupied, `(fine_size, fine_size)` bool; what was never seen is not."""
-        return self._log_odds > 0
+    def occupied(self, above: float = 0.0) -> np.ndarray:
+        """Squares believed occupied, `(fine_size, fine_size)` bool; what was never seen is not.
+
+        Args:
+            above: log-odds; more than the working threshold of 0 leaves out what is doubtful.
+        """
+        return self._log_odds > above
 
     def seen(self) -> np.ndarray:
         """Squares that some look has told of, `(fine_size, fine_size)` bool."""

@@ -1,4 +1,4 @@
-"""The two policies of Algorithm 2 over the map, and their union: what the camera advises, and where the field points."""
+"""The two policies of Algorithm 2 and their union: what the camera advises, and where the potential field points."""
 
 from collections.abc import Callable
 
