@@ -6,6 +6,7 @@ import torch
 
 from zsdist.config import CameraConfig, VisionConfig
 from zsdist.errors import WeightsError
+from zsdist.sim.views import labelled_views
 from zsdist.vision.encoder import FEATURES, INPUT_PX, SIDE, EfficientNetLite0
 from zsdist.vision.head import VisualActHead
 from zsdist.vision.rays import BINS, RAYS
@@ -67,15 +68,19 @@ def test_the_shipped_model_gives_one_view_an_image_with_proper_distributions():
         assert view.advice.dtype == view.clearance_m.dtype == view.ray_probabilities.dtype == np.float32
 
 
-def test_the_shipped_model_reads_a_mirrored_picture_the_other_way_round():
-    model = VisualAct.load(VisionConfig(), CAMERA)
-    picture = np.full((1, INPUT_PX, INPUT_PX, 3), 150, np.uint8)  # ground below, sky above, a dark block on the left
-    picture[:, :100] = (180, 200, 230)
-    picture[:, 60:200, :90] = 40
-    seen = np.concatenate([picture, picture[:, :, ::-1]])
-    ahead = model(seen, np.zeros(2), np.full(2, 8.0))
-    assert ahead[0].clearance_m[1] < ahead[0].clearance_m[2]
-    assert ahead[1].clearance_m[1] > ahead[1].clearance_m[2]
+def test_the_shipped_model_tells_left_from_right_in_pictures_and_in_their_mirror_images():
+    views = list(labelled_views(["ood-all"], "test", 40, 0, CAMERA))
+    pictures = np.stack([view.image for view in views])
+    true = np.array([view.clearance_m[1] - view.clearance_m[2] for view in views])
+    clear = np.abs(true) > 2.0
+    model, goals = VisualAct.load(VisionConfig(), CAMERA), (np.zeros(len(views)), np.full(len(views), 8.0))
+    plain, mirrored = (
+        np.array([view.clearance_m[1] - view.clearance_m[2] for view in model(images, *goals)])
+        for images in (pictures, np.ascontiguousarray(pictures[:, :, ::-1]))
+    )
+    assert clear.sum() >= 8
+    assert (np.sign(plain) == np.sign(true))[clear].mean() > 0.9
+    assert (np.sign(mirrored) == -np.sign(true))[clear].mean() > 0.9
 
 
 def test_the_goal_changes_the_advice_and_nothing_else():
