@@ -163,3 +163,11 @@ def test_a_checkpoint_holds_the_policy_that_was_broadcast_last(run):
     assert policy.config == setting.config
     for level in Level:
         assert network.sha256(policy.parameters[level]) == summary["weights"]["sha256"][level]
+
+
+def test_credit_suffices_where_an_episode_ends_on_the_first_step_of_an_option(tmp_path):
+    overrides = ("agent.option_max_steps=4", "sim.max_steps=5", "low.min_size=16", "run.episodes=24")
+    summary = rehearse(start(tmp_path / "run", *overrides, "merge.every_episodes=100"))
+    assert summary["outcomes"]["timeout"] > 0
+    for books in summary["transitions"].values():
+        assert books["produced"] == books["stored"] == summary["env_steps"]

@@ -16,6 +16,7 @@ from zsdist.types import Action, LatticeState
 
 WARY_M = 2.2  # how far from its centre the car reaches in one action
 HIDING_SQUARES = 3  # an obstacle does not hide in unseen ground this close to seen ground
+NEAR_CELLS = 3  # where the car may have to squeeze out
 _IN_PLACE = (Action.TURN_LEFT_90, Action.TURN_RIGHT_90)
 
 
@@ -26,19 +27,23 @@ class Rung(NamedTuple):
         margin_m: about the car's box.
         above: log-odds from which a square counts as occupied.
         wary: whether unseen ground within the reach of one action counts as occupied.
+        near: whether it holds about the car only, the usual reading elsewhere.
     """
 
     margin_m: float
     above: float
-    wary: bool
+    wary: bool = False
+    near: bool = False
 
 
+USUAL = Rung(MARGIN_M, 0.0)
 RUNGS = (
-    Rung(MARGIN_M, 0.0, True),
-    Rung(MARGIN_M, 0.0, False),
-    Rung(0.0, 0.0, False),
-    Rung(0.0, 1.0, False),
-    Rung(-0.08, 1.0, False),  # squares that are touched rather than covered add as much again
+    Rung(MARGIN_M, 0.0, wary=True),
+    USUAL,
+    Rung(0.0, 0.0, near=True),
+    Rung(0.0, 0.7, near=True),
+    Rung(0.0, 0.7),
+    Rung(-0.08, 1.4, near=True),  # squares that are touched rather than covered add as much again
 )
 USUAL_RUNGS = 2  # below these the shield has given way
 
@@ -70,16 +75,12 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray) -> Judgemen
         state: where the car is.
         goals: `(cells, cells)` bool.
     """
-    grid = belief.grid
     for index, rung in enumerate(RUNGS):
-        squares = belief.occupied(rung.above)
-        if rung.wary:
-            _add_unseen(squares, belief.seen(), grid, state)
-        blocked = _table(grid, rung.margin_m).blocked(squares)
+        blocked = _blocked(belief, rung, state)
         live = reach.states_to(blocked, goals)
         if live[state.iy, state.ix, state.heading]:
             return Judgement(blocked, live, index >= USUAL_RUNGS)
-    blocked = _table(grid, MARGIN_M).blocked(belief.occupied())
+    blocked = _blocked(belief, USUAL, state)
     return Judgement(blocked, live_states(blocked), True)
 
 
@@ -109,6 +110,20 @@ def mask(blocked: np.ndarray, live: np.ndarray, state: LatticeState) -> tuple[np
 @cache
 def _table(grid: Grid, margin_m: float) -> FootprintTable:
     return FootprintTable(grid, margin_m)
+
+
+def _blocked(belief: BeliefMap, rung: Rung, state: LatticeState) -> np.ndarray:
+    grid = belief.grid
+    squares = belief.occupied(rung.above)
+    if rung.wary:
+        _add_unseen(squares, belief.seen(), grid, state)
+    blocked = _table(grid, rung.margin_m).blocked(squares)
+    if not rung.near:
+        return blocked
+    usual = _table(grid, USUAL.margin_m).blocked(belief.occupied(USUAL.above))
+    window = tuple(slice(max(at - NEAR_CELLS, 0), at + NEAR_CELLS + 1) for at in (state.iy, state.ix))
+    usual[window] = blocked[window]
+    return usual
 
 
 def _add_unseen(squares: np.ndarray, seen: np.ndarray, grid: Grid, state: LatticeState) -> None:

@@ -169,15 +169,18 @@ class Actor(Role):
         return None
 
     def _reserve(self, car: Car) -> bool:
-        """Takes credit for a step, and for a whole option in case one begins, so that flushing never has to wait."""
+        """Takes credit for one more transition of each level before it is lived, so that flushing never has to wait.
+
+        The replay grants a stream at least one whole option a car ahead of what it holds, so every option can end.
+        """
         if not car.errand.trains or car.over:
             return True
-        for level, wanted in ((Level.LOW, car.unoffered + 1), (Level.HIGH, self.config.agent.option_max_steps)):
-            missing = wanted - car.credit[level]
+        for level, outbox in self._metered():
+            missing = car.unoffered[level] + 1 - car.credit[level]
             if missing > 0:
-                if not self._outboxes[level].reserve(missing):
+                if not outbox.reserve(missing):
                     return False
-                car.credit[level] = wanted
+                car.credit[level] += missing
         return True
 
     def _advance(self, cars: list[Car]) -> None:
@@ -188,7 +191,8 @@ class Actor(Role):
             car.advance(view, self._q_functions(car.errand))
             if car.errand.trains:
                 self.env_steps += not ended
-                car.unoffered += not ended
+                for level in Level:
+                    car.unoffered[level] += not ended
                 self._collect(car)
             if ended:
                 self._report(car)
@@ -203,8 +207,7 @@ class Actor(Role):
         for trajectory in car.agent.drain():
             self._outboxes[trajectory.level].offer([trajectory])
             car.credit[trajectory.level] -= len(trajectory)
-            if trajectory.level is Level.LOW:
-                car.unoffered -= len(trajectory)
+            car.unoffered[trajectory.level] -= len(trajectory)
 
     def _report(self, car: Car) -> None:
         trains = car.errand.trains
@@ -213,9 +216,8 @@ class Actor(Role):
         self._outboxes[EPISODES if trains else EVALUATION].offer([record])
 
     def _release(self, car: Car) -> None:
-        for level, held in car.credit.items():
-            if held > 0:
-                self._outboxes[level].release(held)
+        for level, outbox in self._metered():
+            outbox.release(car.credit[level])
             car.credit[level] = 0
 
     def _cut_short(self) -> None:
@@ -227,6 +229,9 @@ class Actor(Role):
             if trains:
                 self._collect(car)
             self._release(car)
+
+    def _metered(self) -> list[tuple[Level, Outbox]]:
+        return [(level, self._outboxes[level]) for level in Level]
 
     def _flush(self, now: float) -> None:
         name = self.context.name

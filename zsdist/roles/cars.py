@@ -51,7 +51,7 @@ class Car:
         self.agent = agent
         self.errand: Errand | None = None
         self.credit = dict.fromkeys(Level, 0)  # reserved of the actor's credit and not yet used up, by level
-        self.unoffered = 0  # low-level transitions lived through and not yet pushed
+        self.unoffered = dict.fromkeys(Level, 0)  # transitions lived through whose trajectory is not complete yet
         self._observation: dict[str, np.ndarray] = {}
         self._outcome: Outcome | None = None
         self._terms: list[RewardTerms] = []

@@ -36,8 +36,9 @@ class Shelf:
         self.buffer = RingBuffer(shape.state_size, shape.actions, config.replay.size_initial)
         self.inbox = Inbox(level, sender_epoch=sender_epoch)
         learning = config.high if level is Level.HIGH else config.low
-        grain = config.agent.option_max_steps if level is Level.HIGH else 1
-        self.limiter = Limiter(learning.updates_per_insert, learning.min_size, grain=grain * config.run.cars_per_actor)
+        # Trajectories of both levels are complete when an option ends, so every car must be able to end one.
+        grain = config.agent.option_max_steps * config.run.cars_per_actor
+        self.limiter = Limiter(learning.updates_per_insert, learning.min_size, grain)
         self.rng = np.random.default_rng([config.seed, 0 if level is Level.HIGH else 1])
         self.stored = 0
         self.rejected: dict[str, int] = {}
