@@ -5,6 +5,7 @@ from collections import defaultdict
 from pathlib import Path
 
 from fakes import FakeVisualAct, LatticeEnv
+
 from zsdist import config
 from zsdist.run import directory, inline, program
 from zsdist.run.program import Itinerary, Parts, Setting

@@ -8,8 +8,7 @@ import math
 from enum import Enum
 from typing import NamedTuple
 
-import pybullet
-
+from zsdist.sim.bullet import pybullet
 from zsdist.types import Pose
 
 WHEEL_RADIUS_M = 0.5  # Table 1

@@ -4,11 +4,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import pybullet
 
 from zsdist.errors import SceneError
 from zsdist.planning.footprint import ADVANCES, TURNS, successor
 from zsdist.planning.grid import HEADINGS, Grid
+from zsdist.sim.bullet import pybullet
 from zsdist.sim.car import GROUND_GROUP, OBSTACLE_GROUP, SKIN_GROUP, WHEEL_GROUP, Car, Manoeuvre
 from zsdist.sim.collision import NO_BOXES, NO_CIRCLES, touching
 from zsdist.sim.scene import Scene

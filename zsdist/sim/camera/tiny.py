@@ -7,9 +7,9 @@ It has no textures, so its pictures differ from the caster's in colour; depth an
 import math
 
 import numpy as np
-import pybullet
 
 from zsdist.config import CameraConfig
+from zsdist.sim.bullet import pybullet
 from zsdist.sim.camera.appearance import Appearance, of_scene
 from zsdist.sim.camera.caster import Look
 from zsdist.sim.camera.optics import mount
