@@ -58,7 +58,7 @@ def compare(folder: Path, settings: Config, console: Console) -> None:
             ]
             draw_paths(panels, settings.grid.arena_m, folder / "figures" / f"paths-{trial.scenes}.png")
     console.print(_table(reports, settings))
-    console.print(f"figures: {folder / 'figures'}", highlight=False)
+    console.print(f"figures: {folder / 'figures'}", highlight=False, soft_wrap=True)
 
 
 def _trials(folder: Path, settings: Config) -> Iterator[Trial]:

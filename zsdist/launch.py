@@ -22,7 +22,9 @@ def main(options: argparse.Namespace) -> int:
     """Trains as the options say; 0 once the work is done, 130 where it was interrupted."""
     console = Console()
     setting = _resume(options) if options.resume else _start(options)
-    console.print(f"zsdist run [bold]{setting.folder}[/bold] (seed {setting.config.seed})", highlight=False)
+    console.print(
+        f"zsdist run [bold]{setting.folder}[/bold] (seed {setting.config.seed})", highlight=False, soft_wrap=True
+    )
     with _interruptible() as interruption:
         summary = _train(setting, interruption, console, prefer_lines=options.plain)
     _check_books(summary)
@@ -32,6 +34,7 @@ def main(options: argparse.Namespace) -> int:
             f"interrupted after {summary['episodes']} episodes; everything is saved, go on with\n"
             f"  python -m zsdist.launch --resume {setting.folder}",
             highlight=False,
+            soft_wrap=True,
         )
         return cli.INTERRUPTED
     closing.draw_training(setting.folder, setting.config)

@@ -29,17 +29,19 @@ class LowGuide:
     def action(self, situation: Situation, subgoal: tuple[float, float], mask: np.ndarray) -> Action | None:
         """What the global policy does here; None where nothing is allowed.
 
-        The advice guides in explored blocks the first time the car is in a state; where it comes back, the advice
-        led it in a circle, and the potential field with its trail takes over.
+        The advice guides in explored blocks, the first time the car is in a state: where it comes back, the advice
+        led it in a circle, and the potential field with its trail takes over. The field also takes over where the
+        advice, which knows the goal and not the subgoal, leads away from the subgoal.
         """
         state = situation.state
         first = situation.visits[state.iy, state.ix, state.heading] <= 1
         advised = policy_map.advised_action(situation.advice, mask)
         if advised is not None:
             self._pool.add(state, advised)
+        serves = advised is not None and _towards(situation, subgoal, advised)
         action, from_pool = self._pool.overall(
             state,
-            first and self._block_explored(situation),
+            first and serves and self._block_explored(situation),
             lambda: self._descend(situation, subgoal, mask),
         )
         if from_pool:
@@ -102,6 +104,12 @@ def explored_share(situation: Situation, bx: int, by: int) -> float:
     start, step = grid.fine_border + 2, 4
     centres = situation.seen[start::step, start::step][: grid.cells, : grid.cells]
     return float(centres[grid.block_cells(bx, by)].mean())
+
+
+def _towards(situation: Situation, subgoal: tuple[float, float], action: Action) -> bool:
+    (x, y), end = situation.place, successor(situation.state, action)
+    heading = end.heading * math.pi / 4
+    return (subgoal[0] - x) * math.cos(heading) + (subgoal[1] - y) * math.sin(heading) > 0
 
 
 def _surfaces(situation: Situation, reach_m: float) -> np.ndarray:

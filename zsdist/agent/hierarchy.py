@@ -204,6 +204,7 @@ class HierarchicalAgent:
             seen=self._belief.seen(),
             blocked=judgement.blocked,
             live=judgement.live,
+            squeezed=judgement.gave_way,
             reachable=reach.cells_from(judgement.blocked, state),
             visits=self._visits,
             block_visits=self._block_visits,
@@ -293,8 +294,9 @@ class HierarchicalAgent:
                 subgoals[iy, ix] = True
                 to_subgoal = learning.progress_m(cost_to_go(now.blocked, subgoals, self._costs), here, there)
             revisits = int(self._visits[there]) - 1
-            low = learning.shaped(to_subgoal, revisits, entered, reached, collided)
-            high = learning.shaped(to_goal, 0, False, reached, collided)
+            common = {"squeezed": now.squeezed, "reached": reached, "collided": collided}
+            low = learning.shaped(to_subgoal, revisits, entered=entered, **common)
+            high = learning.shaped(to_goal, 0, entered=False, **common)
         self._tracks[Level.LOW].reward(low)
         self._tracks[Level.HIGH].reward(high)
 

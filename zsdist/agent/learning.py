@@ -13,6 +13,7 @@ PROGRESS_A_METRE = 0.5
 STEP = -0.05
 REVISIT = -0.05  # for each earlier visit of the state reached, up to MAX_REVISITS
 MAX_REVISITS = 5
+SQUEEZED = -0.2  # where the shield had to give way: not forbidden, but better not come there
 ENTRY = 0.5
 GOAL = 2.0
 COLLISION = -4.0
@@ -40,9 +41,12 @@ def progress_m(cost: np.ndarray, before: tuple[int, int, int], after: tuple[int,
     return float(np.clip(gained, -MAX_PROGRESS_M, MAX_PROGRESS_M)) if np.isfinite(gained) else 0.0
 
 
-def shaped(progress: float, revisits: int, entered: bool, reached: bool, collided: bool) -> float:
+def shaped(
+    progress: float, revisits: int, *, squeezed: bool, entered: bool, reached: bool, collided: bool
+) -> float:
     """Reward of a low-level step: progress along the believed way, less for dawdling, more for arriving."""
     reward = PROGRESS_A_METRE * progress + STEP + REVISIT * min(revisits, MAX_REVISITS)
+    reward += SQUEEZED * squeezed
     return reward + ENTRY * entered + GOAL * reached + COLLISION * collided
 
 

@@ -39,13 +39,14 @@ class Rung(NamedTuple):
 USUAL = Rung(MARGIN_M, 0.0)
 RUNGS = (
     Rung(MARGIN_M, 0.0, wary=True),
+    Rung(0.0, 0.0, wary=True, near=True),
+    Rung(0.0, 0.7, wary=True, near=True),
     USUAL,
     Rung(0.0, 0.0, near=True),
     Rung(0.0, 0.7, near=True),
     Rung(0.0, 0.7),
     Rung(-0.08, 1.4, near=True),  # squares that are touched rather than covered add as much again
 )
-USUAL_RUNGS = 2  # below these the shield has given way
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class Judgement:
     Attributes:
         blocked: `(cells, cells, 8, 5)` bool, actions that are not to be taken.
         live: `(cells, cells, 8)` bool, states with a believed-safe way on.
-        gave_way: whether the usual care left the car no way to the goal.
+        gave_way: whether full care leaves the car no way to the goal.
     """
 
     blocked: np.ndarray
@@ -79,7 +80,7 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray) -> Judgemen
         blocked = _blocked(belief, rung, state)
         live = reach.states_to(blocked, goals)
         if live[state.iy, state.ix, state.heading]:
-            return Judgement(blocked, live, index >= USUAL_RUNGS)
+            return Judgement(blocked, live, index > 0)
     blocked = _blocked(belief, USUAL, state)
     return Judgement(blocked, live_states(blocked), True)
 

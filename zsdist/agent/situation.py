@@ -21,6 +21,7 @@ class Situation:
         seen: `(fine_size, fine_size)` bool.
         blocked: `(cells, cells, 8, 5)` bool, actions whose swept footprint meets occupied space or that leave the grid.
         live: `(cells, cells, 8)` bool, states with a free way on.
+        squeezed: whether the shield had to give way to leave a way to the goal.
         reachable: `(cells, cells)` bool, cells to which a free way leads from here.
         visits: `(cells, cells, 8)` int32, how often the car was in a state, this time included.
         block_visits: `(blocks, blocks)` int32, `[by, bx]`, how often it came into a block.
@@ -36,6 +37,7 @@ class Situation:
     seen: np.ndarray
     blocked: np.ndarray
     live: np.ndarray
+    squeezed: bool
     reachable: np.ndarray
     visits: np.ndarray
     block_visits: np.ndarray

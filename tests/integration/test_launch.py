@@ -1,0 +1,138 @@
+"""The real thing: Ray actors, PyBullet cars, zenoh; watched by a client that is not ours."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import psutil
+import pytest
+import zenoh
+
+from rehearsal import episodes
+
+pytestmark = [pytest.mark.integration, pytest.mark.slow]
+
+LAUNCH = [sys.executable, "-m", "zsdist.launch", "--actors", "2", "--plain"]
+QUICK = ["--set", "run.final_evaluation_episodes=0", "--set", "scenes.train=[singleton]", "--set", "sim.max_steps=60"]
+PATIENCE_S = 100.0
+ROLES = {"hub/0", "scheduler/0", "replay/0", "learner/high", "learner/low", "actor/0", "actor/1"}
+
+
+class Stranger:
+    """A plain zenoh client that knows the documented keys and nothing else."""
+
+    def __init__(self, endpoint, run):
+        settings = zenoh.Config()
+        settings.insert_json5("mode", '"client"')
+        settings.insert_json5("connect/endpoints", json.dumps([endpoint]))
+        settings.insert_json5("scouting/multicast/enabled", "false")
+        self.session = zenoh.open(settings)
+        self.run = run
+        self.said = {}
+        self.encodings = set()
+        self.subscriber = self.session.declare_subscriber(f"zsdist/{run}/stats/**", self._hear)
+
+    def _hear(self, sample):
+        self.said[str(sample.key_expr).split("/stats/")[1]] = json.loads(sample.payload.to_string())
+        self.encodings.add(str(sample.encoding))
+
+    def alive(self):
+        replies = self.session.liveliness().get(f"zsdist/{self.run}/alive/**")
+        return {str(reply.ok.key_expr).split("/alive/")[1] for reply in replies if reply.ok}
+
+    def close(self):
+        self.subscriber.undeclare()
+        self.session.close()
+
+
+def until(condition, process, what):
+    deadline = time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        if condition():
+            return
+        assert process.poll() is None, f"the run ended before {what}: {process.communicate()[0]}"
+        time.sleep(0.1)
+    raise AssertionError(f"waited {PATIENCE_S} s for {what}")
+
+
+def begin(folder, *more):
+    command = [*LAUNCH, *QUICK, *more]
+    if "--resume" not in more:
+        command += ["--run-dir", str(folder)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    until((folder / "endpoint").exists, process, "the hub listens")
+    return process
+
+
+def summary_of(folder):
+    return json.loads((folder / "summary.json").read_text())
+
+
+def test_a_stranger_sees_every_role_and_a_killed_actor_is_replaced(tmp_path):
+    folder = tmp_path / "watched"
+    process = begin(folder, "--episodes", "10")
+    stranger = Stranger((folder / "endpoint").read_text(), "watched")
+    try:
+        until(lambda: set(stranger.said) >= ROLES, process, "every role has spoken")
+        assert stranger.alive() >= ROLES
+        assert stranger.encodings == {"application/json"}
+        for name, fields in stranger.said.items():
+            assert f"{fields['role']}/{fields['id']}" == name
+            assert {"time_s", "host", "pid"} <= set(fields)
+        assert len({fields["pid"] for name, fields in stranger.said.items() if name in ROLES}) == len(ROLES)
+
+        seen = subprocess.run(
+            [sys.executable, "-m", "zsdist.monitor", "--once", "--json", "--runs", str(tmp_path)],
+            capture_output=True,
+            text=True,
+        )
+        assert seen.returncode == 0, seen.stderr
+        assert set(json.loads(seen.stdout)["alive"]) >= ROLES
+
+        until(lambda: stranger.said["actor/1"].get("env_steps", 0) > 20, process, "the second actor drives")
+        victim = stranger.said["actor/1"]["pid"]
+        os.kill(victim, signal.SIGKILL)
+        until(lambda: stranger.said["actor/1"]["pid"] != victim, process, "the actor is back")
+        family = psutil.Process(process.pid).children(recursive=True)
+        output, _ = process.communicate(timeout=PATIENCE_S)
+    finally:
+        stranger.close()
+        process.kill()
+    assert process.returncode == 0, output
+    assert not [child for child in family if child.is_running() and child.status() != psutil.STATUS_ZOMBIE]
+    summary = summary_of(folder)
+    assert summary["restarts"] == {"actor-1": 1}
+    assert sorted(record["episode"] for record in episodes(folder)) == list(range(1, 11))
+    for books in summary["transitions"].values():
+        assert books["produced"] == books["stored"] + books["rejected"] > 0
+    assert (folder / "figures" / "training.png").stat().st_size > 0
+
+
+def test_ctrl_c_saves_and_says_how_to_go_on_and_resume_does(tmp_path):
+    folder = tmp_path / "interrupted"
+    process = begin(folder, "--episodes", "500")
+    try:
+        until(lambda: (folder / "episodes.jsonl").exists() and len(episodes(folder)) > 2, process, "some episodes")
+        process.send_signal(signal.SIGINT)
+        output, _ = process.communicate(timeout=PATIENCE_S)
+    finally:
+        process.kill()
+    assert process.returncode == 130, output
+    assert f"--resume {folder}" in output
+    assert "Traceback" not in output
+    before = summary_of(folder)
+    assert before["ended"] == "interrupted"
+    assert before["episodes"] == len(episodes(folder))
+
+    process = begin(folder, "--resume", str(folder), "--episodes", str(before["episodes"] + 2))
+    output, _ = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, output
+    after = summary_of(folder)
+    assert after["episodes"] == before["episodes"] + 2
+    assert after["learner_updates"]["low"] >= before["learner_updates"]["low"]
+    assert len({record["episode"] for record in episodes(folder)}) == len(episodes(folder)) == after["episodes"]
+    for books in after["transitions"].values():
+        assert books["produced"] == books["stored"] + books["rejected"]
