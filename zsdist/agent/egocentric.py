@@ -120,7 +120,7 @@ def action_features(  # noqa: ANN201
         cell_visits = 0
         for k in range(8):
             cell_visits += visits[ey, ex, k]
-        row[9], row[10] = min(cell_visits, 5) / 5, min(visits[ey, ex, h], 3) / 3
+        row[9], row[10] = min(cell_visits, 16) / 6, min(visits[ey, ex, h], 9) / 3
         row[11], row[12] = unseen, fresh
     return out
 

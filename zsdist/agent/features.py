@@ -63,7 +63,7 @@ def low_state(situation: Situation, subgoal: tuple[float, float], seeks_goal: bo
         *_polar(situation, subgoal, SIGHT_M),
         *_polar(situation, situation.goal, _FAR_M),
         float(seeks_goal),
-        min(int(own.sum()), 5) / 5,
+        min(int(own.sum()), 16) / 6,
     ]
     parts = (actions.ravel(), rooms.ravel() / SIGHT_M, situation.advice, here)
     return np.concatenate(parts).astype(np.float32)
@@ -81,8 +81,8 @@ def high_state(situation: Situation, options: Choices, rooms: np.ndarray) -> np.
         float(tuple(options.blocks[GOAL_CHOICE]) == (bx, by)),
         float(situation.reachable[goal_iy, goal_ix]),
         *_line(situation, situation.goal),
-        min(situation.goal_tries, 3) / 3,
-        min(int(situation.block_visits[by, bx]), 3) / 3,
+        min(situation.goal_tries, 6) / 3,
+        min(int(situation.block_visits[by, bx]), 6) / 3,
         _share(situation, situation.seen, bx, by),
     ]
     parts = (np.asarray(neighbours).ravel(), here, rooms[0] / SIGHT_M, situation.advice)
@@ -141,8 +141,8 @@ def _block_features(situation: Situation, options: Choices, k: int, goal_m: floa
         float(options.mask[k]),
         _share(situation, situation.seen, bx, by),
         _share(situation, situation.occupied, bx, by),
-        min(int(situation.block_visits[by, bx]), 3) / 3,
-        min(int(situation.tries[by, bx]), 3) / 3,
+        min(int(situation.block_visits[by, bx]), 6) / 3,
+        min(int(situation.tries[by, bx]), 6) / 3,
         min(there_m + on_m - goal_m, 2 * SIGHT_M) / SIGHT_M,
         math.cos(bearing),
         math.sin(bearing),

@@ -293,10 +293,14 @@ class HierarchicalAgent:
                 ix, iy = self._grid.cell_at(*option.subgoal)
                 subgoals[iy, ix] = True
                 to_subgoal = learning.progress_m(cost_to_go(now.blocked, subgoals, self._costs), here, there)
-            revisits = int(self._visits[there]) - 1
-            common = {"squeezed": now.squeezed, "reached": reached, "collided": collided}
-            low = learning.shaped(to_subgoal, revisits, entered=entered, **common)
-            high = learning.shaped(to_goal, 0, entered=False, **common)
+            step = learning.Step(
+                revisits=int(self._visits[there]) - 1,
+                reentries=int(self._block_visits[now.block[::-1]]) - 1 if now.block != before.block else 0,
+                squeezed=now.squeezed,
+                reached=reached,
+                collided=collided,
+            )
+            low, high = step.low_reward(to_subgoal, entered), step.high_reward(to_goal)
         self._tracks[Level.LOW].reward(low)
         self._tracks[Level.HIGH].reward(high)
 

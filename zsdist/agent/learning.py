@@ -8,11 +8,13 @@ from zsdist.planning.grid import Grid
 from zsdist.planning.shortest_path import metres_cost
 from zsdist.types import NO_GUIDE, Action, Behaviour, Level, Trajectory
 
-# The low level's reward, in units in which the way through a block is worth about two.
+# Rewards of a low-level step, in units in which the way through a block is worth about two.
 PROGRESS_A_METRE = 0.5
 STEP = -0.05
-REVISIT = -0.05  # for each earlier visit of the state reached, up to MAX_REVISITS
-MAX_REVISITS = 5
+REVISIT = -0.1  # for each earlier visit of the state reached, up to MAX_REVISITS
+MAX_REVISITS = 8
+REENTRY = -0.3  # for each earlier visit of the block come into, up to MAX_REENTRIES; the high level only
+MAX_REENTRIES = 4
 SQUEEZED = -0.2  # where the shield had to give way: not forbidden, but better not come there
 ENTRY = 0.5
 GOAL = 2.0
@@ -41,13 +43,36 @@ def progress_m(cost: np.ndarray, before: tuple[int, int, int], after: tuple[int,
     return float(np.clip(gained, -MAX_PROGRESS_M, MAX_PROGRESS_M)) if np.isfinite(gained) else 0.0
 
 
-def shaped(
-    progress: float, revisits: int, *, squeezed: bool, entered: bool, reached: bool, collided: bool
-) -> float:
-    """Reward of a low-level step: progress along the believed way, less for dawdling, more for arriving."""
-    reward = PROGRESS_A_METRE * progress + STEP + REVISIT * min(revisits, MAX_REVISITS)
-    reward += SQUEEZED * squeezed
-    return reward + ENTRY * entered + GOAL * reached + COLLISION * collided
+@dataclass(frozen=True)
+class Step:
+    """What happened in one low-level step, apart from progress.
+
+    Attributes:
+        revisits: earlier visits of the state reached.
+        reentries: earlier visits of the block come into; 0 where the block is the same as before.
+        squeezed: the shield had to give way there.
+        reached: the goal was reached.
+        collided: something was hit.
+    """
+
+    revisits: int
+    reentries: int
+    squeezed: bool
+    reached: bool
+    collided: bool
+
+    def reward(self, progress_m: float) -> float:
+        """Progress along the believed way, less for dawdling, going in circles and squeezing; more for arriving."""
+        reward = PROGRESS_A_METRE * progress_m + STEP + REVISIT * min(self.revisits, MAX_REVISITS)
+        return reward + SQUEEZED * self.squeezed + GOAL * self.reached + COLLISION * self.collided
+
+    def low_reward(self, progress_m: float, entered: bool) -> float:
+        """Of the low level, `progress_m` towards its subgoal; `entered`: the block it was sent to was come into."""
+        return self.reward(progress_m) + ENTRY * entered
+
+    def high_reward(self, progress_m: float) -> float:
+        """Of the high level, `progress_m` towards the goal."""
+        return self.reward(progress_m) + REENTRY * min(self.reentries, MAX_REENTRIES)
 
 
 @dataclass

@@ -16,12 +16,15 @@ class Leases:
         self._lowest_open = 1  # every number below is finished
 
     def grant(self, actor: str, capacity: int, barrier: int) -> None:
-        """Tops `actor` up to `capacity` leases with the lowest free numbers not above `barrier`."""
+        """Tops `actor` up to `capacity` leases with the lowest free numbers, as long as no more than `barrier` are out.
+
+        Finished numbers count: after an interruption they need not be the lowest ones.
+        """
         held = sum(1 for holder in self.holders.values() if holder == actor)
         while self._lowest_open in self.finished:
             self._lowest_open += 1
         number = self._lowest_open
-        while held < capacity and number <= barrier:
+        while held < capacity and len(self.finished) + len(self.holders) < barrier:
             if number not in self.finished and number not in self.holders:
                 self.holders[number] = actor
                 held += 1

@@ -36,3 +36,9 @@ def test_a_resumed_run_goes_on_after_what_is_finished():
     leases = Leases({1, 2, 4})
     leases.grant("a", capacity=3, barrier=100)
     assert leases.of("a") == [3, 5, 6]
+
+
+def test_what_was_finished_out_of_order_before_an_interruption_counts_towards_the_barrier():
+    leases = Leases({1, 2, 7})
+    leases.grant("a", capacity=10, barrier=5)
+    assert leases.of("a") == [3, 4]
