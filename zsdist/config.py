@@ -18,6 +18,8 @@ NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
 
+LOOPBACK = ("127.", "localhost", "[::1]")
+
 
 class Section(BaseModel):
     """A group of settings; frozen, and strict about unknown keys."""
@@ -197,6 +199,12 @@ class Config(Section):
         ):
             if not low <= value <= high:
                 raise ValueError(f"{name}_initial is {value}; allowed is {name}_min to {name}_max, {low} to {high}")
+        endpoint = self.transport.endpoint
+        if self.run.address is not None and endpoint.partition("/")[2].startswith(LOOPBACK):
+            raise ValueError(
+                f"transport.endpoint is {endpoint!r} with run.address {self.run.address!r}: the roles of a cluster cannot "
+                "reach a loopback endpoint; allowed is an address of this machine, such as tcp/HOST:7447"
+            )
         if self.grid.cells % self.grid.blocks:
             raise ValueError(
                 f"grid.cells is {self.grid.cells}; allowed are multiples of grid.blocks, {self.grid.blocks}"

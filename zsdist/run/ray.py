@@ -23,7 +23,6 @@ from zsdist.wire.messages import Orders
 
 RESTARTS_ALLOWED = 20  # of one actor, before the run is given up
 LEAVE_WITHIN_S = 5.0  # roles have so long to end by themselves once the run is over
-LOOPBACK = ("127.", "localhost", "[::1]")
 
 Watch = Callable[[Transport, float], None]
 
@@ -129,12 +128,6 @@ def _connect(setting: Setting) -> None:
         cores = max(os.cpu_count() or 1, int(wanted) + 1)
         ray.init(num_cpus=cores, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
         return
-    host = config.transport.endpoint.partition("/")[2]
-    if host.startswith(LOOPBACK):
-        raise RunError(
-            f"transport.endpoint is {config.transport.endpoint!r} and run.address {config.run.address!r}: the roles of "
-            "a cluster cannot reach a loopback endpoint; allowed is an address of this machine, such as tcp/HOST:7447"
-        )
     try:
         ray.init(address=config.run.address, log_to_driver=False, logging_level="ERROR")
     except (RayError, ConnectionError, ValueError) as error:

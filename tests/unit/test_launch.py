@@ -1,0 +1,85 @@
+import pytest
+
+from zsdist import cli, config, launch
+from zsdist.run import directory
+
+
+def refusal(capsys, *arguments):
+    with pytest.raises(SystemExit) as ended:
+        cli.execute(launch.main, launch.parser(), list(map(str, arguments)))
+    assert ended.value.code == cli.REFUSED
+    complaint = capsys.readouterr().err
+    assert complaint.count("\n") == 1
+    assert "Traceback" not in complaint
+    return complaint
+
+
+def test_an_unknown_key_is_refused_with_the_nearest_known_one(capsys, tmp_path):
+    said = refusal(capsys, "--set", "low.lerning_rate=1", "--run-dir", tmp_path / "run")
+    assert "low.lerning_rate" in said
+    assert "'low.learning_rate'" in said
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "telling"),
+    [
+        (["--actors", "0"], "run.actors is 0"),
+        (["--actors", "two"], "'two'"),
+        (["--episodes", "-3"], "run.episodes is -3"),
+        (["--set", "low.learning_rate=.nan"], "low.learning_rate is nan"),
+        (["--set", "run.actors"], "'run.actors' is not of the form"),
+        (["--set", "transport=memory"], "placement 'ray'"),
+        (["--set", "scenes.train=[nowhere]"], "nowhere"),
+        (["--set", "vision.weights=nowhere"], "nowhere"),
+        (["--config", "no/such.yaml"], "no/such.yaml"),
+        (["--frobnicate"], "--frobnicate"),
+    ],
+)
+def test_a_wrong_argument_is_one_line_that_names_it_and_nothing_is_written(capsys, tmp_path, arguments, telling):
+    assert telling in refusal(capsys, *arguments, "--run-dir", tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("text", ["{", "- a\n- b\n", "low: {learning_rate: [}"])
+def test_a_broken_configuration_file_is_named(capsys, tmp_path, text):
+    (tmp_path / "broken.yaml").write_text(text)
+    assert "broken.yaml" in refusal(capsys, "--config", tmp_path / "broken.yaml", "--run-dir", tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_scene_with_nan_is_refused_by_file(capsys, tmp_path):
+    scene = "version: 1\nname: bad\nground: sand\nstart: {x: .nan, y: 0, heading_deg: 0}\ngoal: {x: 8, y: 8}\nobstacles: []\n"
+    (tmp_path / "bad.yaml").write_text(scene)
+    assert "bad.yaml" in refusal(capsys, "--set", f"scenes.train=[{tmp_path}]", "--run-dir", tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_empty_resume_folder_is_refused_and_left_as_it_is(capsys, tmp_path):
+    assert str(tmp_path) in refusal(capsys, "--resume", tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_run_without_a_checkpoint_cannot_be_gone_on_with(capsys, tmp_path):
+    folder = directory.create(tmp_path / "run", config.Config())
+    before = (folder / "config.yaml").read_bytes()
+    assert "no checkpoint" in refusal(capsys, "--resume", folder)
+    assert (folder / "config.yaml").read_bytes() == before
+
+
+def test_a_folder_that_holds_a_run_is_not_written_over(capsys, tmp_path):
+    folder = directory.create(tmp_path / "run", config.Config())
+    before = (folder / "config.yaml").read_bytes()
+    assert "--resume" in refusal(capsys, "--seed", "5", "--run-dir", folder)
+    assert (folder / "config.yaml").read_bytes() == before
+
+
+@pytest.mark.parametrize("option", [["--seed", "1"], ["--config", "x.yaml"], ["--run-dir", "y"]])
+def test_what_a_resumed_run_has_already_cannot_be_given_again(capsys, tmp_path, option):
+    assert option[0] in refusal(capsys, "--resume", tmp_path, *option)
+
+
+def test_a_cluster_with_a_loopback_endpoint_is_refused(capsys, tmp_path):
+    said = refusal(capsys, "--address", "ray://10.255.255.1:10001", "--run-dir", tmp_path / "run")
+    assert "loopback" in said
+    assert not (tmp_path / "run").exists()
