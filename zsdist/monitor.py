@@ -10,8 +10,10 @@ from rich.console import Console
 from zsdist import cli
 from zsdist.errors import RunError
 from zsdist.run import directory
-from zsdist.run.display import Display
+from zsdist.run.display import MAILBOX_BYTES, Display
+from zsdist.transport.base import Mailbox
 from zsdist.transport.zenoh import ZenohTransport
+from zsdist.wire import keys
 
 FIRST_WORD_WITHIN_S = 5.0  # every role speaks once a second
 
@@ -22,10 +24,9 @@ def main(options: argparse.Namespace) -> int:
     if endpoint is None:
         folder = _newest_run(options.runs)
         endpoint, run = (folder / "endpoint").read_text(), run or directory.key_name(folder)
-    if run is None:
-        raise RunError("--connect needs --run: one hub may carry several runs")
     transport = ZenohTransport(endpoint)
     try:
+        run = run or _only_run(transport, endpoint)
         with Display(run, Console(stderr=options.json), prefer_lines=options.once or options.plain) as display:
             return _once(display, transport, options) if options.once else _live(display, transport)
     finally:
@@ -36,7 +37,7 @@ def parser() -> argparse.ArgumentParser:
     """The command's options."""
     options = cli.Parser(prog="zsdist.monitor", description="Watch a run as a zenoh subscriber.")
     options.add_argument("--connect", metavar="ENDPOINT", help="of the run's hub, such as tcp/127.0.0.1:7447")
-    options.add_argument("--run", metavar="NAME", help="the run's name: that of its folder")
+    options.add_argument("--run", metavar="NAME", help="the run's name: that of its folder; default: the only one")
     options.add_argument("--runs", type=Path, default=Path("runs"), help="where to look for the newest run")
     options.add_argument("--once", action="store_true", help="one snapshot, then leave")
     options.add_argument("--json", action="store_true", help="with --once: the snapshot as JSON")
@@ -49,6 +50,20 @@ def _newest_run(runs: Path) -> Path:
     if not found:
         raise RunError(f"no run with a hub was found in {runs}; start one, or name --connect ENDPOINT and --run NAME")
     return found[-1].parent
+
+
+def _only_run(transport: ZenohTransport, endpoint: str) -> str:
+    """The run at a hub, where there is one and no other."""
+    mailbox, names = Mailbox(MAILBOX_BYTES), set()
+    transport.watch_alive(keys.alive(keys.ANY, keys.ANY, keys.ANY), mailbox)
+    deadline_s = time.monotonic() + FIRST_WORD_WITHIN_S
+    while not names and time.monotonic() < deadline_s:
+        time.sleep(0.2)
+        names = {parsed.run for message in mailbox.drain() if (parsed := keys.parse(message.key)) is not None}
+    if len(names) != 1:
+        found = ", ".join(sorted(names)) or "none"
+        raise RunError(f"--run is needed where a hub does not carry exactly one run; at {endpoint} there is {found}")
+    return names.pop()
 
 
 def _live(display: Display, transport: ZenohTransport) -> int:

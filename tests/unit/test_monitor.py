@@ -1,0 +1,85 @@
+import json
+import os
+import threading
+import time
+
+import pytest
+
+from zsdist import cli, monitor
+from zsdist.transport.zenoh import ZenohHub, ZenohTransport
+from zsdist.wire import keys
+
+STATISTICS = {"time_s": 1.0, "role": "actor", "id": "0", "host": "here", "pid": 1, "env_steps": 7}
+
+
+@pytest.fixture
+def hub():
+    with ZenohHub("tcp/127.0.0.1:17960") as hub:
+        yield hub
+
+
+@pytest.fixture
+def speaker(hub):
+    """A role of run `demo` that lives and speaks ten times a second."""
+    transport, over = ZenohTransport(hub.endpoint), threading.Event()
+    transport.declare_alive(keys.alive("demo", "actor", "0"))
+
+    def speak():
+        while not over.wait(0.1):
+            transport.publish(keys.stats("demo", "actor", "0"), json.dumps(STATISTICS).encode(), json=True)
+
+    thread = threading.Thread(target=speak)
+    thread.start()
+    yield transport
+    over.set()
+    thread.join()
+    transport.close()
+
+
+def run(capsys, *arguments):
+    with pytest.raises(SystemExit) as ended:
+        cli.execute(monitor.main, monitor.parser(), list(map(str, arguments)))
+    return ended.value.code, capsys.readouterr()
+
+
+def test_one_snapshot_is_json_that_names_who_lives_and_what_they_said(capsys, hub, speaker):
+    status, printed = run(capsys, "--connect", hub.endpoint, "--once", "--json")
+    assert status == 0
+    told = json.loads(printed.out)
+    assert told["run"] == "demo"
+    assert told["alive"] == ["actor/0"]
+    assert told["roles"]["actor/0"] == STATISTICS
+    assert told["figures"]["actors_env_steps"] == 7
+
+
+def test_the_newest_run_is_found_by_its_endpoint_file(capsys, tmp_path, hub, speaker):
+    for name, endpoint in (("old", "tcp/127.0.0.1:1"), ("demo", hub.endpoint)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "endpoint").write_text(endpoint)
+    now = time.time()
+    os.utime(tmp_path / "old" / "endpoint", (now - 60, now - 60))
+    status, printed = run(capsys, "--runs", tmp_path, "--once")
+    assert status == 0
+    assert "env steps" in printed.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "telling"),
+    [
+        (["--connect", "tcp/127.0.0.1:1", "--once"], "tcp/127.0.0.1:1"),
+        (["--connect", "nonsense", "--once"], "nonsense"),
+        (["--runs", "no-such-folder", "--once"], "no-such-folder"),
+    ],
+)
+def test_where_nobody_is_one_line_says_so(capsys, arguments, telling):
+    status, printed = run(capsys, *arguments)
+    assert status == cli.REFUSED
+    assert telling in printed.err
+    assert printed.err.count("\n") == 1
+
+
+def test_a_run_that_is_not_there_is_named(capsys, hub, speaker, monkeypatch):
+    monkeypatch.setattr(monitor, "FIRST_WORD_WITHIN_S", 0.3)
+    status, printed = run(capsys, "--connect", hub.endpoint, "--run", "other", "--once")
+    assert status == cli.REFUSED
+    assert "'other'" in printed.err
