@@ -1,0 +1,130 @@
+import numpy as np
+
+from zsdist.agent import reach, shield
+from zsdist.planning.belief import BeliefMap
+from zsdist.planning.footprint import FootprintTable, successor
+from zsdist.planning.grid import Grid
+from zsdist.planning.shortest_path import STEPS_COST, cost_to_go, goal_mask
+from zsdist.types import Action, LatticeState
+
+GRID = Grid()
+EAST = LatticeState(16, 16, 0)
+
+
+def known_free(occupied=None):
+    """A belief in which all was seen, free but for `occupied` squares."""
+    belief = BeliefMap(GRID)
+    belief.clear_disc(0.0, 0.0, 20.0)
+    if occupied is not None:
+        belief._log_odds[occupied] = 2.4
+    return belief
+
+
+def blob(ix, iy, half=3):
+    squares = np.zeros((GRID.fine_size, GRID.fine_size), bool)
+    fx, fy = GRID.fine_index(*GRID.centre(ix, iy))
+    squares[fy - half : fy + half, fx - half : fx + half] = True
+    return squares
+
+
+def goals(ix, iy):
+    return goal_mask(GRID, GRID.centre(ix, iy), 0.6)
+
+
+def allowed(belief, state=EAST, goal=(28, 16)):
+    judgement = shield.judge(belief, state, goals(*goal))
+    return shield.mask(judgement.blocked, judgement.live, state)[0], judgement.gave_way
+
+
+def test_open_and_seen_ground_allows_everything():
+    mask, gave_way = allowed(known_free())
+    assert mask.all() and not gave_way
+
+
+def test_an_obstacle_ahead_masks_moving_on_but_not_turning():
+    mask, gave_way = allowed(known_free(blob(19, 16)))
+    assert not mask[Action.FORWARD] and mask[Action.TURN_LEFT_90] and mask[Action.TURN_RIGHT_90]
+    assert not gave_way
+
+
+def test_ground_never_seen_beside_the_car_is_not_swept_while_there_is_another_way():
+    belief = BeliefMap(GRID)
+    x, y = GRID.centre(16, 16)
+    belief.clear_disc(x, y, 1.5)
+    for ahead in np.arange(0.0, 6.0, 0.3):
+        belief.clear_disc(x + 1.0 + ahead, y, 0.9)
+    mask, _ = allowed(belief)
+    assert mask[Action.FORWARD] and not mask[Action.LEFT_45] and not mask[Action.RIGHT_45]
+
+
+def test_a_dead_end_without_room_to_turn_is_not_entered():
+    pocket = np.zeros((GRID.fine_size, GRID.fine_size), bool)
+    fx, fy = GRID.fine_index(*GRID.centre(20, 16))
+    pocket[fy - 9 : fy - 7, fx - 4 : fx + 20] = True  # two walls, 1.9 m apart
+    pocket[fy + 7 : fy + 9, fx - 4 : fx + 20] = True
+    pocket[fy - 9 : fy + 9, fx + 18 : fx + 20] = True
+    belief = known_free(pocket)
+    state = LatticeState(18, 16, 0)
+    judgement = shield.judge(belief, state, goals(28, 28))
+    mask, _ = shield.mask(judgement.blocked, judgement.live, state)
+    assert not judgement.blocked[16, 18, 0, Action.FORWARD]
+    assert not mask[Action.FORWARD] and mask.any()
+
+
+def test_a_car_walled_in_by_a_narrow_belief_is_given_a_smaller_margin_and_says_so():
+    ring = np.zeros((GRID.fine_size, GRID.fine_size), bool)
+    fx, fy = GRID.fine_index(*GRID.centre(16, 16))
+    ring[fy + 4 : fy + 6, fx - 12 : fx + 30] = True  # walls so near that only less than the usual margin passes
+    ring[fy - 6 : fy - 4, fx - 12 : fx + 30] = True
+    mask, gave_way = allowed(known_free(ring))
+    assert mask[Action.FORWARD] and gave_way
+
+
+def test_a_goal_believed_occupied_still_leaves_the_car_states_to_go_on_in():
+    belief = known_free(blob(28, 16, half=8))
+    mask, gave_way = allowed(belief)
+    assert mask.all() and gave_way
+
+
+def test_where_everything_is_blocked_only_turns_in_place_are_left():
+    blocked = np.ones((32, 32, 8, 5), bool)
+    mask, forced = shield.mask(blocked, np.zeros((32, 32, 8), bool), EAST)
+    assert forced and list(np.flatnonzero(mask)) == [Action.TURN_LEFT_90, Action.TURN_RIGHT_90]
+
+
+def test_moves_off_the_grid_are_masked_for_everyone():
+    assert list(shield.on_grid(LatticeState(31, 16, 0), 32)) == [False, False, False, True, True]
+    assert shield.on_grid(EAST, 32).all()
+
+
+def test_what_is_reached_backwards_agrees_with_the_cost_to_go_and_forwards_with_driving():
+    rng = np.random.default_rng(5)
+    squares = np.zeros((GRID.fine_size, GRID.fine_size), bool)
+    for fx, fy in rng.integers(20, 140, (20, 2)):
+        squares[fy : fy + 6, fx : fx + 6] = True
+    squares &= ~blob(16, 16, half=10)
+    blocked = FootprintTable(GRID).blocked(squares)
+    leading = reach.states_to(blocked, goals(5, 5))
+    assert (leading == np.isfinite(cost_to_go(blocked, goals(5, 5), STEPS_COST))).all()
+    cells = reach.cells_from(blocked, EAST)
+    state = EAST
+    for action in rng.integers(0, 5, 400):
+        if not blocked[state.iy, state.ix, state.heading, action]:
+            state = successor(state, int(action))
+            assert cells[state.iy, state.ix]
+    assert cells.sum() > 100 and not cells[blob_cells(squares)].any()
+
+
+def blob_cells(squares):
+    """Cells whose centre lies in an occupied square."""
+    start = GRID.fine_border + 2
+    return squares[start::4, start::4][:32, :32] & squares[start - 1 :: 4, start - 1 :: 4][:32, :32]
+
+
+def test_width_of_the_car_is_what_the_shield_keeps_clear():
+    for aside, free in ((3, False), (9, True)):
+        fx, fy = GRID.fine_index(*GRID.centre(18, 16))
+        squares = np.zeros((GRID.fine_size, GRID.fine_size), bool)
+        squares[fy + aside, fx] = True
+        blocked = shield.judge(known_free(squares), EAST, goals(28, 16)).blocked
+        assert blocked[16, 16, 0, Action.FORWARD] != free
