@@ -137,6 +137,7 @@ class MergeConfig(Section):
 
     every_episodes: Count = 100
     validation_scenes: Count = 20
+    drive_steps: Count = 150  # actions after which a validation drive is a timeout; the best way takes about 30
     distil_updates: Count = 200
     drop_after_scenes: Count = 6  # a candidate clearly behind by then is not driven further
 

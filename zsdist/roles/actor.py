@@ -76,8 +76,7 @@ class Actor(Role):
     def work(self, now: float) -> float:
         """One action of every car that may act, and whatever has to be sent."""
         self._receive(now)
-        if self._cut:
-            self._cut_short()
+        self._cut_short()
         self._assign()
         driving = [car for car in self.cars if car.errand]
         ready = [car for car in driving if self._reserve(car)]
@@ -149,7 +148,7 @@ class Actor(Role):
         versions = {level: message.weights.version for level, message in self._weights.items()}
         for car in self.cars:
             if car.errand is None and (errand := self._next_errand()) is not None:
-                car.begin(errand, versions)
+                car.begin(errand, versions, self._candidate_q(errand))
 
     def _next_errand(self) -> Errand | None:
         merge, agent = self._jobs["merge"], self.config.agent
@@ -158,7 +157,8 @@ class Actor(Role):
             if job not in self._driven and len(self._candidates.get((merge, candidate), {})) == len(Level):
                 self._driven.add(job)
                 scene = self.itinerary.validation(merge, index)
-                return Errand(scene, index, 0.0, True, (self.config.seed, merge, index), candidate, merge)
+                most = self.config.merge.drive_steps
+                return Errand(scene, index, 0.0, True, (self.config.seed, merge, index), candidate, merge, most)
         for number in self._leases:
             if number not in self._started:
                 self._started.add(number)
@@ -188,7 +188,7 @@ class Actor(Role):
         views = self.visual_act(np.stack([car.image for car in cars]), seen[:, 0], seen[:, 1])
         for car, view in zip(cars, views, strict=True):
             ended = car.over
-            car.advance(view, self._q_functions(car.errand))
+            car.advance(view, car.candidate_q or self._online_q())
             if car.errand.trains:
                 self.env_steps += not ended
                 for level in Level:
@@ -197,9 +197,12 @@ class Actor(Role):
             if ended:
                 self._report(car)
 
-    def _q_functions(self, errand: Errand) -> QFunctions:
+    def _online_q(self) -> QFunctions:
+        return {level: partial(network.apply, held.weights.parameters) for level, held in self._weights.items()}
+
+    def _candidate_q(self, errand: Errand) -> QFunctions | None:
         if errand.trains:
-            return {level: partial(network.apply, held.weights.parameters) for level, held in self._weights.items()}
+            return None
         pair = self._candidates[errand.merge, errand.candidate]
         return {level: partial(network.apply, parameters) for level, parameters in pair.items()}
 
@@ -221,14 +224,20 @@ class Actor(Role):
             car.credit[level] = 0
 
     def _cut_short(self) -> None:
+        """Ends what nobody waits for any more: drives of a candidate that was dropped, and everything at a stop."""
         for car in self.cars:
-            if car.errand is None:
+            if car.errand is None or not (self._cut or self._unwanted(car.errand)):
                 continue
             trains = car.errand.trains
             car.cut()
             if trains:
                 self._collect(car)
             self._release(car)
+
+    def _unwanted(self, errand: Errand) -> bool:
+        if errand.trains:
+            return False
+        return errand.merge != self._jobs["merge"] or [errand.candidate, errand.number] not in self._jobs["drives"]
 
     def _metered(self) -> list[tuple[Level, Outbox]]:
         return [(level, self._outboxes[level]) for level in Level]

@@ -27,6 +27,7 @@ class Errand:
         seed: of the exploration.
         candidate: name of the driven candidate, empty in training.
         merge: index of the merge the candidate belongs to.
+        most_steps: actions after which the drive ends as a timeout, where the environment does not end it before.
     """
 
     scene: Any
@@ -36,6 +37,7 @@ class Errand:
     seed: tuple[int, ...]
     candidate: str = ""
     merge: int = 0
+    most_steps: float = math.inf
 
     @property
     def trains(self) -> bool:
@@ -50,6 +52,7 @@ class Car:
         self.env = env
         self.agent = agent
         self.errand: Errand | None = None
+        self.candidate_q: QFunctions | None = None
         self.credit = dict.fromkeys(Level, 0)  # reserved of the actor's credit and not yet used up, by level
         self.unoffered = dict.fromkeys(Level, 0)  # transitions lived through whose trajectory is not complete yet
         self._observation: dict[str, np.ndarray] = {}
@@ -75,9 +78,10 @@ class Car:
         bearing = math.atan2(north, east) - pose.heading_rad
         return math.remainder(bearing, math.tau), math.hypot(east, north)
 
-    def begin(self, errand: Errand, versions: dict[Level, int]) -> None:
-        """Puts the car at the start of its errand's scene."""
+    def begin(self, errand: Errand, versions: dict[Level, int], candidate_q: QFunctions | None = None) -> None:
+        """Puts the car at the start of its errand's scene; a candidate's networks stay the same to the end."""
         self.errand = errand
+        self.candidate_q = candidate_q
         self._observation, _ = self.env.reset(options={"scene": errand.scene})
         self._outcome, self._terms = None, []
         self._path = [self.pose[:2]]
@@ -101,9 +105,10 @@ class Car:
         decision = self.agent.act(q)
         self._observation, _, terminated, truncated, info = self.env.step(int(decision.action))
         terms = RewardTerms(**info["reward_terms"])
-        self.agent.result(terms, terminated, truncated)
         self._terms.append(terms)
         self._path.append(self.pose[:2])
+        truncated = truncated or len(self._terms) >= self.errand.most_steps
+        self.agent.result(terms, terminated, truncated)
         if terminated:
             self._outcome = Outcome.SUCCESS if info["success"] else Outcome.COLLISION
         elif truncated:
