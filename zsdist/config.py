@@ -203,7 +203,7 @@ class Config(Section):
         endpoint = self.transport.endpoint
         if self.run.address is not None and endpoint.partition("/")[2].startswith(LOOPBACK):
             raise ValueError(
-                f"transport.endpoint is {endpoint!r} with run.address {self.run.address!r}: the roles of a cluster cannot "
+                f"transport.endpoint is {endpoint!r} with run.address {self.run.address!r}: roles on a cluster cannot "
                 "reach a loopback endpoint; allowed is an address of this machine, such as tcp/HOST:7447"
             )
         if self.grid.cells % self.grid.blocks:

@@ -68,6 +68,7 @@ _SURFACES: dict[str, tuple[Texture, float, float]] = {  # texture, noise strengt
     "car": (Texture.PLAIN, 0.06, 0.02),
 }
 _CROWN: tuple[tuple[float, float, float], float, float] = ((0.22, 0.40, 0.14), 0.9, 0.04)
+_PLAIN_SHARE = 0.25  # of varied looks are without any texture, as plain renderers draw
 _GLASS = (0.10, 0.13, 0.16)
 _SKIN = (0.72, 0.54, 0.43)
 _TROUSERS = (0.18, 0.20, 0.28)
@@ -112,7 +113,11 @@ def varied(scene: Scene, primitives: Primitives, rng: np.random.Generator) -> Ap
     sky = _sky(rng)
     if not natural:
         sky[:6] = np.clip(sky[:6] * np.tile(rng.uniform(0.5, 1.2, 3), 2), 0, 1)
-    return Appearance(np.array(materials), ground, sky, _light(rng, (0.35, 0.8), 0.25))
+    materials = np.array(materials)
+    if rng.random() < _PLAIN_SHARE:
+        materials[:, 6:8] = Texture.PLAIN, 0.0
+        ground[6:8], ground[12], sky[6] = (Pattern.NONE, 0.0), 0.0, 0.0
+    return Appearance(materials, ground, sky, _light(rng, (0.35, 0.8), 0.25))
 
 
 def _own_colours(obstacle: Obstacle, rng: np.random.Generator) -> dict[Part, np.ndarray]:
