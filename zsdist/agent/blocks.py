@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from zsdist.agent import reach
 from zsdist.agent.situation import Situation
 from zsdist.planning.grid import HEADINGS, STEPS
 
@@ -23,12 +24,15 @@ class Choices:
         blocks: `(9, 2)` int, (bx, by) of each neighbour; the goal's own block last.
         subgoals: `(9, 2)` metres: the cell of the block by which the straight lines from the car to it and from it to
             the goal are shortest, among those a free way leads to; the goal itself last.
+        onward: `(9,)` in how many of the subgoal's headings a free way leads on to the goal without coming back into
+            the block the car is in, as a share.
     """
 
     mask: np.ndarray
     exists: np.ndarray
     blocks: np.ndarray
     subgoals: np.ndarray
+    onward: np.ndarray
 
     def index_of(self, block: tuple[int, int]) -> int | None:
         """The choice that means a neighbouring block; None where it is none."""
@@ -43,7 +47,8 @@ def choices(situation: Situation) -> Choices:
     grid, (bx, by) = situation.grid, situation.block
     mask, exists = np.zeros(HIGH_ACTIONS, bool), np.zeros(HIGH_ACTIONS, bool)
     blocks, subgoals = np.zeros((HIGH_ACTIONS, 2), np.int64), np.zeros((HIGH_ACTIONS, 2))
-    detours = _detours(situation)
+    onward = np.zeros(HIGH_ACTIONS)
+    detours, leading = _detours(situation), _leading_on(situation)
     for k in range(NEIGHBOURS):
         dx, dy = STEPS[(situation.state.heading + k) % HEADINGS]
         nx, ny = bx + int(dx), by + int(dy)
@@ -57,14 +62,22 @@ def choices(situation: Situation) -> Choices:
         mask[k] = np.isfinite(here.flat[nearest])
         cell = (columns.start + nearest % grid.block_size, rows.start + nearest // grid.block_size)
         subgoals[k] = grid.centre(*cell) if mask[k] else grid.centre(*_middle(grid, nx, ny))
+        onward[k] = leading[cell[1], cell[0]].mean() if mask[k] else 0.0
     mask[GOAL_CHOICE] = exists[GOAL_CHOICE] = True
     blocks[GOAL_CHOICE] = grid.block_of(*grid.cell_at(*situation.goal))
     subgoals[GOAL_CHOICE] = situation.goal
-    return Choices(mask, exists, blocks, subgoals)
+    return Choices(mask, exists, blocks, subgoals, onward)
 
 
 def _middle(grid, bx: int, by: int) -> tuple[int, int]:  # noqa: ANN001
     return bx * grid.block_size + grid.block_size // 2, by * grid.block_size + grid.block_size // 2
+
+
+def _leading_on(situation: Situation) -> np.ndarray:
+    """States `(cells, cells, 8)` bool from which a free way leads to the goal without the car's present block."""
+    blocked = situation.blocked.copy()
+    blocked[situation.grid.block_cells(*situation.block)] = True
+    return reach.states_to(blocked, situation.goals)
 
 
 def _detours(situation: Situation) -> np.ndarray:

@@ -15,7 +15,7 @@ from zsdist.planning.grid import FINE_PER_CELL
 from zsdist.types import Action, Level
 
 LOW_ACTIONS = len(Action)
-BLOCK_FEATURES = 13
+BLOCK_FEATURES = 14
 HERE_FEATURES = 10  # of the goal and of the block the car is in
 LOW_STATE_SIZE = LOW_ACTIONS * ACTION_FEATURES + 2 * DIRECTIONS + 3 + 8
 HIGH_STATE_SIZE = NEIGHBOURS * BLOCK_FEATURES + HERE_FEATURES + DIRECTIONS + 3
@@ -150,6 +150,7 @@ def _block_features(situation: Situation, options: Choices, k: int, goal_m: floa
         (goal_m - on_m) / SIGHT_M,
         float(tuple(options.blocks[k]) == tuple(options.blocks[GOAL_CHOICE])),
         _line(situation, (sub_x, sub_y))[0],
+        float(options.onward[k]),
     ]
 
 

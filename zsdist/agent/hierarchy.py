@@ -199,6 +199,7 @@ class HierarchicalAgent:
             grid=self._grid,
             state=state,
             goal=self._goal,
+            goals=self._goals,
             advice=view.advice,
             occupied=self._belief.occupied(),
             seen=self._belief.seen(),

@@ -16,6 +16,7 @@ class Situation:
         grid: frames.
         state: where the car is on the lattice.
         goal: `(x_m, y_m)`.
+        goals: `(cells, cells)` bool, the cells in which the goal is reached.
         advice: `(3,)` R_p for forward, left, right.
         occupied: `(fine_size, fine_size)` bool.
         seen: `(fine_size, fine_size)` bool.
@@ -32,6 +33,7 @@ class Situation:
     grid: Grid
     state: LatticeState
     goal: tuple[float, float]
+    goals: np.ndarray
     advice: np.ndarray
     occupied: np.ndarray
     seen: np.ndarray

@@ -8,7 +8,7 @@ from zsdist.agent.blocks import GOAL_CHOICE, HIGH_ACTIONS, choices
 from zsdist.agent.situation import Situation
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
-from zsdist.planning.shortest_path import live_states
+from zsdist.planning.shortest_path import goal_mask, live_states
 from zsdist.types import LatticeState, Level
 
 GRID = Grid()
@@ -82,6 +82,7 @@ def situation(parts):
         blocked=blocked,
         live=live_states(blocked),
         squeezed=False,
+        goals=goal_mask(GRID, parts["goal"], 0.6),
         reachable=reach.cells_from(blocked, parts["state"]),
         **parts,
     )

@@ -31,6 +31,7 @@ def situation(occupied=None, state=EAST, goal=(8.0, -1.9), seen=True, advice=(0.
         blocked=blocked,
         live=live_states(blocked),
         squeezed=False,
+        goals=goal_mask(GRID, goal, 0.6),
         reachable=reach.cells_from(blocked, state),
         visits=visits,
         block_visits=np.zeros((4, 4), np.int32),
