@@ -28,7 +28,8 @@ def clearances(occupied, seen, x, y, heading, arena_half, grid_half, square):  #
     Args:
         occupied: `(fine_size, fine_size)` bool.
         seen: `(fine_size, fine_size)` bool.
-        x, y: the car, metres.
+        x: of the car, metres.
+        y: of the car, metres.
         heading: radians.
         arena_half: half the side of the fine frame.
         grid_half: half the side of the planning grid, beyond which the car cannot go.
@@ -63,22 +64,22 @@ def clearances(occupied, seen, x, y, heading, arena_half, grid_half, square):  #
 
 
 @numba.njit(cache=True)
-def action_features(  # noqa: ANN201
-    blocked,
-    live,
-    seen,
-    visits,
-    ix,
-    iy,
-    heading,
-    sub_x,
-    sub_y,
-    goal_x,
-    goal_y,
-    cell,
-    grid_half,
-    border,  # noqa: ANN001
-):
+def action_features(
+    blocked: np.ndarray,
+    live: np.ndarray,
+    seen: np.ndarray,
+    visits: np.ndarray,
+    ix: int,
+    iy: int,
+    heading: int,
+    sub_x: float,
+    sub_y: float,
+    goal_x: float,
+    goal_y: float,
+    cell: float,
+    grid_half: float,
+    border: int,
+) -> np.ndarray:
     """What each action leads to, as far as straight runs tell: `(ACTIONS, ACTION_FEATURES)`.
 
     Columns: free, live, gain towards the subgoal (in cells' diagonals), cosine and sine of the subgoal's bearing
