@@ -21,7 +21,7 @@ from zsdist.run.program import Setting
 def main(options: argparse.Namespace) -> int:
     """Trains as the options say; 0 once the work is done, 130 where it was interrupted."""
     console = Console()
-    setting = _resume(options) if options.resume else _start(options)
+    setting = _resume(options, console) if options.resume else _start(options, console)
     console.print(
         f"zsdist run [bold]{setting.folder}[/bold] (seed {setting.config.seed})", highlight=False, soft_wrap=True
     )
@@ -73,14 +73,14 @@ def _overrides(options: argparse.Namespace) -> tuple[str, ...]:
     return tuple(overrides)
 
 
-def _start(options: argparse.Namespace) -> Setting:
+def _start(options: argparse.Namespace, console: Console) -> Setting:
     settings = config.load(options.config, _overrides(options))
-    _check_parts(settings)
+    _check_parts(settings, console)
     folder = directory.create(options.run_dir, settings).resolve()
     return Setting(settings, directory.key_name(folder), folder, {})
 
 
-def _resume(options: argparse.Namespace) -> Setting:
+def _resume(options: argparse.Namespace, console: Console) -> Setting:
     for name in ("config", "seed", "run_dir"):
         if getattr(options, name) is not None:
             raise ConfigError(
@@ -93,15 +93,16 @@ def _resume(options: argparse.Namespace) -> Setting:
             f"the run in {options.resume} has finished {finished} episodes and --episodes is {settings.run.episodes}; "
             f"allowed is more than {finished}"
         )
-    _check_parts(settings)
+    _check_parts(settings, console)
     folder = options.resume.resolve()
     directory.rewind(folder, settings, states)
     return Setting(settings, directory.key_name(folder), folder, states)
 
 
-def _check_parts(settings: Config) -> None:
-    """Finds out before anything is written or started whether scenes and vision weights are there."""
-    program.simulation(settings)
+def _check_parts(settings: Config, console: Console) -> None:
+    """Finds out before anything is written or started whether scenes and vision weights are there, and fit."""
+    console.print("preparing; the first time, this takes about 15 s for what is compiled then", highlight=False)
+    program.warm_up(settings)
 
 
 def _train(setting: Setting, interruption: "Interruption", console: Console, *, prefer_lines: bool) -> dict:

@@ -104,7 +104,7 @@ def test_a_stranger_sees_every_role_and_a_killed_actor_is_replaced(tmp_path):
     assert process.returncode == 0, output
     assert not [child for child in family if child.is_running() and child.status() != psutil.STATUS_ZOMBIE]
     summary = summary_of(folder)
-    assert summary["restarts"] == {"actor-1": 1}
+    assert summary["restarts"] == {"actor": 1}
     assert sorted(record["episode"] for record in episodes(folder)) == list(range(1, 11))
     for books in summary["transitions"].values():
         assert books["produced"] == books["stored"] + books["rejected"] > 0

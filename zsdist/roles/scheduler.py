@@ -62,7 +62,7 @@ class Scheduler(Role):
         self.averages = RewardAverages(context.config.replay.average_episodes)
         self.sizing = AdaptiveSizing(context.config.replay)
         self.env_steps = 0
-        self.restarts: dict[str, int] = {}
+        self.restarts = 0  # of actors: the death of any other role ends the run
         self.recent: list[Outcome] = []  # of the last episodes, for watchers
         self._epochs: dict[str, int] = {}
         self._interrupted = False
@@ -118,7 +118,7 @@ class Scheduler(Role):
             "episodes_target": self.target,
             "epsilon": round(epsilon(finished, self.config.agent.epsilon_decay, self.config.agent.epsilon_min), 4),
             "merges": len(self.merges),
-            "restarts": sum(self.restarts.values()),
+            "restarts": self.restarts,
             "episodes_in_flight": len(self.leases.holders),
             **{outcome.value: count for outcome, count in self.outcomes.items()},
         }
@@ -143,7 +143,7 @@ class Scheduler(Role):
                     continue
                 if actor in self._epochs:
                     self.leases.give_back(actor)
-                    self.restarts[actor] = self.restarts.get(actor, 0) + 1
+                    self.restarts += 1
                 self._epochs[actor] = epoch
                 for inbox in self._inboxes.values():
                     inbox.issue(actor, epoch)
@@ -352,7 +352,7 @@ class Scheduler(Role):
         self.leases = Leases(meta["finished"])
         self.outcomes = {Outcome(name): count for name, count in meta["outcomes"].items()}
         self.env_steps = meta["env_steps"]
-        self.merges, self.restarts = list(meta["merges"]), dict(meta["restarts"])
+        self.merges, self.restarts = list(meta["merges"]), meta["restarts"]
         self.snapshot.max_lag_versions = meta["max_lag_versions"]
         self._saved_at = len(self.leases.finished)
 
@@ -377,6 +377,6 @@ class Scheduler(Role):
                 "env_steps_per_s": round(self.env_steps / max(wall_s, 1e-9), 2),
                 "episodes_per_min": round(60 * len(self.leases.finished) / max(wall_s, 1e-9), 2),
             },
-            "restarts": self.restarts or {"actor": 0},
+            "restarts": {"actor": self.restarts},
             "wall_s": wall_s,
         }

@@ -3,7 +3,7 @@
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import gymnasium
@@ -12,10 +12,11 @@ import numpy as np
 from zsdist.agent import blocks, features
 from zsdist.agent.hierarchy import HierarchicalAgent
 from zsdist.config import Config
+from zsdist.dqn import network
 from zsdist.dqn.learner import DqnLearner
 from zsdist.roles.actor import Actor, VisualAct
 from zsdist.roles.base import Context, Role
-from zsdist.roles.cars import Car
+from zsdist.roles.cars import Car, Errand
 from zsdist.roles.hub import Hub
 from zsdist.roles.learner import Learner
 from zsdist.roles.replay import Replay, Shape
@@ -109,6 +110,23 @@ def simulation(config: Config) -> Parts:
         visual_act=PretrainedVisualAct.load(config.vision, config.camera),
         itinerary=Itinerary(config),
     )
+
+
+def warm_up(config: Config) -> None:
+    """Drives one car for a step, in this process: what is compiled or built at first use is then on disk for all.
+
+    Raises:
+        ZsdistError: scenes or vision weights are not there, or do not fit the configuration.
+    """
+    parts = simulation(config)
+    car = Car(parts.make_env(), HierarchicalAgent(config))
+    car.begin(Errand(parts.itinerary.training(1), 1, 1.0, True, (0,)), dict.fromkeys(Level, 0))
+    parameters = {level: make_learner(config, level).parameters() for level in Level}
+    q = {level: partial(network.apply, parameters[level]) for level in Level}
+    for _ in range(2):
+        bearing_rad, distance_m = car.goal_seen_from_here()
+        (view,) = parts.visual_act(car.image[None], np.array([bearing_rad]), np.array([distance_m]))
+        car.advance(view, q)
 
 
 @dataclass(frozen=True)
