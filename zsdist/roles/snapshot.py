@@ -109,6 +109,8 @@ class Snapshot:
             self.events = [*self.events[-99:], fields]
         elif parsed.kind == "stats":
             who = (parsed.fields["role"], parsed.fields["id"])
+            if self.roles.get(who, {}).get("epoch") != fields.get("epoch"):
+                self._history.pop(who, None)  # another process, whose counters began anew
             self.roles[who] = fields
             self._history.setdefault(who, deque(maxlen=8)).append(fields)
             self.max_lag_versions = max(self.max_lag_versions, *self.lag_versions().values())

@@ -1,0 +1,64 @@
+import json
+
+import pytest
+
+from zsdist.roles.snapshot import Snapshot
+from zsdist.transport.base import Message
+from zsdist.types import Level
+from zsdist.wire import keys
+
+
+def said(role, identifier, **fields):
+    about = {"time_s": 0.0, "role": role, "id": identifier}
+    return Message(keys.stats("run", role, identifier), json.dumps(about | fields).encode())
+
+
+def test_lag_is_that_of_the_actor_with_the_oldest_weights():
+    snapshot = Snapshot()
+    snapshot.take([said("learner", "low", weight_version=9), said("learner", "high", weight_version=4)])
+    snapshot.take([said("actor", "0", low_weight_version=8, high_weight_version=4)])
+    snapshot.take([said("actor", "1", low_weight_version=5, high_weight_version=4)])
+    assert snapshot.lag_versions() == {Level.LOW: 4, Level.HIGH: 0}
+    snapshot.take([said("actor", "1", low_weight_version=9, high_weight_version=4)])
+    assert snapshot.lag_versions()[Level.LOW] == 1
+    assert snapshot.max_lag_versions >= 4
+
+
+def test_a_rate_is_the_growth_of_a_counter_summed_over_instances():
+    snapshot = Snapshot()
+    for second in range(4):
+        snapshot.take(
+            [said("actor", name, time_s=float(second), env_steps=second * pace) for name, pace in (("0", 10), ("1", 5))]
+        )
+    assert snapshot.rate("actor", "env_steps") == pytest.approx(15)
+    assert snapshot.row()["env_steps_per_s"] == pytest.approx(15)
+
+
+def test_a_counter_that_began_anew_gives_no_negative_rate():
+    snapshot = Snapshot()
+    for second, (epoch, steps) in enumerate(((3, 100), (3, 110), (7, 0), (7, 10))):
+        snapshot.take([said("actor", "0", time_s=float(second), epoch=epoch, env_steps=steps)])
+    assert snapshot.rate("actor", "env_steps") == pytest.approx(10)
+
+
+def test_who_waits_is_told_with_what_for():
+    snapshot = Snapshot()
+    for second in range(4):
+        snapshot.take([said("learner", "low", time_s=float(second), waiting_data_s=0.9 * second)])
+    assert snapshot.waits() == ["learner low for data"]
+
+
+def test_liveliness_comes_and_goes():
+    snapshot, key = Snapshot(), keys.alive("run", "actor", "0")
+    snapshot.take([Message(key, b"1")])
+    assert snapshot.alive == {("actor", "0")}
+    snapshot.take([Message(key, b"0")])
+    assert snapshot.alive == set()
+
+
+@pytest.mark.parametrize("payload", [b"", b"{", b"[1]", b"\xff\xfe", b"null"])
+def test_rubbish_is_counted_and_changes_nothing(payload):
+    snapshot = Snapshot()
+    snapshot.take([Message(keys.stats("run", "actor", "0"), payload), Message("another/key", b"{}")])
+    assert snapshot.malformed == 2
+    assert snapshot.roles == {}

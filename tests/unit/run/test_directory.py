@@ -1,0 +1,100 @@
+import json
+
+import numpy as np
+import pytest
+
+from zsdist import config
+from zsdist.errors import RunError, WeightsError
+from zsdist.run import directory
+from zsdist.run.checkpoint import load_policy
+from zsdist.run.directory import RunDirectory
+from zsdist.wire.messages import State
+
+META = {"finished": [1, 2, 4], "wall_s": 3.0}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return directory.create(tmp_path / "run", config.Config())
+
+
+@pytest.fixture
+def ledger(folder):
+    return RunDirectory(folder)
+
+
+def states(value=1.0):
+    return {"scheduler": State("scheduler", META, {}), "replay": State("replay", {}, {"ring": np.full(3, value)})}
+
+
+def test_epochs_are_never_issued_twice(folder):
+    issued = [epoch for count in (3, 1, 5) for epoch in directory.issue_epochs(folder, count)]
+    assert issued == list(range(9))
+
+
+def test_a_checkpoint_reads_back_as_it_was_written_and_the_newest_wins(folder, ledger):
+    for episodes in (5, 10, 100):
+        ledger.checkpoint(episodes, states(episodes))
+    newest = directory.newest_checkpoint(folder)
+    assert newest.name == "00000100"
+    read = directory.read_checkpoint(newest)
+    assert read["scheduler"].meta == META
+    np.testing.assert_array_equal(read["replay"].arrays["ring"], np.full(3, 100.0))
+
+
+def test_only_the_newest_checkpoints_are_kept(folder, ledger):
+    for episodes in range(10):
+        ledger.checkpoint(episodes, states())
+    kept = sorted(path.name for path in (folder / "checkpoints").iterdir())
+    assert kept == ["00000007", "00000008", "00000009"]
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda data: data[:-1], lambda data: data[:20] + b"x" + data[21:], lambda data: b""]
+)
+def test_a_damaged_checkpoint_is_refused_by_file(folder, ledger, damage):
+    ledger.checkpoint(1, states())
+    file = folder / "checkpoints" / "00000001" / "replay.state"
+    file.write_bytes(damage(file.read_bytes()))
+    with pytest.raises(RunError, match=r"replay\.state is damaged"):
+        directory.read_checkpoint(file.parent)
+
+
+def test_a_checkpoint_without_a_file_is_refused_by_file(folder, ledger):
+    ledger.checkpoint(1, states())
+    (folder / "checkpoints" / "00000001" / "replay.state").unlink()
+    with pytest.raises(RunError, match=r"replay\.state"):
+        directory.read_checkpoint(folder / "checkpoints" / "00000001")
+
+
+def test_going_on_strikes_out_episodes_that_the_checkpoint_does_not_know(folder, ledger):
+    for episode in (1, 2, 3, 4, 5):
+        ledger.episode({"episode": episode, "return": 0.0, "steps": 1, "epsilon": 1.0, "finished_as": episode})
+    with (folder / "episodes.jsonl").open("a") as file:
+        file.write('{"episode": 6, "retu')  # what a killed process leaves
+    ledger.checkpoint(3, states())
+    settings, read = directory.reopen(folder)
+    directory.rewind(folder, settings, read)
+    lines = (folder / "episodes.jsonl").read_text().splitlines()
+    assert [json.loads(line)["episode"] for line in lines] == META["finished"]
+
+
+def test_the_configuration_comes_back_with_overrides_and_nothing_else_changed(folder, ledger):
+    ledger.checkpoint(3, states())
+    settings, _ = directory.reopen(folder, ("run.episodes=7",))
+    assert settings.run.episodes == 7
+    assert config.parse(settings.model_dump() | {"run": config.Config().run.model_dump()}) == config.Config()
+
+
+def test_a_policy_cannot_be_had_where_there_are_no_weights(folder, ledger):
+    with pytest.raises(WeightsError, match="no weights"):
+        load_policy(folder)
+    ledger.checkpoint(1, states())
+    with pytest.raises(WeightsError, match="high"):
+        load_policy(folder)
+
+
+@pytest.mark.parametrize(("name", "key"), [("plain-1.2", "plain-1.2"), ("with space/ä", "-")])
+def test_every_folder_has_a_name_that_a_key_can_hold(tmp_path, name, key):
+    (tmp_path / name).mkdir(parents=True)
+    assert directory.key_name(tmp_path / name) == key
