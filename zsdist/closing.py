@@ -21,6 +21,7 @@ from zsdist.types import Level
 
 PATHS_SHOWN = 6
 CURVE_WINDOW = 20  # episodes
+EPISODES_A_DRIVE = 5  # training episodes for each final drive of a policy, so that the end is in proportion
 UNSEEN = "iid"  # family of the scenes that training on others has not met
 SINGLETON = "singleton"
 
@@ -36,7 +37,7 @@ class Trial:
     episodes: int
 
 
-def draw_training(folder: Path, settings: Config) -> None:
+def draw_training(folder: Path) -> None:
     """Reward and success over training episodes, into `figures/`."""
     lines = (folder / "episodes.jsonl").read_text().splitlines()
     if lines:
@@ -45,9 +46,11 @@ def draw_training(folder: Path, settings: Config) -> None:
 
 def compare(folder: Path, settings: Config, console: Console) -> None:
     """Drives the trained policy beside others greedily; a table, `evaluation.json` and a picture of the paths."""
-    if not settings.run.final_evaluation_episodes:
+    episodes = min(settings.run.final_evaluation_episodes, settings.run.episodes // EPISODES_A_DRIVE)
+    if not episodes:
+        console.print("no evaluation: the run was too short, or run.final_evaluation_episodes is 0")
         return
-    reports = [(trial, _drive(trial, settings.seed)) for trial in _trials(folder, settings)]
+    reports = [(trial, _drive(trial, settings.seed)) for trial in _trials(folder, settings, episodes)]
     (folder / "evaluation.json").write_text(json.dumps([report.result for _, report in reports], indent=1) + "\n")
     for trial, report in reports:
         if trial.name == "trained":
@@ -61,12 +64,12 @@ def compare(folder: Path, settings: Config, console: Console) -> None:
     console.print(f"figures: {folder / 'figures'}", highlight=False, soft_wrap=True)
 
 
-def _trials(folder: Path, settings: Config) -> Iterator[Trial]:
+def _trials(folder: Path, settings: Config, episodes: int) -> Iterator[Trial]:
     """The trained networks beside the same networks before training, then beside baselines where nobody has been."""
     trained = load_policy(folder)
     parameters = {level: program.make_learner(settings, level).parameters() for level in Level}
     untrained = make_policy(settings, parameters, "before training")
-    home, episodes = settings.scenes.train[0], settings.run.final_evaluation_episodes
+    home = settings.scenes.train[0]
     at_home = min(episodes, 10) if home == SINGLETON else episodes
     for name, policy in (("trained", trained), ("untrained", untrained)):
         yield Trial(name, Entrant(settings, policy.parameters), policy.sha256, home, at_home)
@@ -108,6 +111,6 @@ def _table(reports: list[tuple[Trial, Report]], settings: Config) -> Table:
             f"{result['success']:.2f} ({low:.2f}-{high:.2f})",
             f"{result['collision']:.2f}",
             f"{result['timeout']:.2f}",
-            f"{result['spl']:.2f}",
+            "-" if result["spl"] is None else f"{result['spl']:.2f}",
         )
     return table

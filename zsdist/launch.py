@@ -29,7 +29,7 @@ def main(options: argparse.Namespace) -> int:
         summary = _train(setting, interruption, console, prefer_lines=options.plain)
     _check_books(summary)
     if summary["ended"] == "interrupted":
-        closing.draw_training(setting.folder, setting.config)
+        closing.draw_training(setting.folder)
         console.print(
             f"interrupted after {summary['episodes']} episodes; everything is saved, go on with\n"
             f"  python -m zsdist.launch --resume {setting.folder}",
@@ -37,7 +37,7 @@ def main(options: argparse.Namespace) -> int:
             soft_wrap=True,
         )
         return cli.INTERRUPTED
-    closing.draw_training(setting.folder, setting.config)
+    closing.draw_training(setting.folder)
     closing.compare(setting.folder, setting.config, console)
     return 0
 

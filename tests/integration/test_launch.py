@@ -10,7 +10,6 @@ import time
 import psutil
 import pytest
 import zenoh
-
 from rehearsal import episodes
 
 pytestmark = [pytest.mark.integration, pytest.mark.slow]

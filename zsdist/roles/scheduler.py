@@ -209,8 +209,11 @@ class Scheduler(Role):
             self._conduct_end(now)
 
     def _merge_barrier(self) -> int:
-        """Finished episodes at which the next merge is due."""
-        return (len(self.merges) + 1) * self.config.merge.every_episodes
+        """Finished episodes at which the next merge is due: every so many, and at the end where half of them passed."""
+        every = self.config.merge.every_episodes
+        last = self.merges[-1]["episode"] if self.merges else 0
+        barrier = (last // every + 1) * every
+        return self.target if last + every / 2 <= self.target < barrier else barrier
 
     def _begin_merge(self) -> None:
         settings = self.config.merge
