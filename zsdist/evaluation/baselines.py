@@ -50,7 +50,6 @@ class PotentialField(Driver):
     def __init__(self, config: Config, visual_act: VisualAct) -> None:
         self._config = config
         self._grid = Grid.from_config(config.grid)
-        self._table = footprints(self._grid)
         self._visual_act = visual_act
 
     def begin(self, pose: Pose, goal: tuple[float, float], truth: Scene | None, rng: np.random.Generator) -> None:
@@ -67,8 +66,8 @@ class PotentialField(Driver):
         self._belief.update(observed.pose, look(self._visual_act, observed), self._config.camera.forward_m)
         state = self._grid.lattice_state(observed.pose)
         self._visits[state] += 1
-        blocked = self._table.blocked(self._belief.occupied())
-        mask, _ = shield.mask(blocked, shield.live(blocked, state, self._goals), state)
+        judgement = shield.judge(self._belief, state, self._goals)
+        mask, _ = shield.mask(judgement.blocked, judgement.live, state)
         direction = self._force(observed.pose)
         ends = [successor(state, action) for action in Action]
         reluctance = self._config.agent.trail * np.array([min(self._visits[end], 1) for end in ends], dtype=float)

@@ -1,4 +1,4 @@
-"""What every role shares: an identity, mailboxes that wake it, statistics once a second, a liveliness token."""
+"""What every role shares: an identity, mailboxes that wake it, statistics twice a second, a liveliness token."""
 
 import json
 import os
@@ -14,7 +14,7 @@ from zsdist.transport.base import Mailbox, Message, Transport
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import AnyMessage
 
-STATISTICS_EVERY_S = 1.0
+STATISTICS_EVERY_S = 0.5  # the key space promises once a second; a step may take a while
 HEARTBEAT_S = 0.25  # absolute states (orders, jobs) are said again this often
 
 
@@ -74,7 +74,7 @@ class Role(ABC):
 
     @abstractmethod
     def statistics(self) -> dict[str, float | str]:
-        """Flat numbers (and few words) with units in their names, published once a second."""
+        """Flat numbers (and few words) with units in their names, published twice a second."""
 
     def mailbox(self, name: str) -> Mailbox:
         """A bounded mailbox that wakes this role."""

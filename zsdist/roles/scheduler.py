@@ -97,7 +97,7 @@ class Scheduler(Role):
 
     def work(self, now: float) -> float:
         """Takes in what happened, decides what follows, and says it."""
-        self._obey_supervisor()
+        self._obey_supervisor(now)
         self._take_reports(now)
         self._take_offers()
         self.snapshot.take(self._watch.drain())
@@ -134,7 +134,7 @@ class Scheduler(Role):
 
     # -- what comes in ------------------------------------------------------------------------------------------
 
-    def _obey_supervisor(self) -> None:
+    def _obey_supervisor(self, now: float) -> None:
         for _, orders in self.messages(self._commands):
             if not isinstance(orders, Orders):
                 continue
@@ -144,6 +144,7 @@ class Scheduler(Role):
                 if actor in self._epochs:
                     self.leases.give_back(actor)
                     self.restarts += 1
+                    self.event(now, "actor_replaced", actor=actor, actor_epoch=epoch)
                 self._epochs[actor] = epoch
                 for inbox in self._inboxes.values():
                     inbox.issue(actor, epoch)

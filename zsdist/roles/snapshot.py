@@ -9,6 +9,7 @@ from zsdist.types import Level
 from zsdist.wire import keys
 
 Fields = dict[str, float | str]
+HISTORY = 12  # statistics of a role that its rates are taken over
 
 
 class Snapshot:
@@ -112,5 +113,5 @@ class Snapshot:
             if self.roles.get(who, {}).get("epoch") != fields.get("epoch"):
                 self._history.pop(who, None)  # another process, whose counters began anew
             self.roles[who] = fields
-            self._history.setdefault(who, deque(maxlen=8)).append(fields)
+            self._history.setdefault(who, deque(maxlen=HISTORY)).append(fields)
             self.max_lag_versions = max(self.max_lag_versions, *self.lag_versions().values())
