@@ -43,7 +43,8 @@ def test_splits_take_the_configured_families_in_turn():
 
 
 def test_train_and_validation_scenes_are_of_the_training_families_and_never_the_same():
-    train, validation = (hashes(name, CONFIG, 4, 0) for name in ("train", "validation"))
+    scattered = load(overrides=("scenes.train=[iid]",))
+    train, validation = (hashes(name, scattered, 4, 0) for name in ("train", "validation"))
     assert len(set(train + validation)) == 8
     assert train == [families.draw("iid", "train", index).hash() for index in range(4)]
 
