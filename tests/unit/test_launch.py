@@ -49,8 +49,9 @@ def test_a_broken_configuration_file_is_named(capsys, tmp_path, text):
 
 
 def test_a_scene_with_nan_is_refused_by_file(capsys, tmp_path):
-    scene = "version: 1\nname: bad\nground: sand\nstart: {x: .nan, y: 0, heading_deg: 0}\ngoal: {x: 8, y: 8}\nobstacles: []\n"
-    (tmp_path / "bad.yaml").write_text(scene)
+    lines = ("version: 1", "name: bad", "ground: sand", "goal: {x: 8, y: 8}", "obstacles: []")
+    start = "start: {x: .nan, y: 0, heading_deg: 0}"
+    (tmp_path / "bad.yaml").write_text("\n".join((*lines, start)))
     assert "bad.yaml" in refusal(capsys, "--set", f"scenes.train=[{tmp_path}]", "--run-dir", tmp_path / "run")
     assert not (tmp_path / "run").exists()
 

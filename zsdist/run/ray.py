@@ -126,7 +126,13 @@ def _connect(setting: Setting) -> None:
     if config.run.address is None:
         # Logical cores only steer Ray's placement: enough of them, and no role ever waits for a place.
         cores = max(os.cpu_count() or 1, int(wanted) + 1)
-        ray.init(num_cpus=cores, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
+        ray.init(
+            num_cpus=cores,
+            include_dashboard=False,
+            log_to_driver=False,
+            logging_level="ERROR",
+            _node_ip_address="127.0.0.1",  # one machine: nothing of it needs to be reached from another
+        )
         return
     try:
         ray.init(address=config.run.address, log_to_driver=False, logging_level="ERROR")

@@ -7,7 +7,7 @@ import pytest
 from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
-import zsdist.sim  # noqa: F401  registers the environment
+import zsdist  # noqa: F401  registers the environment
 from zsdist.config import Config, parse
 from zsdist.errors import ConfigError
 from zsdist.sim.env import CarNavigation
