@@ -2,7 +2,8 @@
 
 The vision model is trained on streets and never sees a tree, a sand pile or a rock, nor sand; the policy is trained
 in scattered scenes and never meets a sand pile, a rock, a box or a car, nor sand; validation uses what policy
-training uses, with seeds of its own; the test families have all of it.
+training uses, with seeds of its own; the test families have all of it. `singleton` alone has no split: its ten scenes
+are trained on and tested on, which is what it is for (Fig. 1 of the paper).
 """
 
 from dataclasses import dataclass
@@ -54,8 +55,8 @@ class Purpose:
 
 MANIFEST: dict[str, Purpose] = {
     "vision-training": Purpose(("street", "varied"), (*STREET_KINDS, "bush"), TRAINED_GROUNDS, "vision"),
-    "policy-training": Purpose(("iid",), POLICY_KINDS, TRAINED_GROUNDS, "train"),
-    "validation": Purpose(("iid",), POLICY_KINDS, TRAINED_GROUNDS, "validation"),
+    "policy-training": Purpose(("singleton", "iid"), POLICY_KINDS, TRAINED_GROUNDS, "train"),
+    "validation": Purpose(("singleton", "iid"), POLICY_KINDS, TRAINED_GROUNDS, "validation"),
     "test": Purpose(("iid", *OOD_FAMILIES), tuple(KINDS), tuple(GROUNDS), "test"),
 }
 

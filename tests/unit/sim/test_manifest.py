@@ -4,7 +4,7 @@ import pytest
 
 from zsdist.config import ScenesConfig
 from zsdist.errors import SceneError
-from zsdist.sim.families import FAMILIES, generate
+from zsdist.sim.families import FAMILIES, draw, generate
 from zsdist.sim.kinds import GROUNDS, KINDS
 from zsdist.sim.manifest import MANIFEST, SPLITS, WITHHELD_GROUNDS, WITHHELD_KINDS, split_seed
 
@@ -16,7 +16,7 @@ def test_scenes_drawn_for_a_purpose_contain_only_what_the_manifest_allows(purpos
     entry = MANIFEST[purpose]
     for family in entry.families:
         for index in range(12):
-            scene = generate(family, split_seed(entry.split, index))
+            scene = draw(family, entry.split, index)
             assert {obstacle.kind for obstacle in scene.obstacles} <= set(entry.kinds)
             assert scene.ground in entry.grounds
 
