@@ -17,6 +17,21 @@ pytestmark = [pytest.mark.integration, pytest.mark.slow]
 LAUNCH = [sys.executable, "-m", "zsdist.launch", "--actors", "2", "--plain"]
 QUICK = ["--set", "run.final_evaluation_episodes=0", "--set", "scenes.train=[singleton]", "--set", "sim.max_steps=60"]
 PATIENCE_S = 100.0
+RUBBISHED = (
+    "push/low/actor-0/0",
+    "episodes/actor-0/0",
+    "ack/actor-0",
+    "weights/low",
+    "candidate/high/1-recent",
+    "evaluation/actor-0",
+    "control/actor",
+    "control/replay",
+    "control/learner",
+    "control/scheduler",
+    "stats/actor/0",
+    "stats/stranger/0",
+    "events",
+)
 ROLES = {"hub/0", "scheduler/0", "replay/0", "learner/high", "learner/low", "actor/0", "actor/1"}
 
 
@@ -37,6 +52,14 @@ class Stranger:
     def _hear(self, sample):
         self.said[str(sample.key_expr).split("/stats/")[1]] = json.loads(sample.payload.to_string())
         self.encodings.add(str(sample.encoding))
+
+    def rubbish(self):
+        """Bytes that are no message of ours, wherever one is expected."""
+        for key in RUBBISHED:
+            for payload in (b"", b"\x00" * 64, os.urandom(500), b'{"role": 1}'):
+                self.session.put(f"zsdist/{self.run}/{key}", payload)
+        for key in ("sample/low", "control/replay"):
+            self.session.get(f"zsdist/{self.run}/{key}", payload=os.urandom(100), timeout=0.2)
 
     def alive(self):
         replies = self.session.liveliness().get(f"zsdist/{self.run}/alive/**")
@@ -82,6 +105,9 @@ def test_a_stranger_sees_every_role_and_a_killed_actor_is_replaced(tmp_path):
             assert f"{fields['role']}/{fields['id']}" == name
             assert {"time_s", "host", "pid"} <= set(fields)
         assert len({fields["pid"] for name, fields in stranger.said.items() if name in ROLES}) == len(ROLES)
+
+        stranger.rubbish()
+        until(lambda: stranger.said["replay/0"].get("rejected_magic", 0) > 0, process, "the rubbish is counted")
 
         seen = subprocess.run(
             [sys.executable, "-m", "zsdist.monitor", "--once", "--json", "--runs", str(tmp_path)],

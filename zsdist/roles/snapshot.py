@@ -1,6 +1,7 @@
 """The latest statistics of every role, as anybody who subscribes to a run can put them together."""
 
 import json
+import math
 from collections import deque
 from collections.abc import Iterable
 
@@ -9,6 +10,7 @@ from zsdist.types import Level
 from zsdist.wire import keys
 
 Fields = dict[str, float | str]
+WORDS = ("role", "id", "host", "stage", "endpoint")  # fields of statistics that are no numbers
 HISTORY = 12  # statistics of a role that its rates are taken over
 
 
@@ -108,10 +110,27 @@ class Snapshot:
             self.malformed += 1
         elif parsed.kind == "events":
             self.events = [*self.events[-99:], fields]
-        elif parsed.kind == "stats":
+        elif parsed.kind == "stats" and _sound(fields, parsed):
             who = (parsed.fields["role"], parsed.fields["id"])
             if self.roles.get(who, {}).get("epoch") != fields.get("epoch"):
                 self._history.pop(who, None)  # another process, whose counters began anew
             self.roles[who] = fields
             self._history.setdefault(who, deque(maxlen=HISTORY)).append(fields)
             self.max_lag_versions = max(self.max_lag_versions, *self.lag_versions().values())
+        else:
+            self.malformed += 1
+
+
+def _sound(fields: dict, parsed: keys.ParsedKey) -> bool:
+    """Whether statistics keep to the key space: flat, of the role they are published for, numbers but for few words."""
+    named = all(fields.get(name) == parsed.fields[name] for name in ("role", "id"))
+    return (
+        named
+        and parsed.fields["role"] in keys.ROLES
+        and "time_s" in fields
+        and all(isinstance(value, str) if name in WORDS else _finite(value) for name, value in fields.items())
+    )
+
+
+def _finite(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -56,7 +56,22 @@ def test_liveliness_comes_and_goes():
     assert snapshot.alive == set()
 
 
-@pytest.mark.parametrize("payload", [b"", b"{", b"[1]", b"\xff\xfe", b"null"])
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"",
+        b"{",
+        b"[1]",
+        b"\xff\xfe",
+        b"null",
+        b'{"role": "actor", "id": "0"}',
+        b'{"role": "actor", "id": "1", "time_s": 1}',
+        b'{"role": "actor", "id": "0", "time_s": "late"}',
+        b'{"role": "actor", "id": "0", "time_s": 1, "env_steps": "many"}',
+        b'{"role": "actor", "id": "0", "time_s": 1, "env_steps": NaN}',
+        b'{"role": "actor", "id": "0", "time_s": 1, "env_steps": [1]}',
+    ],
+)
 def test_rubbish_is_counted_and_changes_nothing(payload):
     snapshot = Snapshot()
     snapshot.take([Message(keys.stats("run", "actor", "0"), payload), Message("another/key", b"{}")])
