@@ -111,8 +111,13 @@ def _train(setting: Setting, interruption: "Interruption", console: Console, *, 
         from zsdist.run import ray as runner  # Ray takes a second to import, and the test mode does without
     epochs = directory.issue_epochs(setting.folder, program.epoch_count(setting.config))
     (setting.folder / "summary.json").unlink(missing_ok=True)
-    with Display(setting.run, console, prefer_lines=prefer_lines) as display:
-        runner.run(setting, epochs, interrupted=interruption, watch=display.refresh)
+    try:
+        with Display(setting.run, console, prefer_lines=prefer_lines) as display:
+            runner.run(setting, epochs, interrupted=interruption, watch=display.refresh)
+    except RunError as error:
+        if not any(setting.folder.glob("checkpoints/*/manifest.json")):
+            raise
+        raise RunError(f"{error}; go on from the last checkpoint with --resume {setting.folder}") from error
     return json.loads((setting.folder / "summary.json").read_text())
 
 

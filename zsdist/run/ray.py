@@ -233,6 +233,6 @@ class _Supervisor:
 
 
 def _last_line(error: Exception) -> str:
-    """The telling line of Ray's long reports."""
+    """The telling line of Ray's long reports, as far as it tells something."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return lines[-1] if lines else type(error).__name__
+    return lines[-1].partition(" Worker exit type:")[0] if lines else type(error).__name__
