@@ -100,7 +100,8 @@ def _resume(options: argparse.Namespace, console: Console) -> Setting:
 
 
 def _check_parts(settings: Config, console: Console) -> None:
-    """Finds out before anything is written or started whether scenes and vision weights are there, and fit."""
+    """Finds out before anything is written or started whether scenes, vision weights and memory are there, and fit."""
+    program.check_memory(settings)
     console.print("preparing; the first time, this takes about 15 s for what is compiled then", highlight=False)
     program.warm_up(settings)
 

@@ -29,6 +29,7 @@ def test_an_unknown_key_is_refused_with_the_nearest_known_one(capsys, tmp_path):
         (["--episodes", "-3"], "run.episodes is -3"),
         (["--set", "low.learning_rate=.nan"], "low.learning_rate is nan"),
         (["--set", "run.actors"], "'run.actors' is not of the form"),
+        (["--set", "replay.max_bytes=1000"], "replay.max_bytes are 1000"),
         (["--set", "transport=memory"], "placement 'ray'"),
         (["--set", "scenes.train=[nowhere]"], "nowhere"),
         (["--set", "vision.weights=nowhere"], "nowhere"),

@@ -12,6 +12,7 @@ from zsdist.agent.learning import Track
 from zsdist.agent.options import End, Option
 from zsdist.agent.situation import Situation
 from zsdist.config import Config
+from zsdist.dqn import network
 from zsdist.planning.belief import BeliefMap
 from zsdist.planning.grid import HEADINGS, Grid
 from zsdist.planning.rewards import RewardTerms
@@ -240,7 +241,7 @@ class HierarchicalAgent:
                 return _Choice(int(guided), Behaviour.GUIDE, False)
             return _Choice(int(self._rng.choice(np.flatnonzero(mask))), Behaviour.UNIFORM, False)
         values = q(state[None])[0]
-        best = int(np.where(mask, values, -np.inf).argmax())
+        best = int(network.greedy(values[None], mask[None])[0])
         return _Choice(best, Behaviour.GREEDY, best != int(values.argmax()))
 
     def _planned(self) -> int:

@@ -14,6 +14,8 @@ from zsdist.agent.hierarchy import HierarchicalAgent
 from zsdist.config import Config
 from zsdist.dqn import network
 from zsdist.dqn.learner import DqnLearner
+from zsdist.errors import ConfigError
+from zsdist.replay.buffer import row_bytes
 from zsdist.roles.actor import Actor, VisualAct
 from zsdist.roles.base import Context, Role
 from zsdist.roles.cars import Car, Errand
@@ -110,6 +112,17 @@ def simulation(config: Config) -> Parts:
         visual_act=PretrainedVisualAct.load(config.vision, config.camera),
         itinerary=Itinerary(config),
     )
+
+
+def check_memory(config: Config) -> None:
+    """Holds what the replay may grow to against its byte budget; raises `ConfigError` where it does not fit."""
+    row = sum(row_bytes(shape.state_size, shape.actions) for shape in SHAPES.values())
+    needed = config.replay.size_max * row
+    if needed > config.replay.max_bytes:
+        raise ConfigError(
+            f"replay.size_max is {config.replay.size_max}: both levels would take {needed} bytes; "
+            f"allowed by replay.max_bytes are {config.replay.max_bytes}"
+        )
 
 
 def warm_up(config: Config) -> None:
