@@ -207,6 +207,11 @@ class Config(Section):
                 f"transport.endpoint is {endpoint!r} with run.address {self.run.address!r}: roles on a cluster cannot "
                 "reach a loopback endpoint; allowed is an address of this machine, such as tcp/HOST:7447"
             )
+        if self.run.address is not None and self.run.address.startswith("ray://"):
+            raise ValueError(
+                f"run.address is {self.run.address!r}: the run directory would lie on this machine and the scheduler on "
+                "another; allowed is 'auto' or HOST:PORT, given on a node of the cluster"
+            )
         if self.grid.cells % self.grid.blocks:
             raise ValueError(
                 f"grid.cells is {self.grid.cells}; allowed are multiples of grid.blocks, {self.grid.blocks}"

@@ -55,7 +55,9 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument(
         "--resume", type=Path, metavar="DIR", help="go on with the run in DIR, and append to its files"
     )
-    options.add_argument("--address", metavar="RAY", help="Ray cluster to run on: ray://HOST:PORT or auto")
+    options.add_argument(
+        "--address", metavar="RAY", help="Ray cluster to run on, from one of its nodes: auto or HOST:PORT"
+    )
     options.add_argument("--plain", action="store_true", help="progress as lines, also on a terminal")
     return options
 

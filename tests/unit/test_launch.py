@@ -81,7 +81,11 @@ def test_what_a_resumed_run_has_already_cannot_be_given_again(capsys, tmp_path, 
     assert option[0] in refusal(capsys, "--resume", tmp_path, *option)
 
 
-def test_a_cluster_with_a_loopback_endpoint_is_refused(capsys, tmp_path):
-    said = refusal(capsys, "--address", "ray://10.255.255.1:10001", "--run-dir", tmp_path / "run")
-    assert "loopback" in said
+@pytest.mark.parametrize(
+    ("address", "endpoint", "telling"),
+    [("auto", "tcp/127.0.0.1:7447", "loopback"), ("ray://10.255.255.1:10001", "tcp/10.255.255.1:7447", "ray://")],
+)
+def test_a_cluster_that_the_roles_could_not_reach_is_refused(capsys, tmp_path, address, endpoint, telling):
+    arguments = ("--address", address, "--set", f"transport.endpoint={endpoint}", "--run-dir", tmp_path / "run")
+    assert telling in refusal(capsys, *arguments)
     assert not (tmp_path / "run").exists()

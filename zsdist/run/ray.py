@@ -21,6 +21,7 @@ from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders
 
+OBJECT_STORE_BYTES = 256 * 2**20  # it carries settings and checkpoints at the start, and nothing afterwards
 RESTARTS_ALLOWED = 20  # of one actor, before the run is given up
 LEAVE_WITHIN_S = 5.0  # roles have so long to end by themselves once the run is over
 
@@ -127,7 +128,9 @@ def _connect(setting: Setting) -> None:
         # Logical cores only steer Ray's placement: enough of them, and no role ever waits for a place.
         cores = max(os.cpu_count() or 1, int(wanted) + 1)
         ray.init(
+            address="local",  # a cluster of its own, also where RAY_ADDRESS names another
             num_cpus=cores,
+            object_store_memory=OBJECT_STORE_BYTES,
             include_dashboard=False,
             log_to_driver=False,
             logging_level="ERROR",
