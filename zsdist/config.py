@@ -209,8 +209,8 @@ class Config(Section):
             )
         if self.run.address is not None and self.run.address.startswith("ray://"):
             raise ValueError(
-                f"run.address is {self.run.address!r}: the run directory would lie on this machine and the scheduler on "
-                "another; allowed is 'auto' or HOST:PORT, given on a node of the cluster"
+                f"run.address is {self.run.address!r}: the run directory would lie here and the scheduler on another "
+                "machine; allowed is 'auto' or HOST:PORT, given on a node of the cluster"
             )
         if self.grid.cells % self.grid.blocks:
             raise ValueError(

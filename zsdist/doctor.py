@@ -51,7 +51,7 @@ class Finding:
 def make_parser() -> argparse.ArgumentParser:
     """The command's options."""
     parser = cli.Parser(prog="zsdist.doctor", description=__doc__)
-    parser.add_argument("--address", metavar="RAY", help="also check this Ray cluster: ray://HOST:PORT or auto")
+    parser.add_argument("--address", metavar="RAY", help="also check this Ray cluster: HOST:PORT or auto")
     parser.add_argument("--endpoint", help="of the hub on that cluster (transport.endpoint)")
     parser.add_argument("--json", action="store_true", help="print the findings as JSON")
     return parser

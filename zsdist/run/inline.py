@@ -13,7 +13,7 @@ import torch
 
 from zsdist.roles.base import HEARTBEAT_S, Role
 from zsdist.run import program
-from zsdist.run.program import Place, Setting
+from zsdist.run.program import Place, Setting, Watch
 from zsdist.transport.base import Transport
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport
@@ -21,8 +21,6 @@ from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders
 
 TICK_S = 0.01  # of virtual time, for each round in which some role worked
-
-Watch = Callable[[Transport, float], None]
 
 
 def run(

@@ -32,6 +32,7 @@ from zsdist.types import Level
 from zsdist.vision.visual_act import VisualAct as PretrainedVisualAct
 from zsdist.wire.messages import State
 
+Watch = Callable[[Transport, float], None]  # called once a round with the runner's transport and the clock
 SHAPES = {
     Level.HIGH: Shape(features.HIGH_STATE_SIZE, blocks.HIGH_ACTIONS),
     Level.LOW: Shape(features.LOW_STATE_SIZE, features.LOW_ACTIONS),

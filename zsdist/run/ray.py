@@ -15,7 +15,7 @@ from zsdist.errors import RunError, ZsdistError
 from zsdist.roles.base import HEARTBEAT_S, Role
 from zsdist.run import program
 from zsdist.run.directory import issue_epochs
-from zsdist.run.program import Place, Setting
+from zsdist.run.program import Place, Setting, Watch
 from zsdist.transport.base import Transport
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 from zsdist.wire import codec, keys
@@ -24,8 +24,6 @@ from zsdist.wire.messages import Orders
 OBJECT_STORE_BYTES = 256 * 2**20  # it carries settings and checkpoints at the start, and nothing afterwards
 RESTARTS_ALLOWED = 20  # of one actor, before the run is given up
 LEAVE_WITHIN_S = 5.0  # roles have so long to end by themselves once the run is over
-
-Watch = Callable[[Transport, float], None]
 
 
 class RoleHost:
