@@ -156,6 +156,15 @@ def test_an_interruption_saves_everything_and_counts_no_cut_episode(tmp_path):
     assert len(numbers) == len(set(numbers)) == summary["episodes"] + 2
 
 
+def test_the_policy_a_run_ends_with_is_the_one_that_the_last_merge_chose(run):
+    setting, summary, said = run
+    chosen = summary["merges"][-1]["chosen"]
+    policy = load_policy(setting.folder)
+    for level in Level:
+        offered = [one for one in said["candidate"] if (one.level, one.merge, one.name) == (level, 2, chosen)]
+        assert network.sha256(policy.parameters[level]) == network.sha256(offered[0].parameters)
+
+
 def test_a_checkpoint_holds_the_policy_that_was_broadcast_last(run):
     setting, summary, _ = run
     policy = load_policy(setting.folder)

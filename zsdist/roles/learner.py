@@ -137,7 +137,7 @@ class Learner(Role):
         fresh = self.updates != self._published_updates and now - self._published_s >= WEIGHTS_EVERY_S
         if fresh or now - self._published_s >= REPEAT_EVERY_S:
             self._publish_weights(now)
-        if self._paused and now - self._offered_s >= REPEAT_EVERY_S:
+        if self._candidates and now - self._offered_s >= REPEAT_EVERY_S:
             self._publish_candidates(now)
 
     def _publish_weights(self, now: float) -> None:
@@ -151,11 +151,12 @@ class Learner(Role):
     def _follow(self, content: dict, now: float) -> None:
         index = content["merge"]
         if content["phase"] == Phase.COLLECT and index > self._offered:
-            self._offered, self._paused = index, True
+            self._offered = index
             self._candidates = self._make_candidates(content["candidates"])
             self._publish_candidates(now)
         if content["phase"] == Phase.PROMOTE and index > self.merge and content["chosen"] in self._candidates:
             self._promote(index, content["chosen"], now)
+        self._paused = not content["learning"]
         self.finished = content["stop"]
 
     def _make_candidates(self, names: list[str]) -> dict[str, Parameters]:
@@ -178,6 +179,6 @@ class Learner(Role):
     def _promote(self, index: int, chosen: str, now: float) -> None:
         self._best = self._candidates[chosen]
         self.dqn.promote(self._best, reset_online=chosen != RECENT)
-        self.merge, self._candidates, self._paused = index, {}, False
+        self.merge, self._candidates = index, {}
         self._published_updates = -1  # the networks may have changed without an update
         self._publish_weights(now)

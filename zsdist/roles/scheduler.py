@@ -239,7 +239,9 @@ class Scheduler(Role):
         if merge.phase is Phase.DONE and self._save(now):
             self.merges.append(merge.summary())
             self.event(now, "merge", merge=merge.index, chosen=merge.chosen, score=merge.score(merge.chosen))
-            self.merge, self.stage = None, Stage.TRAIN
+            over = len(self.leases.finished) >= self.target
+            self.merge, self.stage = None, Stage.CLOSING if over else Stage.TRAIN
+            self._next_orders_s = 0.0
 
     def _conduct_end(self, now: float) -> None:
         """Actors close their epochs, the replay confirms that all is stored, then checkpoint and summary."""
@@ -313,6 +315,8 @@ class Scheduler(Role):
                 "stop": done,
             },
             "learner": {
+                "learning": self.stage
+                is Stage.TRAIN,  # not while candidates are compared, nor after the last comparison
                 "merge": merge.index if merge else 0,
                 "phase": merge.phase.value if merge else "",
                 "candidates": list(merge.candidates) if merge else [],
