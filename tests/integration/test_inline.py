@@ -156,12 +156,16 @@ def test_an_interruption_saves_everything_and_counts_no_cut_episode(tmp_path):
     assert len(numbers) == len(set(numbers)) == summary["episodes"] + 2
 
 
-def test_the_policy_a_run_ends_with_is_the_one_that_the_last_merge_chose(run):
-    setting, summary, said = run
+def test_a_run_ends_with_the_policy_that_the_last_merge_chose_although_updates_are_owed(tmp_path):
+    tap, pace = Tap(), 30
+    overrides = ("run.episodes=4", f"low.updates_per_insert={pace}", f"high.updates_per_insert={pace}")
+    setting = start(tmp_path / "run", *overrides)
+    summary = rehearse(setting, watch=tap)
     chosen = summary["merges"][-1]["chosen"]
     policy = load_policy(setting.folder)
     for level in Level:
-        offered = [one for one in said["candidate"] if (one.level, one.merge, one.name) == (level, 2, chosen)]
+        assert summary["learner_updates"][level] < pace * summary["transitions"][level]["stored"]
+        offered = [one for one in tap.by_kind()["candidate"] if (one.level, one.name) == (level, chosen)]
         assert network.sha256(policy.parameters[level]) == network.sha256(offered[0].parameters)
 
 
