@@ -315,8 +315,8 @@ class Scheduler(Role):
                 "stop": done,
             },
             "learner": {
-                "learning": self.stage
-                is Stage.TRAIN,  # not while candidates are compared, nor after the last comparison
+                # Not while candidates are compared, nor after the last comparison.
+                "learning": self.stage is Stage.TRAIN,
                 "merge": merge.index if merge else 0,
                 "phase": merge.phase.value if merge else "",
                 "candidates": list(merge.candidates) if merge else [],
