@@ -17,6 +17,7 @@ from zsdist.evaluation.selection import select
 from zsdist.evaluation.workers import Entrant
 from zsdist.run import program
 from zsdist.run.checkpoint import load_policy, make_policy
+from zsdist.sim.families import SINGLETON_SCENES
 from zsdist.types import Level
 
 PATHS_SHOWN = 6
@@ -70,7 +71,7 @@ def _trials(folder: Path, settings: Config, episodes: int) -> Iterator[Trial]:
     parameters = {level: program.make_learner(settings, level).parameters() for level in Level}
     untrained = make_policy(settings, parameters, "before training")
     home = settings.scenes.train[0]
-    at_home = min(episodes, 10) if home == SINGLETON else episodes
+    at_home = min(episodes, SINGLETON_SCENES) if home == SINGLETON else episodes
     for name, policy in (("trained", trained), ("untrained", untrained)):
         yield Trial(name, Entrant(settings, policy.parameters), policy.sha256, home, at_home)
     away = UNSEEN if home == SINGLETON else "test"

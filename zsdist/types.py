@@ -4,6 +4,7 @@ Shape legend: `n` transitions of a trajectory, `D` state features, `A` actions, 
 `K` distance bins of a ray, the last of which means "nothing within the camera's range".
 """
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from typing import NamedTuple
@@ -53,6 +54,11 @@ class Pose(NamedTuple):
     x_m: float
     y_m: float
     heading_rad: float
+
+    def towards(self, x_m: float, y_m: float) -> tuple[float, float]:
+        """Bearing of a point from the car's axis in radians, left positive, within half a turn; distance in metres."""
+        east, north = x_m - self.x_m, y_m - self.y_m
+        return math.remainder(math.atan2(north, east) - self.heading_rad, math.tau), math.hypot(east, north)
 
 
 class LatticeState(NamedTuple):

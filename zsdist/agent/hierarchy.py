@@ -1,8 +1,9 @@
 """Algorithm 2 for one car: both levels, the guides and the shield, driven by observations from outside."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -17,11 +18,16 @@ from zsdist.planning.belief import BeliefMap
 from zsdist.planning.grid import HEADINGS, Grid
 from zsdist.planning.rewards import RewardTerms
 from zsdist.planning.shortest_path import cost_to_go, goal_mask
-from zsdist.types import Action, Behaviour, Level, Pose, Trajectory, View
+from zsdist.types import Action, Behaviour, Level, Parameters, Pose, Trajectory, View
 
 START_DISC_M = 1.5  # about the start, known to be free
 
 QFunctions = dict[Level, Callable[[np.ndarray], np.ndarray]]
+
+
+def q_functions(parameters: Mapping[Level, Parameters]) -> QFunctions:
+    """What `HierarchicalAgent.act` asks, from the weights of both networks."""
+    return {level: partial(network.apply, weights) for level, weights in parameters.items()}
 
 
 @dataclass(frozen=True)

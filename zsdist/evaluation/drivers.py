@@ -5,13 +5,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import partial
 
 import numpy as np
 
-from zsdist.agent.hierarchy import HierarchicalAgent
+from zsdist.agent.hierarchy import HierarchicalAgent, q_functions
 from zsdist.config import Config
-from zsdist.dqn import network
 from zsdist.planning.rewards import RewardTerms
 from zsdist.sim.scene import Scene
 from zsdist.types import Level, Parameters, Pose, View
@@ -76,7 +74,7 @@ class LearnedDriver(Driver):
     def __init__(self, config: Config, parameters: dict[Level, Parameters], visual_act: VisualAct) -> None:
         self._agent = HierarchicalAgent(config)
         self._visual_act = visual_act
-        self._q = {level: partial(network.apply, parameters[level]) for level in Level}
+        self._q = q_functions(parameters)
 
     def begin(self, pose: Pose, goal: tuple[float, float], truth: Scene | None, rng: np.random.Generator) -> None:
         """Starts the agent without exploration, under the shield."""
@@ -98,8 +96,6 @@ class LearnedDriver(Driver):
 
 def look(visual_act: VisualAct, observed: Observed) -> View:
     """What the visual-act model says of the observed's image."""
-    pose, goal = observed.pose, observed.goal
-    east, north = goal[0] - pose.x_m, goal[1] - pose.y_m
-    bearing_rad = math.remainder(math.atan2(north, east) - pose.heading_rad, math.tau)
-    (view,) = visual_act(observed.image[None], np.array([bearing_rad]), np.array([math.hypot(east, north)]))
+    bearing_rad, distance_m = observed.pose.towards(*observed.goal)
+    (view,) = visual_act(observed.image[None], np.array([bearing_rad]), np.array([distance_m]))
     return view

@@ -1,17 +1,16 @@
 """The actor role: drives several cars by camera with local visual-act inference, and pushes what they lived through."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Protocol
 
 import numpy as np
 
-from zsdist.dqn import network
+from zsdist.agent.hierarchy import QFunctions, q_functions
 from zsdist.dqn.exploration import epsilon
 from zsdist.errors import RunError
 from zsdist.protocol.outbox import Outbox
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
-from zsdist.roles.cars import Car, Errand, QFunctions
+from zsdist.roles.cars import Car, Errand
 from zsdist.types import Level, Parameters, View
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import EPISODES, EVALUATION, Ack, Candidate, Jobs, Orders, Push, Records, WeightsMessage
@@ -198,13 +197,12 @@ class Actor(Role):
                 self._report(car)
 
     def _online_q(self) -> QFunctions:
-        return {level: partial(network.apply, held.weights.parameters) for level, held in self._weights.items()}
+        return q_functions({level: held.weights.parameters for level, held in self._weights.items()})
 
     def _candidate_q(self, errand: Errand) -> QFunctions | None:
         if errand.trains:
             return None
-        pair = self._candidates[errand.merge, errand.candidate]
-        return {level: partial(network.apply, parameters) for level, parameters in pair.items()}
+        return q_functions(self._candidates[errand.merge, errand.candidate])
 
     def _collect(self, car: Car) -> None:
         for trajectory in car.agent.drain():

@@ -1,18 +1,15 @@
 """One simulated car of an actor: its environment, its agent, and what it is driving for."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
 import numpy as np
 
-from zsdist.agent.hierarchy import HierarchicalAgent
+from zsdist.agent.hierarchy import HierarchicalAgent, QFunctions
 from zsdist.planning.rewards import RewardTerms
 from zsdist.types import Level, Outcome, Pose, View
-
-QFunctions = dict[Level, Callable[[np.ndarray], np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -73,10 +70,7 @@ class Car:
 
     def goal_seen_from_here(self) -> tuple[float, float]:
         """Bearing of the goal from the car's axis in radians, left positive, and its distance in metres."""
-        pose = self.pose
-        east, north = self._observation["goal"][0] - pose.x_m, self._observation["goal"][1] - pose.y_m
-        bearing = math.atan2(north, east) - pose.heading_rad
-        return math.remainder(bearing, math.tau), math.hypot(east, north)
+        return self.pose.towards(*(float(value) for value in self._observation["goal"]))
 
     def begin(self, errand: Errand, versions: dict[Level, int], candidate_q: QFunctions | None = None) -> None:
         """Puts the car at the start of its errand's scene; a candidate's networks stay the same to the end."""

@@ -83,7 +83,6 @@ class Learner(Role):
     def state(self) -> State:
         """Networks, optimiser, generator and counts."""
         arrays = {f"dqn/{name}": array for name, array in self.dqn.state().items()}
-        arrays |= {f"online/{name}": array for name, array in self.dqn.parameters().items()}
         arrays |= {f"best/{name}": array for name, array in (self._best or {}).items()}
         meta = {
             "version": self.version,

@@ -54,7 +54,7 @@ def load_policy(path: Path) -> Policy:
 
 def policy_of(settings: Config, states: dict[str, State], source: str) -> Policy:
     """The policy in the states of a checkpoint."""
-    parameters = {level: states[f"learner-{level}"].part("online/") for level in Level}
+    parameters = {level: states[f"learner-{level}"].part("dqn/online/") for level in Level}
     return make_policy(settings, parameters, source)
 
 

@@ -3,16 +3,15 @@
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 
 import gymnasium
 import numpy as np
 
 from zsdist.agent import blocks, features
-from zsdist.agent.hierarchy import HierarchicalAgent
+from zsdist.agent.hierarchy import HierarchicalAgent, q_functions
 from zsdist.config import Config
-from zsdist.dqn import network
 from zsdist.dqn.learner import DqnLearner
 from zsdist.errors import ConfigError
 from zsdist.replay.buffer import row_bytes
@@ -55,14 +54,17 @@ class Place:
 
 def roles(config: Config, epochs: Sequence[int]) -> list[Place]:
     """All roles that do the run's work, in the order in which an inline run steps them."""
-    names = [("scheduler", "0"), ("replay", "0"), ("learner", "high"), ("learner", "low")]
-    names += [("actor", str(index)) for index in range(config.run.actors)]
-    return [Place(role, identifier, epoch) for (role, identifier), epoch in zip(names, epochs, strict=True)]
+    return [Place(role, identifier, epoch) for (role, identifier), epoch in zip(_names(config), epochs, strict=True)]
+
+
+def _names(config: Config) -> list[tuple[str, str]]:
+    singles = [("scheduler", "0"), ("replay", "0"), ("learner", "high"), ("learner", "low")]
+    return singles + [("actor", str(index)) for index in range(config.run.actors)]
 
 
 def role_count(config: Config) -> int:
     """How many roles `roles` lists."""
-    return 4 + config.run.actors
+    return len(_names(config))
 
 
 def epoch_count(config: Config) -> int:
@@ -135,8 +137,7 @@ def warm_up(config: Config) -> None:
     parts = simulation(config)
     car = Car(parts.make_env(), HierarchicalAgent(config))
     car.begin(Errand(parts.itinerary.training(1), 1, 1.0, True, (0,)), dict.fromkeys(Level, 0))
-    parameters = {level: make_learner(config, level).parameters() for level in Level}
-    q = {level: partial(network.apply, parameters[level]) for level in Level}
+    q = q_functions({level: make_learner(config, level).parameters() for level in Level})
     for _ in range(2):
         bearing_rad, distance_m = car.goal_seen_from_here()
         (view,) = parts.visual_act(car.image[None], np.array([bearing_rad]), np.array([distance_m]))

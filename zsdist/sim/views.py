@@ -105,15 +105,14 @@ def label(scene: Scene, pose: Pose, camera: CameraConfig, people: np.ndarray | N
     moves = np.array([KINDS[kind].dynamic for kind in _kinds_by_hit(scene)] + [False])
     ray_dynamic = moves[np.maximum(hit, -1)]  # the last entry is of what no obstacle is hit by
     clearance, dynamic = nearest(distance, ray_dynamic, angles)
-    east, north = scene.goal[0] - pose.x_m, scene.goal[1] - pose.y_m
-    bearing = math.remainder(math.atan2(north, east) - pose.heading_rad, math.tau)
+    bearing, goal_m = pose.towards(*scene.goal)
     return {
         "ray_clearance_m": distance.astype(np.float32),
         "ray_dynamic": ray_dynamic,
         "clearance_m": clearance,
         "dynamic": dynamic,
         "goal_bearing_rad": bearing,
-        "goal_distance_m": math.hypot(east, north),
+        "goal_distance_m": goal_m,
     }
 
 
