@@ -67,6 +67,8 @@ class VisionConfig(Section):
     """Visual-act inference in the actor."""
 
     weights: str = "pretrained"  # shipped in the package, or a folder made by `zsdist.pretrain`
+    encoder: str = "efficientnet-lite0"  # or a folder with a CLIP model, in the layout of open_clip or Hugging Face
+    network: Literal["head", "student"] = "head"  # the head on the encoder's tokens, or the small network without it
     ray_quantile: Annotated[float, Field(gt=0, lt=1)] = 0.2
 
 

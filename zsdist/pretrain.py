@@ -26,14 +26,15 @@ from zsdist.sim.families import generate
 from zsdist.sim.kinds import SIGHT_HEIGHT_M
 from zsdist.sim.manifest import MANIFEST, OOD_FAMILIES, SPLITS, split_seed
 from zsdist.sim.views import POSES_PER_SCENE, LabelledView, free_pose, label, labelled_views
-from zsdist.vision.encoder import EfficientNetLite0, Encoder
+from zsdist.vision.encoders.base import Encoder
+from zsdist.vision.encoders.lite0 import EfficientNetLite0
 from zsdist.vision.labels import nearest, openness, progress, random_goals, reward_label
 from zsdist.vision.rays import RAYS, quantile_m, ray_angles_rad
 from zsdist.vision.scores import action_scores, depth_rays_m, ray_scores
 from zsdist.vision.visual_act import CAMERA_KEYS, VisualAct
 
 if TYPE_CHECKING:
-    from zsdist.vision.training import Examples
+    from zsdist.vision.training.examples import Examples
 
 BATCH = 16  # pictures read at once
 VALIDATION_SHARE = 0.08  # validation pictures for each training picture
@@ -73,7 +74,7 @@ def pretrain(config: Config, options: argparse.Namespace) -> None:
     Raises:
         RunError: the folder cannot be written.
     """
-    from zsdist.vision import training  # imports torch, which a check does not need
+    from zsdist.vision.training import head as training  # imports torch, which a check does not need
 
     begin, allowed_s = time.monotonic(), options.minutes * 60
     try:
@@ -139,7 +140,7 @@ def gather(
     Returns:
         What can be trained on, and the hashes of the scenes they are of.
     """
-    from zsdist.vision.training import Examples
+    from zsdist.vision.training.examples import Examples
 
     angles = ray_angles_rad(RAYS, math.radians(camera.field_of_view_deg))
     distance, dynamic = np.empty((count, RAYS), np.float32), np.empty((count, RAYS), bool)

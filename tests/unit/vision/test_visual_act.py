@@ -7,10 +7,10 @@ import torch
 from zsdist.config import CameraConfig, VisionConfig
 from zsdist.errors import WeightsError
 from zsdist.sim.views import labelled_views
-from zsdist.vision.encoder import FEATURES, INPUT_PX, SIDE, EfficientNetLite0
-from zsdist.vision.head import VisualActHead
+from zsdist.vision.encoders.lite0 import FEATURES, INPUT_PX, SIDE, EfficientNetLite0
+from zsdist.vision.models.head import VisualActHead
 from zsdist.vision.rays import BINS, RAYS
-from zsdist.vision.training import save
+from zsdist.vision.training.head import save
 from zsdist.vision.visual_act import METADATA_FILE, WEIGHTS_FILE, VisualAct
 
 CAMERA = CameraConfig()

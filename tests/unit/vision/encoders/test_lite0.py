@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from zsdist.errors import WeightsError
-from zsdist.vision import encoder as module
-from zsdist.vision.encoder import FEATURES, INPUT_PX, SIDE, EfficientNetLite0, resample
+from zsdist.vision.encoders import lite0 as module
+from zsdist.vision.encoders.base import resample
+from zsdist.vision.encoders.lite0 import FEATURES, INPUT_PX, SIDE, EfficientNetLite0
 
 
 @cache

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from zsdist.vision.losses import action_losses, distance_loss, kind_loss
 from zsdist.vision.rays import soft_labels
+from zsdist.vision.training.losses import action_losses, distance_loss, kind_loss
 
 
 def logits_of(distance):

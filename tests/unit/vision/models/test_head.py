@@ -1,7 +1,7 @@
 import numpy as np
 import torch
 
-from zsdist.vision.head import VisualActHead, attention
+from zsdist.vision.models.head import VisualActHead, attention
 from zsdist.vision.rays import BINS, RAYS
 
 FEATURES, SIDE = 8, 14
@@ -23,21 +23,25 @@ def test_eq04_is_the_softmax_of_scaled_products_times_the_values():
     scores = np.exp(q @ k.T / np.sqrt(4))
     expected = scores / scores.sum(1, keepdims=True) @ v
     everything = torch.ones(3, 5, dtype=torch.bool)
-    np.testing.assert_allclose(attention(*map(torch.from_numpy, (q, k, v)), everything), expected, rtol=1e-9)
+    mixed, weights = attention(*map(torch.from_numpy, (q, k, v)), everything)
+    np.testing.assert_allclose(mixed, expected, rtol=1e-9)
+    np.testing.assert_allclose(weights.sum(1), 1.0)
 
 
 def test_eq04_gives_no_weight_to_a_masked_token():
     rng = np.random.default_rng(2)
     q, k, v = (torch.from_numpy(rng.normal(size=shape)) for shape in ((3, 4), (5, 4), (5, 2)))
     allowed = torch.tensor([[True, True, True, False, True]]).expand(3, -1)
-    before = attention(q, k, v, allowed)
+    before, weights = attention(q, k, v, allowed)
     k[3], v[3] = 1e3, 1e3
-    np.testing.assert_array_equal(attention(q, k, v, allowed), before)
+    np.testing.assert_array_equal(attention(q, k, v, allowed)[0], before)
+    assert (weights[:, 3] == 0).all()
 
 
 def test_shapes_are_three_actions_and_all_rays():
-    clearance, dynamic, rays = head()(tokens())
-    assert clearance.shape == (2, 3, BINS) and dynamic.shape == (2, 3) and rays.shape == (2, RAYS, BINS)
+    reading = head()(tokens())
+    assert reading.clearance.shape == (2, 3, BINS) and reading.dynamic.shape == (2, 3)
+    assert reading.rays.shape == (2, RAYS, BINS) and reading.attention.shape == (2, 3, SIDE * SIDE)
 
 
 def test_the_queries_of_left_and_right_do_not_look_at_the_other_side():

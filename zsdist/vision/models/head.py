@@ -1,5 +1,7 @@
 """The trained part of the visual-act model, in torch: action queries and camera rays on the tokens of an encoder."""
 
+from typing import NamedTuple
+
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -11,7 +13,23 @@ ACTIONS = 3
 MASK_MARGIN = 2  # token columns of the neighbouring directions that an action's query may also look at
 
 
-def attention(queries: Tensor, keys: Tensor, values: Tensor, allowed: Tensor) -> Tensor:
+class Reading(NamedTuple):
+    """What the head says of a batch of images, for the actions forward, left and right.
+
+    Attributes:
+        clearance: `(B, 3, BINS)` logits of the distance to the nearest obstacle.
+        dynamic: `(B, 3)` logits of that obstacle being of a kind that moves.
+        rays: `(B, RAYS, BINS)` logits of the distance along each ray.
+        attention: `(B, 3, side * side)` where each action looked, the mean over the heads; each sums to 1.
+    """
+
+    clearance: Tensor
+    dynamic: Tensor
+    rays: Tensor
+    attention: Tensor
+
+
+def attention(queries: Tensor, keys: Tensor, values: Tensor, allowed: Tensor) -> tuple[Tensor, Tensor]:
     """Masked attention, Eq. (4): `softmax(Q K^T / sqrt(d_k)) V`, with no weight where `allowed` is false.
 
     Args:
@@ -21,10 +39,11 @@ def attention(queries: Tensor, keys: Tensor, values: Tensor, allowed: Tensor) ->
         allowed: `(Q, T)` bool, which tokens each query may look at; every row holds a true one.
 
     Returns:
-        `(..., Q, d_v)`.
+        `(..., Q, d_v)`, and the weights `(..., Q, T)`.
     """
     scores = queries @ keys.transpose(-1, -2) / keys.shape[-1] ** 0.5
-    return scores.masked_fill(~allowed, float("-inf")).softmax(-1) @ values
+    weights = scores.masked_fill(~allowed, float("-inf")).softmax(-1)
+    return weights @ values, weights
 
 
 class ActionAttention(nn.Module):
@@ -42,15 +61,19 @@ class ActionAttention(nn.Module):
         self.keys_values = nn.Linear(features, 2 * features)
         self.register_buffer("allowed", _allowed(side, field_of_view_rad), persistent=False)
 
-    def forward(self, tokens: Tensor) -> Tensor:
-        """Features of each action `(B, 3, features)` from tokens `(B, side * side, features)`."""
+    def forward(self, tokens: Tensor) -> tuple[Tensor, Tensor]:
+        """Features of each action `(B, 3, features)` and where it looked `(B, 3, side * side)`, the mean of the heads.
+
+        Args:
+            tokens: `(B, side * side, features)`.
+        """
         batch, count, features = tokens.shape
         keys, values = self.keys_values(tokens + self.positions).chunk(2, -1)
         keys = keys.reshape(batch, count, self.heads, -1).transpose(1, 2)
         values = values.reshape(batch, count, self.heads, -1).transpose(1, 2)
         queries = self.queries.reshape(ACTIONS, self.heads, -1).transpose(0, 1)
-        mixed = attention(queries, keys, values, self.allowed)
-        return mixed.transpose(1, 2).reshape(batch, ACTIONS, features)
+        mixed, weights = attention(queries, keys, values, self.allowed)
+        return mixed.transpose(1, 2).reshape(batch, ACTIONS, features), weights.mean(1)
 
 
 class Residual1d(nn.Module):
@@ -113,23 +136,20 @@ class VisualActHead(nn.Module):
         self.mean.copy_(torch.from_numpy(mean))
         self.scale.copy_(1 / torch.from_numpy(np.maximum(deviation, 1e-6)))
 
-    def forward(self, tokens: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Logits of the clearance `(B, 3, BINS)`, of "dynamic" `(B, 3)` and of the rays `(B, RAYS, BINS)`.
-
-        Args:
-            tokens: `(B, side, side, features)`.
-        """
+    def forward(self, tokens: Tensor) -> Reading:
+        """What is to be read from tokens `(B, side, side, features)`."""
         batch, side = tokens.shape[:2]
         x = torch.relu(self.project((tokens - self.mean) * self.scale))
         x = torch.relu(x + self.mix(x.permute(0, 3, 1, 2)).permute(0, 2, 3, 1))
         columns = self.fold(x.transpose(1, 2).reshape(batch, side, -1))
         columns = torch.relu(columns + self.context(columns.mean(1, keepdim=True)))
         flat = (x + self.column_of_token(columns)[:, None]).reshape(batch, side * side, -1)
-        looked = torch.cat([self.attention(flat), flat.mean(1, keepdim=True).expand(-1, ACTIONS, -1)], -1)
+        mixed, weights = self.attention(flat)
+        looked = torch.cat([mixed, flat.mean(1, keepdim=True).expand(-1, ACTIONS, -1)], -1)
         actions = torch.stack([network(looked[:, a]) for a, network in enumerate(self.action_networks)], 1)
         columns = self.columns((self.spread @ columns).transpose(1, 2))
         rays = self.ray_bins(columns).transpose(1, 2)
-        return actions[..., :BINS], actions[..., BINS], rays
+        return Reading(actions[..., :BINS], actions[..., BINS], rays, weights)
 
 
 class Probabilities(nn.Module):
@@ -140,8 +160,8 @@ class Probabilities(nn.Module):
         self.head = head
 
     def forward(self, tokens: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Probabilities in the shapes of `VisualActHead.forward`."""
-        clearance, dynamic, rays = self.head(tokens)
+        """Probabilities of clearance, dynamic and rays, in the shapes of `Reading`."""
+        clearance, dynamic, rays, _ = self.head(tokens)
         return clearance.softmax(-1), dynamic.sigmoid(), rays.softmax(-1)
 
 

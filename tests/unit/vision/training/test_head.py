@@ -7,7 +7,8 @@ import pytest
 
 from zsdist.vision.labels import nearest
 from zsdist.vision.rays import RANGE_M, RAYS, ray_angles_rad, soft_labels
-from zsdist.vision.training import Examples, Recipe, new_head, one_cycle, save, targets, train, validate
+from zsdist.vision.training.examples import Examples, targets
+from zsdist.vision.training.head import Recipe, new_head, one_cycle, save, train, validate
 from zsdist.vision.visual_act import METADATA_FILE, WEIGHTS_FILE, read_metadata
 
 SIDE, FEATURES = 8, 6

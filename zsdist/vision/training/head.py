@@ -16,34 +16,15 @@ import numpy as np
 import safetensors.torch
 import torch
 
-from zsdist.vision.head import VisualActHead
-from zsdist.vision.labels import expected_openness, nearest, openness, progress, random_goals, reward_label
-from zsdist.vision.losses import action_losses, distance_loss, kind_loss
-from zsdist.vision.rays import BIN_CENTRES_M, RANGE_M, soft_labels
+from zsdist.vision.labels import expected_openness, reward_label
+from zsdist.vision.models.head import VisualActHead
+from zsdist.vision.rays import BIN_CENTRES_M
+from zsdist.vision.training.examples import Examples, Targets, targets
+from zsdist.vision.training.losses import action_losses, distance_loss, kind_loss
 from zsdist.vision.visual_act import METADATA_FILE, WEIGHTS_FILE
 
 CLEARANCE_WEIGHT = 0.5
 KIND_WEIGHT = 0.2
-
-
-@dataclass(frozen=True)
-class Examples:
-    """Views with what is true of them.
-
-    Attributes:
-        tokens: `(N, side, side, features)` float16.
-        ray_distance_m: `(N, R)` float32, capped at the camera's range.
-        ray_dynamic: `(N, R)` bool, whether the ray meets something of a kind that moves.
-        ray_angles_rad: `(R,)` float32.
-    """
-
-    tokens: np.ndarray
-    ray_distance_m: np.ndarray
-    ray_dynamic: np.ndarray
-    ray_angles_rad: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.tokens)
 
 
 @dataclass(frozen=True)
@@ -57,51 +38,9 @@ class Recipe:
     patience: int = 8  # epochs without a better validation loss
 
 
-@dataclass(frozen=True)
-class Targets:
-    """A batch with its labels, as tensors; shapes as in `VisualActHead.forward`."""
-
-    tokens: torch.Tensor
-    rays: torch.Tensor
-    clearance: torch.Tensor
-    dynamic: torch.Tensor
-    present: torch.Tensor
-    goal_distance_m: torch.Tensor
-    progress: torch.Tensor
-    reward: torch.Tensor
-
-
-def targets(examples: Examples, index: np.ndarray, mirrored: np.ndarray, rng: np.random.Generator) -> Targets:
-    """The views `index` with labels and random goals; where `mirrored` `(B,)` is true, left and right change places.
-
-    The tokens of a mirrored image are nearly the mirrored tokens, so no image needs to be encoded twice.
-    """
-    tokens = examples.tokens[index].astype(np.float32)
-    tokens[mirrored] = tokens[mirrored][:, :, ::-1]
-    distance = examples.ray_distance_m[index]
-    distance[mirrored] = distance[mirrored][:, ::-1]
-    moving = examples.ray_dynamic[index]
-    moving[mirrored] = moving[mirrored][:, ::-1]
-    clearance_m, dynamic = nearest(distance, moving, examples.ray_angles_rad)
-    bearing, goal_distance = random_goals(len(index), rng)
-    gain = progress(bearing, goal_distance)
-    reward = reward_label(openness(clearance_m, dynamic, goal_distance[:, None]), gain).astype(np.float32)
-    parts = (
-        tokens,
-        soft_labels(distance),
-        soft_labels(clearance_m),
-        dynamic.astype(np.float32),
-        clearance_m < RANGE_M,
-        goal_distance,
-        gain,
-        reward,
-    )
-    return Targets(*(torch.from_numpy(part) for part in parts))
-
-
 def loss(head: VisualActHead, batch: Targets) -> tuple[torch.Tensor, dict[str, float]]:
     """Loss of a batch, and its parts as numbers: the sum of L_a, and the terms that train what R_p is made of."""
-    clearance, dynamic, rays = head(batch.tokens)
+    clearance, dynamic, rays, _ = head(batch.tokens)
     centres = torch.from_numpy(BIN_CENTRES_M)
     room = expected_openness(clearance.softmax(-1), centres, dynamic.sigmoid(), batch.goal_distance_m)
     actions = action_losses(reward_label(room, batch.progress), batch.reward).sum()

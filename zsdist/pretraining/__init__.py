@@ -1,0 +1,1 @@
+"""The stages of `zsdist.pretrain`: pictures, training, check and figures."""

@@ -1,0 +1,1 @@
+"""Image encoders behind one protocol: pictures to tokens, words to the space that both share."""

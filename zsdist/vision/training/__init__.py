@@ -1,0 +1,1 @@
+"""How the networks of the visual-act model are trained (Algorithm 1); torch."""

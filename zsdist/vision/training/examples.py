@@ -1,0 +1,71 @@
+"""Encoded pictures with what is true of them, and batches of them with labels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from zsdist.vision.labels import nearest, openness, progress, random_goals, reward_label
+from zsdist.vision.rays import RANGE_M, soft_labels
+
+
+@dataclass(frozen=True)
+class Examples:
+    """Views with what is true of them.
+
+    Attributes:
+        tokens: `(N, side, side, features)` float16.
+        ray_distance_m: `(N, R)` float32, capped at the camera's range.
+        ray_dynamic: `(N, R)` bool, whether the ray meets something of a kind that moves.
+        ray_angles_rad: `(R,)` float32.
+    """
+
+    tokens: np.ndarray
+    ray_distance_m: np.ndarray
+    ray_dynamic: np.ndarray
+    ray_angles_rad: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.tokens)
+
+
+@dataclass(frozen=True)
+class Targets:
+    """A batch with its labels, as tensors; shapes as in `VisualActHead.forward`."""
+
+    tokens: torch.Tensor
+    rays: torch.Tensor
+    clearance: torch.Tensor
+    dynamic: torch.Tensor
+    present: torch.Tensor
+    goal_distance_m: torch.Tensor
+    progress: torch.Tensor
+    reward: torch.Tensor
+
+
+def targets(examples: Examples, index: np.ndarray, mirrored: np.ndarray, rng: np.random.Generator) -> Targets:
+    """The views `index` with labels and random goals; where `mirrored` `(B,)` is true, left and right change places.
+
+    The tokens of a mirrored image are nearly the mirrored tokens, so no image needs to be encoded twice.
+    """
+    tokens = examples.tokens[index].astype(np.float32)
+    tokens[mirrored] = tokens[mirrored][:, :, ::-1]
+    distance = examples.ray_distance_m[index]
+    distance[mirrored] = distance[mirrored][:, ::-1]
+    moving = examples.ray_dynamic[index]
+    moving[mirrored] = moving[mirrored][:, ::-1]
+    clearance_m, dynamic = nearest(distance, moving, examples.ray_angles_rad)
+    bearing, goal_distance = random_goals(len(index), rng)
+    gain = progress(bearing, goal_distance)
+    reward = reward_label(openness(clearance_m, dynamic, goal_distance[:, None]), gain).astype(np.float32)
+    parts = (
+        tokens,
+        soft_labels(distance),
+        soft_labels(clearance_m),
+        dynamic.astype(np.float32),
+        clearance_m < RANGE_M,
+        goal_distance,
+        gain,
+        reward,
+    )
+    return Targets(*(torch.from_numpy(part) for part in parts))
