@@ -26,8 +26,8 @@ from zsdist.sim.manifest import MANIFEST
 from zsdist.sim.views import LabelledView, labelled_views
 from zsdist.vision.encoders.base import Encoder
 from zsdist.vision.encoders.lite0 import EfficientNetLite0
+from zsdist.vision.folder import CAMERA_KEYS
 from zsdist.vision.rays import RAYS, ray_angles_rad
-from zsdist.vision.visual_act import CAMERA_KEYS
 
 if TYPE_CHECKING:
     from zsdist.vision.training.examples import Examples
@@ -107,7 +107,7 @@ def pretrain(config: Config, options: argparse.Namespace) -> None:
         "encoder": {"name": encoder.name, "sha256": encoder.sha256},
         "camera": {key: getattr(config.camera, key) for key in CAMERA_KEYS},
         "command": shlex.join(["python", "-m", "zsdist.pretrain", *sys.argv[1:]]),
-        "version": __version__,
+        "zsdist": __version__,
         "seed": options.seed,
         "families": list(purpose.families),
         "images": len(examples),

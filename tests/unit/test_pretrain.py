@@ -6,7 +6,7 @@ import pytest
 from zsdist import pretrain
 from zsdist.config import CameraConfig
 from zsdist.sim.manifest import OOD_FAMILIES
-from zsdist.vision.visual_act import METADATA_FILE
+from zsdist.vision.folder import METADATA_FILE
 
 KEYS = {"best_action_accuracy", "regret", "mae", "miss_rate", "false_alarm_rate"}
 CAMERA = CameraConfig(size_px=64)
