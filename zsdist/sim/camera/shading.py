@@ -12,6 +12,7 @@ from zsdist.sim.camera.primitives import Form
 
 _FRUSTUM, _ELLIPSOID = int(Form.FRUSTUM), int(Form.ELLIPSOID)
 _TILES, _STRIPES, _CHECKER, _LANES = int(Pattern.TILES), int(Pattern.STRIPES), int(Pattern.CHECKER), int(Pattern.LANES)
+_KERBS = int(Pattern.KERBS)
 _BARK, _BRICK, _WINDOWS, _BANDS = int(Texture.BARK), int(Texture.BRICK), int(Texture.WINDOWS), int(Texture.BANDS)
 
 _NOISE_SIZE = 512
@@ -91,6 +92,30 @@ def _ground_figure(pattern: int, x: float, y: float, period: float) -> float:
     if pattern == _LANES:
         return 1.0 if u < 0.12 / period and v < 0.6 else 0.0
     return 0.0
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def _road_figure(along: float, left: float, half: float, slab: float, footprint: float) -> float:
+    """How far a place has the colour of kerbs and pavements, below 0 for a gutter; lines finer than a pixel are out.
+
+    Args:
+        along: in metres.
+        left: of the road's middle, in metres.
+        half: of the road's width, in metres.
+        slab: side of the pavement's slabs, in metres.
+        footprint: of a pixel, in metres.
+    """
+    beyond = abs(left) - half
+    if beyond < 0.0:
+        if beyond > -0.25:
+            return -0.25
+        dash = along / 3.0
+        return 1.0 if footprint < 0.06 and abs(left) < 0.06 and dash - math.floor(dash) < 0.5 else 0.0
+    if beyond < 0.15:
+        return 1.0
+    u, v = along / slab, beyond / slab
+    joint = u - math.floor(u) < 0.04 or v - math.floor(v) < 0.04
+    return 0.45 if joint and footprint < 0.05 * slab else 0.75
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
@@ -178,7 +203,9 @@ def shade(
                 share = min(max(patch, 0.0), 1.0)
                 figure = 0.0
                 # A figure finer than two pixels is left out: it would shimmer.
-                if ground[6] != 0.0 and footprint < 0.25 * ground[9]:
+                if ground[6] == _KERBS:
+                    figure = ground[13] * _road_figure(u, v - ground[17], ground[18], ground[9], footprint)
+                elif ground[6] != 0.0 and footprint < 0.25 * ground[9]:
                     figure = ground[13] * _ground_figure(int(ground[6]), u, v, ground[9])
                 grain = 1.0 + ground[7] * _noise(pyramid, _GRAIN, u, v, 1.0 / ground[8], footprint)
                 fog = t / (t + haze_m)
