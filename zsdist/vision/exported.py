@@ -5,7 +5,7 @@ import logging
 import os
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -69,7 +69,14 @@ def open_session(path: Path) -> onnxruntime.InferenceSession:
         raise WeightsError(f"cached network {path} is damaged ({reason}); delete it and it is built anew") from error
 
 
-def export(module: "torch.nn.Module", example: np.ndarray, path: Path, input_name: str, outputs: list[str]) -> None:
+def export(
+    module: "torch.nn.Module",
+    example: np.ndarray,
+    path: Path,
+    input_name: str,
+    outputs: list[str],
+    free: Sequence[str] = ("batch",),
+) -> None:
     """Writes `module` as an ONNX file with a free batch size and checks it on `example` against torch.
 
     Args:
@@ -78,6 +85,7 @@ def export(module: "torch.nn.Module", example: np.ndarray, path: Path, input_nam
         path: file to write.
         input_name: name of the input.
         outputs: names of what it returns, in order.
+        free: names of the input's first axes that may be of any length; of the outputs' only the first may.
 
     Raises:
         WeightsError: the file does not compute what `module` does.
@@ -95,7 +103,7 @@ def export(module: "torch.nn.Module", example: np.ndarray, path: Path, input_nam
             str(path),
             input_names=[input_name],
             output_names=outputs,
-            dynamic_axes={name: {0: "batch"} for name in (input_name, *outputs)},
+            dynamic_axes={name: {0: free[0]} for name in outputs} | {input_name: dict(enumerate(free))},
             opset_version=18,
             dynamo=False,  # this one takes a second, the newer one ten and a package more
         )

@@ -89,3 +89,10 @@ def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):
 def test_the_hash_of_a_missing_file_names_it(tmp_path):
     with pytest.raises(WeightsError, match="nowhere"):
         file_sha256(tmp_path / "nowhere")
+
+
+def test_more_axes_than_the_batch_may_be_of_any_length():
+    session = cached_session("free", lambda path: export(Twice(), EXAMPLE, path, "x", ["y"], free=("batch", "length")))
+    with pytest.raises(Exception, match="INVALID_ARGUMENT"):
+        cached_session("twice", build).run(["y"], {"x": np.ones((1, 8), np.float32)})
+    np.testing.assert_allclose(session.run(["y"], {"x": np.ones((1, 8), np.float32)})[0], 2.0)

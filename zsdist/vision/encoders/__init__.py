@@ -1,1 +1,20 @@
 """Image encoders behind one protocol: pictures to tokens, words to the space that both share."""
+
+from pathlib import Path
+
+from zsdist.errors import WeightsError
+from zsdist.vision.encoders.base import Encoder
+from zsdist.vision.encoders.lite0 import EfficientNetLite0
+
+DEFAULT = "efficientnet-lite0"
+
+
+def open_encoder(spec: str) -> Encoder:
+    """The encoder that `config.vision.encoder` names: the default one, or CLIP from a folder on this machine.
+
+    Raises:
+        WeightsError: it is neither, or its weights are missing or damaged.
+    """
+    if spec == DEFAULT:
+        return EfficientNetLite0()
+    raise WeightsError(f"encoder is {spec!r}; allowed are {DEFAULT!r} and a folder with a CLIP model")

@@ -1,18 +1,63 @@
 """What an image encoder is, and how pictures are brought to its size."""
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
 
 class Encoder(Protocol):
-    """What the heads need of an encoder."""
+    """What the networks behind it need of an encoder.
+
+    Attributes:
+        name: such as "efficientnet-lite0/block10" or "clip/vit-b-32".
+        sha256: of the image tower's weights file, 64 hexadecimal digits.
+        input_px: side of the square images that it takes without resampling.
+        side: tokens in a row and in a column.
+        features: width of a token.
+    """
 
     name: str
     sha256: str
+    input_px: int
+    side: int
+    features: int
 
     def tokens(self, images: np.ndarray) -> np.ndarray:
         """Tokens `(B, side, side, features)` float32 of images `(B, px, px, 3)` uint8, from the top left."""
+
+    def embed_texts(self, texts: Sequence[str]) -> np.ndarray:
+        """Embeddings `(N, D)` float32 of texts, of unit length; the text tower is loaded at first use.
+
+        Raises:
+            WeightsError: the text tower is missing or damaged.
+        """
+
+    def native_projection(self) -> dict[str, np.ndarray] | None:
+        """The map of tokens into text space that the encoder brings, None where it brings none.
+
+        It is `{"weight": (D, features), "bias": (D,)}`, float32.
+        """
+
+
+def similarity(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Eq. (2): cosines `(N, M)` between the rows of `a` `(N, D)` and of `b` `(M, D)`, of whatever lengths.
+
+    Raises:
+        ValueError: they are no such arrays, or a row has no direction.
+    """
+    a, b = np.asarray(a), np.asarray(b)
+    if a.ndim != 2 or b.ndim != 2 or a.shape[1] != b.shape[1]:
+        raise ValueError(f"embeddings are {a.shape} and {b.shape}; allowed are (N, D) and (M, D)")
+    return unit(a) @ unit(b).T
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors `(..., D)` at unit length; raises `ValueError` where one is zero or not finite."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    if not (np.isfinite(lengths) & (lengths > 0)).all():
+        raise ValueError("a vector has no direction: allowed are finite vectors other than zero")
+    return vectors / lengths
 
 
 def check_images(images: np.ndarray) -> None:
@@ -20,6 +65,13 @@ def check_images(images: np.ndarray) -> None:
     shape, dtype = np.shape(images), getattr(images, "dtype", type(images).__name__)
     if dtype != np.uint8 or len(shape) != 4 or shape[0] < 1 or shape[3] != 3 or shape[1] != shape[2] or shape[1] < 32:
         raise ValueError(f"images are {shape} {dtype}; allowed are (batch, px, px, 3) uint8, square, px of 32 or more")
+
+
+def check_texts(texts: Sequence[str]) -> list[str]:
+    """The texts as a list; raises `ValueError` unless they are one text or more, and not one text by itself."""
+    if isinstance(texts, str) or not len(texts) or not all(isinstance(text, str) for text in texts):
+        raise ValueError(f"texts are {texts!r:.80}; allowed is a sequence of one text or more")
+    return list(texts)
 
 
 def resample(images: np.ndarray, size_px: int) -> np.ndarray:

