@@ -22,6 +22,8 @@ SKY, GROUND = -2, -1  # in the index image; primitives count from 0
 _ZERO, _TINY, _LEVEL = np.float32(0.0), np.float32(1e-7), np.float32(1e-5)
 _NEAR, _SKY_DEPTH, _NEVER = np.float32(NEAR_M), np.float32(SKY_DEPTH_M), np.float32(1e12)
 
+_IN_SHADOW, _CONTACT_M = np.float32(0.55), 0.5
+
 _FRUSTUM, _ELLIPSOID, _BOX = int(Form.FRUSTUM), int(Form.ELLIPSOID), int(Form.BOX)
 
 
@@ -323,7 +325,7 @@ def shadow_map(
     n = out.shape[0]
     cell = 2.0 * half / n
     out[:] = 1.0
-    o, d = np.empty(3), np.empty(3)
+    d = np.empty(3)
     for p in range(len(forms)):
         if not fixed[p]:
             continue
@@ -331,26 +333,31 @@ def shadow_map(
         hx, hy, _, z1 = _extents(form, row)
         reach = math.sqrt(hx * hx + hy * hy)
         _local(row, sun, d)
+        cosine, sine = math.cos(row[6]), math.sin(row[6])
         length = (row[2] + z1) / sun[2]  # of the shadow along -sun, per unit of sun's horizontal part
         ex, ey = row[0] - sun[0] * length, row[1] - sun[1] * length
-        spread = reach + 0.6
+        # the shadow lies along a strip from the primitive's place away from the sun
+        way_x, way_y = ex - row[0], ey - row[1]
+        way = max(math.sqrt(way_x * way_x + way_y * way_y), 1e-9)
+        way_x, way_y = way_x / way, way_y / way
+        spread = reach + _CONTACT_M + cell
         x0 = max(int((min(row[0], ex) - spread + half) / cell), 0)
         x1 = min(int((max(row[0], ex) + spread + half) / cell) + 1, n)
         y0 = max(int((min(row[1], ey) - spread + half) / cell), 0)
         y1 = min(int((max(row[1], ey) + spread + half) / cell) + 1, n)
-        place = np.empty(3)
         for iy in range(y0, y1):
+            y = -half + (iy + 0.5) * cell - row[1]
             for ix in range(x0, x1):
-                place[0] = -half + (ix + 0.5) * cell - row[0]
-                place[1] = -half + (iy + 0.5) * cell - row[1]
-                place[2] = -row[2]
-                _local(row, place, o)
-                if _enter(form, row, o[0], o[1], o[2], d[0], d[1], d[2]) > 0.0:
-                    out[iy, ix] = min(out[iy, ix], 0.55)
+                x = -half + (ix + 0.5) * cell - row[0]
+                if abs(x * way_y - y * way_x) > spread:
+                    continue
+                lx, ly = cosine * x + sine * y, cosine * y - sine * x
+                if _enter(form, row, lx, ly, -row[2], d[0], d[1], d[2]) > 0.0:
+                    out[iy, ix] = min(out[iy, ix], _IN_SHADOW)
                 if row[2] < 0.05:
-                    qx, qy = max(abs(o[0]) - hx, 0.0), max(abs(o[1]) - hy, 0.0)
+                    qx, qy = max(abs(lx) - hx, 0.0), max(abs(ly) - hy, 0.0)
                     gap = math.sqrt(qx * qx + qy * qy)
                     if form != _BOX:
-                        gap = max(math.sqrt(o[0] * o[0] + o[1] * o[1]) - hx, 0.0)
-                    if gap < 0.5:
-                        out[iy, ix] *= 0.62 + 0.38 * min(gap / 0.5, 1.0)
+                        gap = max(math.sqrt(lx * lx + ly * ly) - hx, 0.0)
+                    if gap < _CONTACT_M:
+                        out[iy, ix] *= 0.62 + 0.38 * gap / _CONTACT_M
