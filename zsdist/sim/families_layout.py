@@ -5,13 +5,33 @@ closed: the car's turn in place needs 2.31 m, and it cannot back out.
 """
 
 import math
+from dataclasses import dataclass
 
 from zsdist.sim.families_canvas import Canvas, Redraw, draw
-from zsdist.sim.scene import DEFAULT_GRID, Obstacle
+from zsdist.sim.scene import DEFAULT_GRID, Obstacle, Scene
 
 PASSAGE_M = 3.0
 WALL_HEIGHTS_M = (1.8, 2.6)
 EDGE_M = DEFAULT_GRID.arena_m / 2
+ROAD_HALF_M = (3.6, 5.0)  # from the middle of a road to its kerbs
+_POLE_BEHIND_KERB_M = 0.4
+_CAR_FROM_KERB_M = 1.0  # of its centre, on the road
+_LINE_M = 0.03  # places are rounded to the centimetre
+
+
+@dataclass(frozen=True)
+class Road:
+    """Where a street's kerbs are; on the ground one sees them, and nothing stops at them.
+
+    Attributes:
+        along_x: whether it leads along x, else along y.
+        middle_m: the other coordinate of its middle line.
+        half_m: from there to the kerbs.
+    """
+
+    along_x: bool
+    middle_m: float
+    half_m: float
 
 
 def walls(canvas: Canvas) -> None:
@@ -110,7 +130,7 @@ def street(canvas: Canvas) -> None:
     """
     rng = canvas.rng
     middle_m = (canvas.ends[0][1] + canvas.ends[1][1]) / 2
-    kerb_m = rng.uniform(3.6, 5.0)  # from the middle of the road
+    kerb_m = rng.uniform(*ROAD_HALF_M)
     for side in (-1.0, 1.0):
         front_m = kerb_m + rng.uniform(1.6, 2.6)
         x_m = -EDGE_M
@@ -125,17 +145,41 @@ def street(canvas: Canvas) -> None:
         for x_m in _places(canvas, -10.0, 4.6, 8.0):  # parked cars
             size_m = draw(rng, "car", 0.0, 0.0).size_m
             heading_deg = round(rng.normal(0.0 if side < 0 else 180.0, 2.0), 1)
-            place = (round(x_m, 2), round(middle_m + side * (kerb_m - 1.0), 2))
+            place = (round(x_m, 2), round(middle_m + side * (kerb_m - _CAR_FROM_KERB_M), 2))
             canvas.place(Obstacle("car", *place, None, size_m, heading_deg), 0.4)
         for x_m in _places(canvas, -11.0, 3.5, 7.0):  # lamp posts and signs
             radius_m = round(rng.uniform(0.08, 0.25), 2)
-            canvas.place(Obstacle("pole", round(x_m, 2), round(middle_m + side * (kerb_m + 0.4), 2), radius_m), 0.2)
+            y_m = middle_m + side * (kerb_m + _POLE_BEHIND_KERB_M)
+            canvas.place(Obstacle("pole", round(x_m, 2), round(y_m, 2), radius_m), 0.2)
     for _ in range(int(rng.integers(3, 9))):
         y_m = middle_m + rng.choice((-1.0, 1.0)) * rng.uniform(0.5, kerb_m + 1.4)
         radius_m = round(rng.uniform(0.25, 0.35), 2)
         canvas.place(Obstacle("person", round(rng.uniform(-9.5, 9.5), 2), round(y_m, 2), radius_m), 0.3)
     if not all(canvas.clear_of_ends(obstacle) for obstacle in canvas.obstacles):
         raise Redraw
+
+
+def road_of(scene: Scene) -> Road | None:
+    """The road of a scene that has the plan of a `street`, turned or not; None for every other scene.
+
+    A scene file does not name a road, so it is told by what stands along it: all poles in two lines behind the kerbs,
+    all cars in two lines before them. Scattered obstacles never stand so.
+    """
+    poles = [(o.y_m, o.x_m) for o in scene.obstacles if o.kind == "pole"]
+    cars = [(o.y_m, o.x_m) for o in scene.obstacles if o.kind == "car"]
+    if scene.ground != "asphalt" or not poles or not cars:
+        return None
+    for along_x, axis in ((True, 0), (False, 1)):
+        lines = [place[axis] for place in poles]
+        middle_m, pole_m = (max(lines) + min(lines)) / 2, (max(lines) - min(lines)) / 2
+        half_m = pole_m - _POLE_BEHIND_KERB_M
+        if (
+            ROAD_HALF_M[0] - _LINE_M <= half_m <= ROAD_HALF_M[1] + _LINE_M
+            and all(abs(abs(y_m - middle_m) - pole_m) <= _LINE_M for y_m in lines)
+            and all(abs(abs(car[axis] - middle_m) - (half_m - _CAR_FROM_KERB_M)) <= _LINE_M for car in cars)
+        ):
+            return Road(along_x, middle_m, half_m)
+    return None
 
 
 def _places(canvas: Canvas, first_m: float, least_m: float, most_m: float) -> list[float]:

@@ -15,7 +15,7 @@ from zsdist.sim.camera.primitives import ARENA_HALF_M
 from zsdist.sim.camera.variation import worn
 from zsdist.sim.collision import touching
 from zsdist.sim.families import generate
-from zsdist.sim.kinds import KINDS
+from zsdist.sim.kinds import KINDS, SEGMENT_WALL
 from zsdist.sim.manifest import Split, split_seed
 from zsdist.sim.raycast import ray_distances
 from zsdist.sim.scene import Scene
@@ -41,6 +41,7 @@ class LabelledView:
         ray_clearance_m: `(R,)` float32, horizontal distance from the camera along each ray, leftmost first, capped at
             the camera's range, which stands for "free".
         ray_dynamic: `(R,)` bool, whether what the ray meets is of a kind that moves.
+        ray_segment: `(R,)` uint8, what the ray meets: `Kind.segment_id`, `SEGMENT_WALL`, or 0 where it is free.
         clearance_m: `(3,)` float32, the nearest of each direction's rays.
         dynamic: `(3,)` bool, whether that nearest is of a kind that moves.
         goal_bearing_rad: of the scene's goal from the car's heading, left positive.
@@ -53,6 +54,7 @@ class LabelledView:
     image: np.ndarray
     ray_clearance_m: np.ndarray
     ray_dynamic: np.ndarray
+    ray_segment: np.ndarray
     clearance_m: np.ndarray
     dynamic: np.ndarray
     goal_bearing_rad: float
@@ -102,13 +104,16 @@ def label(scene: Scene, pose: Pose, camera: CameraConfig, people: np.ndarray | N
     distance, hit = ray_distances(
         scene.circles(people), scene.boxes(), ARENA_HALF_M, x_m, y_m, pose.heading_rad + angles, camera.range_m
     )
-    moves = np.array([KINDS[kind].dynamic for kind in _kinds_by_hit(scene)] + [False])
+    kinds = [KINDS[kind] for kind in _kinds_by_hit(scene)]
+    moves = np.array([kind.dynamic for kind in kinds] + [False])
     ray_dynamic = moves[np.maximum(hit, -1)]  # the last entry is of what no obstacle is hit by
+    segments = np.array([kind.segment_id for kind in kinds] + [SEGMENT_WALL, 0], np.uint8)  # hits of -2 and -1 last
     clearance, dynamic = nearest(distance, ray_dynamic, angles)
     bearing, goal_m = pose.towards(*scene.goal)
     return {
         "ray_clearance_m": distance.astype(np.float32),
         "ray_dynamic": ray_dynamic,
+        "ray_segment": segments[hit],
         "clearance_m": clearance,
         "dynamic": dynamic,
         "goal_bearing_rad": bearing,
@@ -133,9 +138,9 @@ def free_pose(scene: Scene, rng: np.random.Generator, people: np.ndarray | None 
 def _views_of(
     scene: Scene, count: int, rng: np.random.Generator, config: CameraConfig, varied: bool
 ) -> Iterator[LabelledView]:
-    with contextlib.closing(_varied_camera(config, rng) if varied else make_camera(config)) as camera:
+    with contextlib.closing(varied_camera(config, rng) if varied else make_camera(config)) as camera:
         for _ in range(count):
-            people = _people(scene, rng)
+            people = people_on_paths(scene, rng)
             pose = free_pose(scene, rng, people)
             roll, pitch = rng.uniform(-_TILT_JITTER_RAD, _TILT_JITTER_RAD, 2) if varied else (0.0, 0.0)
             image = camera.render(scene, pose, roll, pitch, people)
@@ -146,7 +151,8 @@ def _views_of(
             )
 
 
-def _varied_camera(config: CameraConfig, rng: np.random.Generator) -> Camera:
+def varied_camera(config: CameraConfig, rng: np.random.Generator) -> Camera:
+    """A camera at a drawn height to which scenes look as drawn, one in four of them as when driven through."""
     natural = rng.random() < 0.25
     height = config.height_m + rng.uniform(-_MOUNT_JITTER_M, _MOUNT_JITTER_M)
 
@@ -174,7 +180,7 @@ def _near_pose(circles: np.ndarray, boxes: np.ndarray, rng: np.random.Generator)
     )
 
 
-def _people(scene: Scene, rng: np.random.Generator) -> np.ndarray | None:
+def people_on_paths(scene: Scene, rng: np.random.Generator) -> np.ndarray | None:
     """Walking obstacles somewhere on their paths, `(W, 2)`."""
     places = []
     for obstacle in scene.walkers():

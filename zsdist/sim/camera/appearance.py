@@ -11,7 +11,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from zsdist.sim.camera.primitives import Part, Primitives
+from zsdist.sim.camera.primitives import ARENA_HALF_M, Part, Primitives
+from zsdist.sim.families_layout import ROAD_HALF_M, Road, road_of
 from zsdist.sim.kinds import GROUNDS, KINDS, WALL_COLOUR
 from zsdist.sim.scene import Obstacle, Scene
 
@@ -34,6 +35,7 @@ class Pattern(IntEnum):
     STRIPES = 2
     CHECKER = 3
     LANES = 4
+    KERBS = 5  # a road with lanes, its kerbs and pavements beyond
 
 
 @dataclass(frozen=True)
@@ -43,9 +45,10 @@ class Appearance:
     Attributes:
         materials: `(P, 11)` a row for each primitive: colour, second colour, `Texture`, strength of its noise, size of
             a noise texel in metres, offset of the texture in metres, period of its figure in metres.
-        ground: `(17,)` colour, second colour that patches tend to, `Pattern`, strength of the noise, texel in metres,
+        ground: `(19,)` colour, second colour that patches tend to, `Pattern`, strength of the noise, texel in metres,
             period in metres, cosine and sine of the pattern's direction, contrast of the patches, strength of the
-            pattern, its colour.
+            pattern, its colour; of `Pattern.KERBS` how far to the left of the origin the road's middle is, and half
+            its width, in metres.
         sky: `(7,)` colour at the horizon, colour overhead, amount of cloud.
         light: `(7,)` unit direction to the sun, ambient and sun light, distance in metres at which haze is one half,
             gain of the camera.
@@ -73,6 +76,8 @@ _GLASS = (0.10, 0.13, 0.16)
 _SKIN = (0.72, 0.54, 0.43)
 _TROUSERS = (0.18, 0.20, 0.28)
 _LIGHT = 1.4  # of sun and sky together
+_ROAD_SHARE = 0.6  # of varied looks of a street show its road where it is; in the rest the ground is any
+_PAVEMENT = (0.78, 0.77, 0.74)
 _STREET_FURNITURE_M = 1.2  # boxes higher than this get bricks or windows
 
 
@@ -89,12 +94,12 @@ def of_scene(scene: Scene, primitives: Primitives) -> Appearance:
     colour = _near(ground.base_colour, rng, 0.02, 0.12)
     second = _near(ground.base_colour, rng, 0.05, 0.25)
     pattern = Pattern.LANES if scene.ground == "asphalt" and rng.random() < 0.5 else Pattern.NONE
-    return Appearance(
-        np.array(materials),
-        _ground(colour, second, pattern, ground.roughness, rng, (0.85, 0.85, 0.82)),
-        _sky(rng),
-        _light(rng, (0.4, 0.6), 0.1),
-    )
+    look = _ground(colour, second, pattern, ground.roughness, rng, (0.85, 0.85, 0.82))
+    sky, light = _sky(rng), _light(rng, (0.4, 0.6), 0.1)
+    road = road_of(scene)
+    if road is not None:
+        look = _with_road(look, road, _near(_PAVEMENT, rng, 0.03, 0.15))
+    return Appearance(np.array(materials), look, sky, light)
 
 
 def varied(scene: Scene, primitives: Primitives, rng: np.random.Generator) -> Appearance:
@@ -110,6 +115,10 @@ def varied(scene: Scene, primitives: Primitives, rng: np.random.Generator) -> Ap
     colour, second = _near(base, rng, 0.08, 0.25), _near(base, rng, 0.15, 0.4)
     pattern = Pattern(rng.integers(len(Pattern)))
     ground = _ground(colour, second, pattern, rng.uniform(0.1, 1.0), rng, _any_colour(rng))
+    ground[17:] = rng.uniform(-ARENA_HALF_M, ARENA_HALF_M), rng.uniform(*ROAD_HALF_M)
+    road = road_of(scene)
+    if road is not None and rng.random() < _ROAD_SHARE:
+        ground = _with_road(ground, road, _near(_PAVEMENT, rng, 0.05, 0.3) if natural else _any_colour(rng))
     sky = _sky(rng)
     if not natural:
         sky[:6] = np.clip(sky[:6] * np.tile(rng.uniform(0.5, 1.2, 3), 2), 0, 1)
@@ -169,8 +178,17 @@ def _ground(
     texel, period = rng.uniform(0.007, 0.015), rng.uniform(0.5, 3.0)
     return np.array(
         [*colour, *second, pattern, 0.15 + 0.4 * roughness, texel, period, math.cos(angle), math.sin(angle),
-         rng.uniform(0.2, 0.8), rng.uniform(0.3, 0.9), *figure]
+         rng.uniform(0.2, 0.8), rng.uniform(0.3, 0.9), *figure, 0.0, 0.0]
     )  # fmt: skip
+
+
+def _with_road(ground: np.ndarray, road: Road, pavement: tuple[float, ...]) -> np.ndarray:
+    """A row of `ground` with the kerbs of a road where they are."""
+    result = ground.copy()
+    # Along y the pattern's left is west, where x is negative.
+    direction, left_m = ((1.0, 0.0), road.middle_m) if road.along_x else ((0.0, 1.0), -road.middle_m)
+    result[6], result[10:12], result[14:17], result[17:] = Pattern.KERBS, direction, pavement, (left_m, road.half_m)
+    return result
 
 
 def _sky(rng: np.random.Generator) -> np.ndarray:

@@ -20,6 +20,8 @@ from zsdist.types import Pose
 
 Look = Callable[[Scene, Primitives], Appearance]
 
+INSTANCE_WALL, INSTANCE_GROUND, INSTANCE_SKY = -1, -2, -3  # the first as in `Primitives.owners`
+
 _SHADOW_CELLS = 256  # a side; 10 cm each, read with interpolation
 _SCENES_KEPT = 32  # prepared scenes: one for each car of an actor, and some
 
@@ -74,8 +76,18 @@ class CasterCamera:
         `SEGMENT_` numbers of `kinds`.
         """
         image, prepared = self._draw(scene, pose, roll_rad, pitch_rad, people)
-        depth = np.where(self._depth >= SKY_DEPTH_M, np.float32(np.inf), self._depth)
-        return image, depth, prepared.segments[self._index + 2]
+        return image, self._depth_m(), prepared.segments[self._index + 2]
+
+    def render_instances(
+        self, scene: Scene, pose: Pose, roll_rad: float = 0.0, pitch_rad: float = 0.0, people: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The picture and depth as of `render_labelled`, and what each pixel shows, `(size_px, size_px)` int64.
+
+        That is the index of the scene's obstacle, or one of `INSTANCE_WALL`, `INSTANCE_GROUND` and `INSTANCE_SKY`.
+        """
+        image, prepared = self._draw(scene, pose, roll_rad, pitch_rad, people)
+        instances = np.concatenate([[INSTANCE_SKY, INSTANCE_GROUND], prepared.primitives.owners])
+        return image, self._depth_m(), instances[self._index + 2]
 
     def close(self) -> None:
         """Forget the prepared scenes."""
@@ -96,6 +108,9 @@ class CasterCamera:
             discs, noise_pyramid(), origin, axes, self._tangents, self._depth, self._index, rectangles, self._packed,
         )  # fmt: skip
         return cv2.cvtColor(self._packed.view(np.uint8).reshape(*self._packed.shape, 4), cv2.COLOR_RGBA2RGB), prepared
+
+    def _depth_m(self) -> np.ndarray:
+        return np.where(self._depth >= SKY_DEPTH_M, np.float32(np.inf), self._depth)
 
     def _prepare(self, scene: Scene) -> _Prepared:
         prepared = self._kept.get(id(scene))

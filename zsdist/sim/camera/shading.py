@@ -10,12 +10,13 @@ import math
 import numpy as np
 from numba import njit
 
-from zsdist.sim.camera.appearance import Texture
+from zsdist.sim.camera.appearance import Pattern, Texture
 from zsdist.sim.camera.kernels import FAST, GROUND, SKY
 from zsdist.sim.camera.primitives import Form
-from zsdist.sim.camera.textures import CLOUDS, GRAIN, ground_figure, noise, surface_figure
+from zsdist.sim.camera.textures import CLOUDS, GRAIN, ground_figure, noise, road_figure, surface_figure
 
 _FRUSTUM, _ELLIPSOID, _BARK = int(Form.FRUSTUM), int(Form.ELLIPSOID), int(Texture.BARK)
+_KERBS = int(Pattern.KERBS)
 
 # single precision, which a plain number in a kernel would not be
 _ZERO, _ONE, _HALF, _WHITE = (np.float32(value) for value in (0.0, 1.0, 0.5, 255.0))
@@ -23,6 +24,7 @@ _LOWEST, _OVERCAST = np.float32(0.02), np.float32(0.2)
 _SHADE, _LIGHTER = np.float32(0.55), np.float32(0.45)
 _EDGE, _SMALL, _FLAT, _FINE = (np.float32(value) for value in (1e-4, 1e-12, 0.7, 0.1))
 _SIDE, _TOP, _FOOT, _OPEN, _PER_FOOT = (np.float32(value) for value in (0.75, 0.25, 0.6, 0.4, 1 / 0.35))
+_NEVER = np.float32(1e9)
 _BARK_STRETCH = np.float32(0.2)
 
 
@@ -87,10 +89,14 @@ def _ground(pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axe
         _darken(discs[k], x, y, lit)
     noise(pyramid[CLOUDS], u, v, 17.0, footprint, patch)
     noise(pyramid[GRAIN], u, v, 1.0 / ground[8], footprint, grain)
-    figure[:] = _ZERO
-    if ground[6] != 0.0:
-        ground_figure(int(ground[6]), u, v, ground[9], figure)
-    finest = np.float32(0.25 * ground[9])  # a figure finer than two pixels is left out: it would shimmer
+    pattern, finest = int(ground[6]), np.float32(0.25 * ground[9])  # a finer figure than two pixels would shimmer
+    if pattern == _KERBS:
+        road_figure(u, v, ground[17:], ground[9], footprint, figure)
+        finest = _NEVER
+    elif pattern != 0:
+        ground_figure(pattern, u, v, ground[9], figure)
+    else:
+        figure[:] = _ZERO
     strength, contrast, roughness = np.float32(ground[13]), np.float32(ground[12]), np.float32(ground[7])
     brightness = np.float32(light[6] * (light[3] + light[4] * light[2]))
     per_pixel, haze = np.float32(1.0 / step), np.float32(light[5])

@@ -17,6 +17,9 @@ _PER_UNIT = np.float32(1 / 127)
 _JOINT, _DASH = np.float32(0.05), np.float32(0.6)  # of tiles, and of a lane's line, as shares of a period
 _COURSES, _BRICKS, _MORTAR, _GAP = (np.float32(value) for value in (1 / 0.2, 1 / 0.45, 0.12, 0.06))
 _STOREYS = np.float32(1 / 1.1)
+_GUTTER, _PAVED, _JOINED = (np.float32(value) for value in (-0.25, 0.75, 0.45))  # shares of the pavement's colour
+_GUTTER_M, _KERB_M, _LINE = (np.float32(value) for value in (0.25, 0.15, 0.06))  # widths; of a line, half
+_DASHES, _SLAB_JOINT = np.float32(1 / 3.0), np.float32(0.04)  # of the middle line, a metre; share of a slab
 _PANE_LEFT, _PANE_RIGHT, _SILL, _LINTEL = (np.float32(value) for value in (0.25, 0.75, 0.35, 0.85))
 
 _NOISE_SIZE = 512
@@ -97,6 +100,33 @@ def ground_figure(pattern: int, x: np.ndarray, y: np.ndarray, period: float, out
         else:
             borne = (u < dash) & (v < _DASH)
         out[j] = _ONE if borne else _ZERO
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def road_figure(
+    along: np.ndarray, left: np.ndarray, road: np.ndarray, slab_m: float, footprint: np.ndarray, out: np.ndarray
+) -> None:
+    """How far places have the colour of kerbs and pavements, below 0 for a gutter; lines finer than a pixel are out.
+
+    Args:
+        along: `(n,)` in metres.
+        left: `(n,)` of the origin, in metres.
+        road: `(2,)` how far left of the origin the road's middle is, and half its width, in metres.
+        slab_m: side of the pavement's slabs.
+        footprint: `(n,)` of a pixel, in metres.
+        out: `(n,)`, written.
+    """
+    middle, half = np.float32(road[0]), np.float32(road[1])
+    per_slab, finest = np.float32(1.0 / slab_m), np.float32(0.05 * slab_m)
+    for j in range(len(out)):
+        aside = abs(left[j] - middle)
+        beyond = aside - half
+        dash, u, v = along[j] * _DASHES, along[j] * per_slab, beyond * per_slab
+        line = (footprint[j] < _LINE) & (aside < _LINE) & (dash - np.floor(dash) < _HALF)
+        joint = (footprint[j] < finest) & ((u - np.floor(u) < _SLAB_JOINT) | (v - np.floor(v) < _SLAB_JOINT))
+        road_share = _GUTTER if beyond > -_GUTTER_M else (_ONE if line else _ZERO)
+        pavement_share = _ONE if beyond < _KERB_M else (_JOINED if joint else _PAVED)
+        out[j] = road_share if beyond < _ZERO else pavement_share
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

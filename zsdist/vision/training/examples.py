@@ -18,12 +18,14 @@ class Examples:
         ray_distance_m: `(N, R)` float32, capped at the camera's range.
         ray_dynamic: `(N, R)` bool, whether the ray meets something of a kind that moves.
         ray_angles_rad: `(R,)` float32.
+        images: `(N, 128, 128, 3)` uint8, the views themselves, resampled for the student network; None: not kept.
     """
 
     tokens: np.ndarray
     ray_distance_m: np.ndarray
     ray_dynamic: np.ndarray
     ray_angles_rad: np.ndarray
+    images: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.tokens)

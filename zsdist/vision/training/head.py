@@ -1,57 +1,52 @@
-"""Training of the visual-act head on tokens that are computed once: Algorithm 1 of the paper, without its contrast.
+"""Training of the visual-act head on tokens that are computed once: Algorithm 1 of the paper.
 
 Deviation: the encoder stays frozen and only the head learns; R_p follows from the predicted clearance and kind of
 obstacle with the goal given (`labels.reward_label`), and rays are learned beside it.
 """
 
-import hashlib
-import json
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import safetensors.torch
 import torch
 
+from zsdist.vision import folder
 from zsdist.vision.labels import expected_openness, reward_label
 from zsdist.vision.models.head import VisualActHead
 from zsdist.vision.rays import BIN_CENTRES_M
 from zsdist.vision.training.examples import Examples, Targets, targets
-from zsdist.vision.training.losses import action_losses, distance_loss, kind_loss
-from zsdist.vision.visual_act import METADATA_FILE, WEIGHTS_FILE
+from zsdist.vision.training.losses import action_losses, distance_loss, kind_loss, total_loss
+from zsdist.vision.training.trainer import Losses, Recipe, Trainer
+
+if TYPE_CHECKING:
+    from zsdist.vision.training.contrast import Contrast
 
 CLEARANCE_WEIGHT = 0.5
 KIND_WEIGHT = 0.2
+CONTRAST_WEIGHT = 0.1  # lambda of the total loss
 
 
-@dataclass(frozen=True)
-class Recipe:
-    """How to train: passes over the data, views a step, the one cycle's peak, weight decay, and when to stop."""
-
-    epochs: int = 30
-    batch: int = 64
-    learning_rate: float = 3e-3
-    weight_decay: float = 0.02
-    patience: int = 8  # epochs without a better validation loss
-
-
-def loss(head: VisualActHead, batch: Targets) -> tuple[torch.Tensor, dict[str, float]]:
-    """Loss of a batch, and its parts as numbers: the sum of L_a, and the terms that train what R_p is made of."""
+def loss(
+    head: VisualActHead, batch: Targets, contrast: torch.Tensor | None = None
+) -> tuple[torch.Tensor, dict[str, float]]:
+    """Loss of a batch, and its parts as numbers: the sum of L_a, L_c, and the terms that train what R_p is made of."""
     clearance, dynamic, rays, _ = head(batch.tokens)
     centres = torch.from_numpy(BIN_CENTRES_M)
     room = expected_openness(clearance.softmax(-1), centres, dynamic.sigmoid(), batch.goal_distance_m)
-    actions = action_losses(reward_label(room, batch.progress), batch.reward).sum()
+    of_actions = action_losses(reward_label(room, batch.progress), batch.reward)
     parts = {
-        "actions": actions,
         "clearance": CLEARANCE_WEIGHT * distance_loss(clearance, batch.clearance),
         "kind": KIND_WEIGHT * kind_loss(dynamic, batch.dynamic, batch.present),
         "rays": distance_loss(rays, batch.rays),
     }
-    total = sum(parts.values())
-    return total, {name: float(part.detach()) for name, part in parts.items()}
+    total = total_loss(of_actions, torch.zeros(()) if contrast is None else contrast, CONTRAST_WEIGHT)
+    numbers = {"actions": of_actions.sum(), **parts}
+    if contrast is not None:
+        numbers["contrast"] = CONTRAST_WEIGHT * contrast
+    return total + sum(parts.values()), {name: float(number.detach()) for name, number in numbers.items()}
 
 
 def new_head(examples: Examples, field_of_view_rad: float, seed: int) -> VisualActHead:
@@ -71,61 +66,30 @@ def train(
     recipe: Recipe,
     rng: np.random.Generator,
     time_used: Callable[[], float],
-) -> Iterator[dict[str, float]]:
-    """Trains `head` in place and ends with the weights of the epoch that was best on `validation`.
+    contrast: "Contrast | None" = None,
+) -> Trainer:
+    """Trains `head` in place, an epoch each `next`; ends with the weights of the epoch that was best on `validation`.
 
-    AdamW with one cycle of the learning rate, the views in a new order and a half of them mirrored in each epoch.
+    The views come in a new order and a half of them mirrored in each epoch.
 
     Args:
         head: from `new_head`.
         examples: to learn from.
         validation: views of scenes that are not among `examples`.
         recipe: how.
-        rng: decides orders, mirrors and goals.
-        time_used: share of the time allowed that is gone; the cycle hurries so as to end when it reaches 1.
-
-    Yields:
-        After each epoch `{"epoch", "learning_rate", "loss", "validation_loss", ...}` and the parts of the latter.
+        rng: decides orders, mirrors, goals and pairs to contrast.
+        time_used: share of the time allowed that is gone.
+        contrast: of where the actions look; None: without.
     """
-    optimiser = torch.optim.AdamW(head.parameters(), lr=recipe.learning_rate, weight_decay=recipe.weight_decay)
-    steps = recipe.epochs * math.ceil(len(examples) / recipe.batch)
-    step, best, best_epoch, best_weights = 0, math.inf, 0, {}
-    for epoch in range(1, recipe.epochs + 1):
-        head.train()
+
+    def losses(rng: np.random.Generator) -> Losses:
         order, mirrored = rng.permutation(len(examples)), rng.random(len(examples)) < 0.5
-        losses = []
         for start in range(0, len(order), recipe.batch):
             chosen = order[start : start + recipe.batch]
-            rate = recipe.learning_rate * one_cycle(max(step / steps, min(time_used(), 1.0)))
-            for group in optimiser.param_groups:
-                group["lr"] = rate
-            total, _ = loss(head, targets(examples, chosen, mirrored[chosen], rng))
-            optimiser.zero_grad()
-            total.backward()
-            torch.nn.utils.clip_grad_norm_(head.parameters(), 5.0)
-            optimiser.step()
-            losses.append(float(total.detach()))
-            step += 1
-        parts = validate(head, validation, recipe.batch)
-        found = sum(parts.values())
-        if found < best:
-            best, best_epoch = found, epoch
-            best_weights = {name: value.clone() for name, value in head.state_dict().items()}
-        yield {
-            "epoch": epoch,
-            "learning_rate": rate,
-            "loss": float(np.mean(losses)),
-            "validation_loss": found,
-            **{f"validation_{name}": part for name, part in parts.items()},
-        }
-        if time_used() >= 1.0 or epoch - best_epoch >= recipe.patience:
-            break
-    head.load_state_dict(best_weights)
+            yield loss(head, targets(examples, chosen, mirrored[chosen], rng), contrast and contrast.loss(head, rng))
 
-
-def one_cycle(share: float) -> float:
-    """Learning rate over its peak at `share` of the training: up for the first fifth, then down to nothing."""
-    return 0.05 + 0.95 * share / 0.2 if share < 0.2 else 0.5 * (1 + math.cos(math.pi * (share - 0.2) / 0.8))
+    steps = math.ceil(len(examples) / recipe.batch)
+    return Trainer(head, recipe, steps, losses, lambda: validate(head, validation, recipe.batch), rng, time_used)
 
 
 def validate(head: VisualActHead, examples: Examples, batch: int) -> dict[str, float]:
@@ -141,11 +105,8 @@ def validate(head: VisualActHead, examples: Examples, batch: int) -> dict[str, f
     return {name: value / len(examples) for name, value in sums.items()}
 
 
-def save(head: VisualActHead, folder: Path, metadata: dict[str, Any]) -> str:
-    """Writes weights and metadata into `folder`, which `VisualAct.load` reads; returns the SHA-256 of the weights."""
-    folder.mkdir(parents=True, exist_ok=True)
-    content = safetensors.torch.save(head.state_dict())
-    digest = hashlib.sha256(content).hexdigest()
-    (folder / WEIGHTS_FILE).write_bytes(content)
-    (folder / METADATA_FILE).write_text(json.dumps({"sha256": digest, **metadata}, indent=1) + "\n")
-    return digest
+def save(head: VisualActHead, path: Path, metadata: dict[str, Any]) -> str:
+    """Writes a folder of weights with the head alone, which `VisualAct.load` reads; returns their SHA-256."""
+    return folder.write(path, {folder.HEAD_FILE: safetensors.torch.save(head.state_dict())}, metadata).sha256(
+        folder.HEAD_FILE
+    )

@@ -1,15 +1,16 @@
 import itertools
-import json
 import math
 
 import numpy as np
 import pytest
+import torch
 
+from zsdist.vision import folder
 from zsdist.vision.labels import nearest
 from zsdist.vision.rays import RANGE_M, RAYS, ray_angles_rad, soft_labels
 from zsdist.vision.training.examples import Examples, targets
-from zsdist.vision.training.head import Recipe, new_head, one_cycle, save, train, validate
-from zsdist.vision.visual_act import METADATA_FILE, WEIGHTS_FILE, read_metadata
+from zsdist.vision.training.head import new_head, save, train, validate
+from zsdist.vision.training.trainer import Recipe
 
 SIDE, FEATURES = 8, 6
 ANGLES = ray_angles_rad(RAYS, math.pi / 2)
@@ -68,12 +69,6 @@ def test_training_stops_when_nothing_gets_better():
     assert len(history) < 20
 
 
-def test_the_learning_rate_rises_once_and_falls_to_nothing():
-    rates = [one_cycle(share) for share in np.linspace(0, 1, 101)]
-    assert max(rates) == pytest.approx(1.0, abs=0.01) and rates[-1] == pytest.approx(0, abs=1e-9)
-    assert np.argmax(rates) == 20 and (np.diff(rates)[21:] <= 0).all()
-
-
 def test_a_mirrored_view_has_mirrored_rays_and_its_left_and_right_exchanged():
     data, index = examples(4, 5), np.arange(4)
     plain = targets(data, index, np.zeros(4, bool), np.random.default_rng(0))
@@ -99,6 +94,33 @@ def test_labels_of_a_batch_are_those_of_its_rays():
     np.testing.assert_array_equal(batch.present, clearance < RANGE_M)
 
 
+class LooksAt:
+    """A contrast that asks each action to look at one token."""
+
+    def __init__(self, token):
+        self.token, self.drawn = token, []
+
+    def loss(self, head, rng):
+        self.drawn.append(rng.random())
+        looks = head(torch.from_numpy(examples(4, 3).tokens.astype(np.float32))).attention
+        return -100 * looks[..., self.token].log().mean()
+
+
+def test_the_contrast_draws_the_attention_while_the_head_learns():
+    token = 3 * SIDE + SIDE // 2
+    looked = {}
+    for contrast in (None, LooksAt(token)):
+        head, data = new_head(examples(64, 0), math.pi / 2, 0), examples(64, 0)
+        recipe = Recipe(epochs=3, batch=8, learning_rate=0.03)
+        training = train(head, data, data, recipe, np.random.default_rng(0), lambda: 0.0, contrast)
+        history = list(training)
+        looks = head(torch.from_numpy(data.tokens).float()).attention.detach()
+        looked[contrast is None] = float(looks[:, 0, token].mean())
+    assert looked[False] > 2 * looked[True]
+    assert "loss_contrast" in history[0] and "validation_contrast" not in history[0]
+    assert len(set(contrast.drawn)) == len(contrast.drawn) == 24
+
+
 def test_saved_weights_carry_their_hash_and_metadata(tmp_path):
     head = new_head(examples(8, 0), math.pi / 2, 0)
     metadata = {
@@ -107,6 +129,6 @@ def test_saved_weights_carry_their_hash_and_metadata(tmp_path):
         "seed": 4,
     }
     digest = save(head, tmp_path / "new", metadata)
-    assert read_metadata(tmp_path / "new")["sha256"] == digest
-    assert json.loads((tmp_path / "new" / METADATA_FILE).read_text())["seed"] == 4
-    assert (tmp_path / "new" / WEIGHTS_FILE).stat().st_size < 3e6
+    made = folder.read(tmp_path / "new")
+    assert made.sha256(folder.HEAD_FILE) == digest and made.metadata["seed"] == 4
+    assert len(made.content(folder.HEAD_FILE)) < 3e6

@@ -1,0 +1,161 @@
+"""A folder of vision weights: which files it holds, of what they were made, and that they are whole.
+
+`visual_act.json` says for which encoder and camera the weights are, how they were made, and the SHA-256 of each file
+beside it; a file that it does not name does not count. Only the files that are asked for are read. Every stage of the
+training appends its figures, one JSON object an epoch with "stage" and "epoch" among its keys, to `training.jsonl`.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from zsdist.config import CameraConfig
+from zsdist.errors import WeightsError
+from zsdist.vision.encoders.base import Encoder
+
+METADATA_FILE = "visual_act.json"
+HEAD_FILE = "head.safetensors"
+STUDENT_FILE = "student.safetensors"
+PROJECTION_FILE = "projection.safetensors"
+VOCABULARY_FILE = "vocabulary.safetensors"
+HISTORY_FILE = "training.jsonl"
+VERSION = 2
+SHIPPED = Path(__file__).parent / "weights"
+CAMERA_KEYS = ("field_of_view_deg", "range_m", "height_m")
+"""Settings of the camera that weights are trained for and that they cannot do without."""
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A folder of weights whose metadata was read. Use `read` or `write`.
+
+    Attributes:
+        path: of the folder.
+        metadata: "version", "encoder" (name and sha256), "camera" (`CAMERA_KEYS`), "files" (SHA-256 of each), and
+            whatever tells how they were made.
+    """
+
+    path: Path
+    metadata: dict[str, Any]
+
+    def has(self, file: str) -> bool:
+        """Whether `file` is one of the files of the folder."""
+        return file in self.metadata["files"]
+
+    def sha256(self, file: str) -> str:
+        """SHA-256 that `file` must have, hexadecimal; raises `WeightsError` where the folder has no such file."""
+        if not self.has(file):
+            raise WeightsError(
+                f"weights {self.path} hold no {file}, only {', '.join(self.metadata['files']) or 'nothing'}; "
+                "`python -m zsdist.pretrain` makes all of them"
+            )
+        return self.metadata["files"][file]
+
+    def content(self, file: str) -> bytes:
+        """The bytes of `file`; raises `WeightsError` where it is missing or other than the metadata says."""
+        allowed, path = self.sha256(file), self.path / file
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise WeightsError(f"weights {path} cannot be read: {error.strerror or error}") from error
+        found = hashlib.sha256(content).hexdigest()
+        if found != allowed:
+            raise WeightsError(
+                f"weights {path} are damaged: {len(content)} bytes of SHA-256 {found[:16]}..., "
+                f"allowed is {allowed[:16]}... of {METADATA_FILE}"
+            )
+        return content
+
+    def history(self) -> list[dict[str, Any]]:
+        """Figures of each epoch of each stage, in order; raises `WeightsError` where they cannot be read."""
+        path = self.path / HISTORY_FILE
+        try:
+            return [json.loads(line) for line in path.read_text().splitlines() if line]
+        except OSError as error:
+            raise WeightsError(f"history {path} cannot be read: {error.strerror or error}") from error
+        except ValueError as error:
+            raise WeightsError(f"history {path} is damaged: {error}") from error
+
+    def check_camera(self, camera: CameraConfig) -> None:
+        """Raises `WeightsError` unless the weights are for such a camera."""
+        for key in CAMERA_KEYS:
+            if self.metadata["camera"][key] != getattr(camera, key):
+                raise WeightsError(
+                    f"camera.{key} is {getattr(camera, key)}; weights {self.path} allow "
+                    f"{self.metadata['camera'][key]}, others are made by `python -m zsdist.pretrain`"
+                )
+
+    def check_encoder(self, encoder: Encoder) -> None:
+        """Raises `WeightsError` unless the weights are for this encoder, by name and by hash."""
+        for key, found in (("name", encoder.name), ("sha256", encoder.sha256)):
+            if self.metadata["encoder"][key] != found:
+                raise WeightsError(
+                    f"weights {self.path} are for an encoder of {key} {self.metadata['encoder'][key]!r}; "
+                    f"the one here has {found!r} (vision.encoder selects it)"
+                )
+
+
+def locate(weights: str) -> Path:
+    """The folder that the setting `vision.weights` means: "pretrained", which is shipped, or a path."""
+    return SHIPPED if weights == "pretrained" else Path(weights)
+
+
+def read(path: Path) -> Folder:
+    """The folder at `path`; its files are read when they are asked for.
+
+    Raises:
+        WeightsError: the metadata is missing, damaged, says too little or is of another version.
+    """
+    file = path / METADATA_FILE
+    try:
+        metadata = json.loads(file.read_text())
+    except OSError as error:
+        raise WeightsError(
+            f"weights {file} cannot be read: {error.strerror or error}; allowed are 'pretrained' and a folder "
+            "made by `python -m zsdist.pretrain`"
+        ) from error
+    except ValueError as error:
+        raise WeightsError(f"weights {file} is damaged: {error}") from error
+    version = metadata.get("version") if isinstance(metadata, dict) else None
+    if version != VERSION:
+        raise WeightsError(f"weights {file} is of version {version!r}; allowed is {VERSION}")
+    try:
+        _ = [str(metadata["encoder"][key]) for key in ("name", "sha256")]
+        _ = [float(metadata["camera"][key]) for key in CAMERA_KEYS]
+        if not all(isinstance(sha256, str) for sha256 in dict(metadata["files"]).values()):
+            raise TypeError("'files', each with its SHA-256")
+    except (KeyError, TypeError, ValueError) as error:
+        raise WeightsError(f"weights {file} is damaged: no usable entry {error}") from error
+    return Folder(path, metadata)
+
+
+def write(path: Path, modules: Mapping[str, bytes], metadata: Mapping[str, Any]) -> Folder:
+    """Makes a folder of weights, or replaces what it held; its history is left as it is.
+
+    Each file takes its place in one go and the metadata comes last, so that a break leaves a folder that is either
+    whole or refused.
+
+    Args:
+        path: of the folder; made if it is not there.
+        modules: content of each file by its name.
+        metadata: as of `Folder`, without "version" and "files".
+
+    Raises:
+        WeightsError: the folder cannot be written.
+    """
+    files = {name: hashlib.sha256(content).hexdigest() for name, content in modules.items()}
+    full = {**metadata, "version": VERSION, "files": files}
+    text = json.dumps(full, indent=1) + "\n"
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        for name, content in (*modules.items(), (METADATA_FILE, text.encode())):
+            new = path / f".{name}.new"
+            new.write_bytes(content)
+            os.replace(new, path / name)
+    except OSError as error:
+        raise WeightsError(f"weights {path} cannot be written: {error.strerror or error}") from error
+    return Folder(path, full)
