@@ -4,14 +4,16 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from zsdist.config import CameraConfig
 from zsdist.sim.camera.appearance import Appearance, of_scene
 from zsdist.sim.camera.kernels import SKY_DEPTH_M, cast, shadow_map
-from zsdist.sim.camera.optics import mount
+from zsdist.sim.camera.optics import mount, tangents
 from zsdist.sim.camera.primitives import ARENA_HALF_M, Primitives, primitives_of
-from zsdist.sim.camera.shading import noise_pyramid, shade
+from zsdist.sim.camera.shading import shade
+from zsdist.sim.camera.textures import noise_pyramid
 from zsdist.sim.kinds import SEGMENT_GROUND, SEGMENT_SKY
 from zsdist.sim.scene import Scene
 from zsdist.types import Pose
@@ -44,11 +46,12 @@ class CasterCamera:
     def __init__(self, config: CameraConfig, look: Look = of_scene) -> None:
         self.config = config
         self._look = look
-        self._tangent = float(np.tan(np.deg2rad(config.field_of_view_deg) / 2))
         self._kept: OrderedDict[int, _Prepared] = OrderedDict()
         size = config.size_px
         self._depth = np.empty((size, size), np.float32)
-        self._index = np.empty((size, size), np.int16)
+        self._index = np.empty((size, size), np.int32)
+        self._packed = np.empty((size, size), np.int32)
+        self._tangents = tangents(size, float(np.deg2rad(config.field_of_view_deg)))
 
     def render(
         self, scene: Scene, pose: Pose, roll_rad: float = 0.0, pitch_rad: float = 0.0, people: np.ndarray | None = None
@@ -98,13 +101,13 @@ class CasterCamera:
         rows = primitives.rows_at(people)
         origin, axes = mount(pose, self.config.forward_m, self.config.height_m, roll_rad, pitch_rad)
         discs = rows[primitives.walkers[:, 0]][:, [0, 1, 4]]  # what walks has no shadow in the map
-        image = np.empty((*self._depth.shape, 3), np.uint8)
-        cast(primitives.forms, rows, origin, axes, self._tangent, self._depth, self._index)
+        rectangles = np.empty((len(rows), 4), np.int64)
+        cast(primitives.forms, rows, origin, axes, self._tangents, self._depth, self._index, rectangles)
         shade(
             primitives.forms, rows, look.materials, look.ground, look.sky, look.light, prepared.shadow, ARENA_HALF_M,
-            discs, noise_pyramid(), origin, axes, self._tangent, self._depth, self._index, image,
+            discs, noise_pyramid(), origin, axes, self._tangents, self._depth, self._index, rectangles, self._packed,
         )  # fmt: skip
-        return image, prepared
+        return cv2.cvtColor(self._packed.view(np.uint8).reshape(*self._packed.shape, 4), cv2.COLOR_RGBA2RGB), prepared
 
     def _depth_m(self) -> np.ndarray:
         return np.where(self._depth >= SKY_DEPTH_M, np.float32(np.inf), self._depth)

@@ -13,15 +13,21 @@ from numba import njit
 from zsdist.sim.camera.primitives import Form
 
 # Finite arithmetic only; nothing here may produce inf or NaN, sky has depth SKY_DEPTH_M.
-_FAST = {"contract", "arcp", "afn", "reassoc", "nsz"}
+FAST = {"contract", "arcp", "afn", "reassoc", "nsz"}
 SKY_DEPTH_M = 1e6
 NEAR_M = 0.02
 SKY, GROUND = -2, -1  # in the index image; primitives count from 0
 
+# single precision, which a plain number in a kernel would not be
+_ZERO, _TINY, _LEVEL = np.float32(0.0), np.float32(1e-7), np.float32(1e-5)
+_NEAR, _SKY_DEPTH, _NEVER = np.float32(NEAR_M), np.float32(SKY_DEPTH_M), np.float32(1e12)
+
+_IN_SHADOW, _CONTACT_M = np.float32(0.55), 0.5
+
 _FRUSTUM, _ELLIPSOID, _BOX = int(Form.FRUSTUM), int(Form.ELLIPSOID), int(Form.BOX)
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def _enter(form: int, row: np.ndarray, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
     """Depth at which a ray in the primitive's own frame (origin at its row's place) first meets it; -1: never."""
     if form == _FRUSTUM:
@@ -140,30 +146,36 @@ def _local(row: np.ndarray, vector: np.ndarray, out: np.ndarray) -> None:
     out[2] = vector[2]
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def cast(
     forms: np.ndarray,
     rows: np.ndarray,
     origin: np.ndarray,
     axes: np.ndarray,
-    tangent: float,
+    tangents: np.ndarray,
     depth: np.ndarray,
     index: np.ndarray,
+    rectangles: np.ndarray,
 ) -> None:
-    """Fill `depth` `(n, n)` and `index` `(n, n)` with the nearest primitive, `GROUND` or `SKY` of every pixel."""
+    """Fill `depth` `(n, n)` and `index` `(n, n)` with the nearest primitive, `GROUND` or `SKY` of every pixel.
+
+    The inner loops run over a row of pixels, in single precision and without branches, so that the compiler can do
+    many pixels at once.
+
+    Args:
+        forms: see `Primitives`.
+        rows: see `Primitives`.
+        origin: of the camera, see `optics.mount`.
+        axes: of the camera, see `optics.mount`.
+        tangents: `(n,)` float32, from `optics.tangents`.
+        depth: `(n, n)` float32 metres along the axis, written.
+        index: `(n, n)` int32, written.
+        rectangles: `(P, 4)` int64, written: rows and columns within which each primitive's picture lies.
+    """
     n = depth.shape[0]
-    step = 2.0 * tangent / n
+    tangent = float(tangents[0]) * n / (n - 1)
     for i in range(n):
-        b = tangent - step * (i + 0.5)
-        for j in range(n):
-            a = tangent - step * (j + 0.5)
-            dz = axes[0, 2] + a * axes[1, 2] + b * axes[2, 2]
-            if dz < -1e-5:
-                depth[i, j] = -origin[2] / dz
-                index[i, j] = GROUND
-            else:
-                depth[i, j] = SKY_DEPTH_M
-                index[i, j] = SKY
+        _cast_ground(origin, axes, tangents[i], tangents, depth[i], index[i])
     o, f, left, up = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for p in range(len(forms)):
         row, form = rows[p], forms[p]
@@ -172,18 +184,136 @@ def cast(
         _local(row, axes[1], left)
         _local(row, axes[2], up)
         row0, row1, column0, column1 = _rectangle(form, row, o, f, left, up, tangent, n)
+        rectangles[p, 0], rectangles[p, 1], rectangles[p, 2], rectangles[p, 3] = row0, row1, column0, column1
+        if form == _ELLIPSOID:  # a unit ball, once space is shrunk to its axes
+            for k in range(3):
+                scale = 1.0 / row[3 + k]
+                o[k], f[k], left[k], up[k] = o[k] * scale, f[k] * scale, left[k] * scale, up[k] * scale
         for i in range(row0, row1):
-            b = tangent - step * (i + 0.5)
-            bx, by, bz = f[0] + b * up[0], f[1] + b * up[1], f[2] + b * up[2]
-            for j in range(column0, column1):
-                a = tangent - step * (j + 0.5)
-                t = _enter(form, row, o[0], o[1], o[2], bx + a * left[0], by + a * left[1], bz + a * left[2])
-                if 0.0 < t < depth[i, j]:
-                    depth[i, j] = t
-                    index[i, j] = p
+            a, t, which = tangents[column0:column1], depth[i, column0:column1], index[i, column0:column1]
+            if form == _FRUSTUM:
+                _cast_frustum(row, o, f, left, up, tangents[i], a, t, which, p)
+            elif form == _ELLIPSOID:
+                _cast_ball(o, f, left, up, tangents[i], a, t, which, p)
+            else:
+                _cast_box(row, o, f, left, up, tangents[i], a, t, which, p)
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _cast_ground(
+    origin: np.ndarray, axes: np.ndarray, b: float, a: np.ndarray, depth: np.ndarray, index: np.ndarray
+) -> None:
+    height, slope = np.float32(origin[2]), np.float32(axes[1, 2])
+    start = np.float32(axes[0, 2] + b * axes[2, 2])
+    for j in range(len(a)):
+        dz = start + a[j] * slope
+        down = dz < -_LEVEL
+        depth[j] = -height / dz if down else _SKY_DEPTH
+        index[j] = GROUND if down else SKY
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _cast_frustum(
+    row: np.ndarray,
+    o: np.ndarray,
+    f: np.ndarray,
+    left: np.ndarray,
+    up: np.ndarray,
+    b: float,
+    a: np.ndarray,
+    depth: np.ndarray,
+    index: np.ndarray,
+    p: int,
+) -> None:
+    height, bottom, top = np.float32(row[3]), np.float32(row[4]), np.float32(row[5])
+    k = (top - bottom) / height
+    ox, oy, oz = np.float32(o[0]), np.float32(o[1]), np.float32(o[2])
+    bx, by, bz = np.float32(f[0] + b * up[0]), np.float32(f[1] + b * up[1]), np.float32(f[2] + b * up[2])
+    lx, ly, lz = np.float32(left[0]), np.float32(left[1]), np.float32(left[2])
+    at = bottom + k * oz
+    c = ox * ox + oy * oy - at * at
+    above = height - oz if oz > height else _NEVER  # the lid is seen from above only
+    for j in range(len(a)):
+        dx, dy, dz = bx + a[j] * lx, by + a[j] * ly, bz + a[j] * lz
+        square = dx * dx + dy * dy - k * k * dz * dz
+        half = ox * dx + oy * dy - k * dz * at
+        discriminant = half * half - square * c
+        root = np.sqrt(max(discriminant, _ZERO))
+        t0, t1 = (-half - root) / square, (-half + root) / square
+        near, far = min(t0, t1), max(t0, t1)
+        z_near, z_far = oz + near * dz, oz + far * dz
+        best = far if (far > _NEAR) & (z_far >= _ZERO) & (z_far <= height) else _SKY_DEPTH
+        best = near if (near > _NEAR) & (z_near >= _ZERO) & (z_near <= height) else best
+        best = best if discriminant >= _ZERO else _SKY_DEPTH
+        lid = above / dz
+        px, py = ox + lid * dx, oy + lid * dy
+        best = lid if (dz < _ZERO) & (px * px + py * py <= top * top) & (lid < best) & (lid > _ZERO) else best
+        hit = best < depth[j]
+        depth[j] = best if hit else depth[j]
+        index[j] = p if hit else index[j]
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _cast_ball(
+    o: np.ndarray,
+    f: np.ndarray,
+    left: np.ndarray,
+    up: np.ndarray,
+    b: float,
+    a: np.ndarray,
+    depth: np.ndarray,
+    index: np.ndarray,
+    p: int,
+) -> None:
+    ox, oy, oz = np.float32(o[0]), np.float32(o[1]), np.float32(o[2])
+    bx, by, bz = np.float32(f[0] + b * up[0]), np.float32(f[1] + b * up[1]), np.float32(f[2] + b * up[2])
+    lx, ly, lz = np.float32(left[0]), np.float32(left[1]), np.float32(left[2])
+    c = np.float32(o[0] * o[0] + o[1] * o[1] + o[2] * o[2] - 1.0)
+    for j in range(len(a)):
+        dx, dy, dz = bx + a[j] * lx, by + a[j] * ly, bz + a[j] * lz
+        square = dx * dx + dy * dy + dz * dz
+        half = ox * dx + oy * dy + oz * dz
+        discriminant = half * half - square * c
+        t = (-half - np.sqrt(max(discriminant, _ZERO))) / square
+        hit = (discriminant >= _ZERO) & (t > _NEAR) & (t < depth[j])
+        depth[j] = t if hit else depth[j]
+        index[j] = p if hit else index[j]
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _cast_box(
+    row: np.ndarray,
+    o: np.ndarray,
+    f: np.ndarray,
+    left: np.ndarray,
+    up: np.ndarray,
+    b: float,
+    a: np.ndarray,
+    depth: np.ndarray,
+    index: np.ndarray,
+    p: int,
+) -> None:
+    height, length, width = np.float32(row[3]), np.float32(row[4]), np.float32(row[5])
+    ox, oy, oz = np.float32(o[0]), np.float32(o[1]), np.float32(o[2])
+    bx, by, bz = np.float32(f[0] + b * up[0]), np.float32(f[1] + b * up[1]), np.float32(f[2] + b * up[2])
+    lx, ly, lz = np.float32(left[0]), np.float32(left[1]), np.float32(left[2])
+    for j in range(len(a)):
+        dx, dy, dz = bx + a[j] * lx, by + a[j] * ly, bz + a[j] * lz
+        # A direction along a face is bent a little: no division by zero, and no pixel sees the difference.
+        dx = dx if abs(dx) > _TINY else _TINY
+        dy = dy if abs(dy) > _TINY else _TINY
+        dz = dz if abs(dz) > _TINY else _TINY
+        x0, x1 = (-length - ox) / dx, (length - ox) / dx
+        y0, y1 = (-width - oy) / dy, (width - oy) / dy
+        z0, z1 = -oz / dz, (height - oz) / dz
+        enter = max(max(min(x0, x1), min(y0, y1)), min(z0, z1))
+        leave = min(min(max(x0, x1), max(y0, y1)), max(z0, z1))
+        hit = (enter > _NEAR) & (enter <= leave) & (enter < depth[j])
+        depth[j] = enter if hit else depth[j]
+        index[j] = p if hit else index[j]
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def shadow_map(
     forms: np.ndarray, rows: np.ndarray, fixed: np.ndarray, sun: np.ndarray, half: float, out: np.ndarray
 ) -> None:
@@ -195,7 +325,7 @@ def shadow_map(
     n = out.shape[0]
     cell = 2.0 * half / n
     out[:] = 1.0
-    o, d = np.empty(3), np.empty(3)
+    d = np.empty(3)
     for p in range(len(forms)):
         if not fixed[p]:
             continue
@@ -203,26 +333,31 @@ def shadow_map(
         hx, hy, _, z1 = _extents(form, row)
         reach = math.sqrt(hx * hx + hy * hy)
         _local(row, sun, d)
+        cosine, sine = math.cos(row[6]), math.sin(row[6])
         length = (row[2] + z1) / sun[2]  # of the shadow along -sun, per unit of sun's horizontal part
         ex, ey = row[0] - sun[0] * length, row[1] - sun[1] * length
-        spread = reach + 0.6
+        # the shadow lies along a strip from the primitive's place away from the sun
+        way_x, way_y = ex - row[0], ey - row[1]
+        way = max(math.sqrt(way_x * way_x + way_y * way_y), 1e-9)
+        way_x, way_y = way_x / way, way_y / way
+        spread = reach + _CONTACT_M + cell
         x0 = max(int((min(row[0], ex) - spread + half) / cell), 0)
         x1 = min(int((max(row[0], ex) + spread + half) / cell) + 1, n)
         y0 = max(int((min(row[1], ey) - spread + half) / cell), 0)
         y1 = min(int((max(row[1], ey) + spread + half) / cell) + 1, n)
-        place = np.empty(3)
         for iy in range(y0, y1):
+            y = -half + (iy + 0.5) * cell - row[1]
             for ix in range(x0, x1):
-                place[0] = -half + (ix + 0.5) * cell - row[0]
-                place[1] = -half + (iy + 0.5) * cell - row[1]
-                place[2] = -row[2]
-                _local(row, place, o)
-                if _enter(form, row, o[0], o[1], o[2], d[0], d[1], d[2]) > 0.0:
-                    out[iy, ix] = min(out[iy, ix], 0.55)
+                x = -half + (ix + 0.5) * cell - row[0]
+                if abs(x * way_y - y * way_x) > spread:
+                    continue
+                lx, ly = cosine * x + sine * y, cosine * y - sine * x
+                if _enter(form, row, lx, ly, -row[2], d[0], d[1], d[2]) > 0.0:
+                    out[iy, ix] = min(out[iy, ix], _IN_SHADOW)
                 if row[2] < 0.05:
-                    qx, qy = max(abs(o[0]) - hx, 0.0), max(abs(o[1]) - hy, 0.0)
+                    qx, qy = max(abs(lx) - hx, 0.0), max(abs(ly) - hy, 0.0)
                     gap = math.sqrt(qx * qx + qy * qy)
                     if form != _BOX:
-                        gap = max(math.sqrt(o[0] * o[0] + o[1] * o[1]) - hx, 0.0)
-                    if gap < 0.5:
-                        out[iy, ix] *= 0.62 + 0.38 * min(gap / 0.5, 1.0)
+                        gap = max(math.sqrt(lx * lx + ly * ly) - hx, 0.0)
+                    if gap < _CONTACT_M:
+                        out[iy, ix] *= 0.62 + 0.38 * gap / _CONTACT_M

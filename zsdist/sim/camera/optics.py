@@ -31,3 +31,13 @@ def mount(
     )
     position = np.array([pose.x_m, pose.y_m, 0.0]) + forward_m * axes[0] + height_m * axes[2]
     return position, axes
+
+
+def tangents(size_px: int, field_of_view_rad: float) -> np.ndarray:
+    """Tangents of the angles from the axis to each column of pixels, left positive, or to each row, up positive.
+
+    Returns:
+        `(size_px,)` float32, falling.
+    """
+    half = math.tan(field_of_view_rad / 2)
+    return (half * (1 - 2 * (np.arange(size_px) + 0.5) / size_px)).astype(np.float32)

@@ -1,124 +1,249 @@
-"""Numba kernel that colours what the ray caster found: light, shadow, texture, haze."""
+"""Numba kernels that colour what the ray caster found: light, shadow, texture, haze.
+
+A picture is coloured row by row: the sky and the ground each over the columns they may take, then each primitive over
+those in which it was found. What is needed of a row (light, noise, figures) stands in rows of numbers of its own, so
+that every inner loop is short, in single precision and without branches, and the compiler does many pixels at once.
+"""
 
 import math
-from functools import lru_cache
 
 import numpy as np
 from numba import njit
 
 from zsdist.sim.camera.appearance import Pattern, Texture
-from zsdist.sim.camera.kernels import _FAST, GROUND, SKY
+from zsdist.sim.camera.kernels import FAST, GROUND, SKY
 from zsdist.sim.camera.primitives import Form
+from zsdist.sim.camera.textures import CLOUDS, GRAIN, ground_figure, noise, road_figure, surface_figure
 
-_FRUSTUM, _ELLIPSOID = int(Form.FRUSTUM), int(Form.ELLIPSOID)
-_TILES, _STRIPES, _CHECKER, _LANES = int(Pattern.TILES), int(Pattern.STRIPES), int(Pattern.CHECKER), int(Pattern.LANES)
+_FRUSTUM, _ELLIPSOID, _BARK = int(Form.FRUSTUM), int(Form.ELLIPSOID), int(Texture.BARK)
 _KERBS = int(Pattern.KERBS)
-_BARK, _BRICK, _WINDOWS, _BANDS = int(Texture.BARK), int(Texture.BRICK), int(Texture.WINDOWS), int(Texture.BANDS)
 
-_NOISE_SIZE = 512
-_NOISE_LEVELS = 8
-_SPECTRA = (((1.6, 1.0),), ((0.8, 1.0), (0.25, 0.6)))  # of clouds and of grain: exponents of 1 / frequency, shares
-_CLOUDS, _GRAIN = range(2)
+# single precision, which a plain number in a kernel would not be
+_ZERO, _ONE, _HALF, _WHITE = (np.float32(value) for value in (0.0, 1.0, 0.5, 255.0))
+_LOWEST, _OVERCAST = np.float32(0.02), np.float32(0.2)
+_SHADE, _LIGHTER = np.float32(0.55), np.float32(0.45)
+_EDGE, _SMALL, _FLAT, _FINE = (np.float32(value) for value in (1e-4, 1e-12, 0.7, 0.1))
+_SIDE, _TOP, _FOOT, _OPEN, _PER_FOOT = (np.float32(value) for value in (0.75, 0.25, 0.6, 0.4, 1 / 0.35))
+_NEVER = np.float32(1e9)
+_BARK_STRETCH = np.float32(0.2)
 
 
-@lru_cache(maxsize=1)
-def noise_pyramid() -> np.ndarray:
-    """Tiling noise of each spectrum and its halvings, `(2, sum of sizes)` int8, always the same.
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _packed(red: float, green: float, blue: float) -> int:
+    """A colour, each part in 0 to 1, as the bytes red, green, blue, 0 of a little-endian number."""
+    first = np.int32(min(max(red, _ZERO), _ONE) * _WHITE)
+    second = np.int32(min(max(green, _ZERO), _ONE) * _WHITE)
+    third = np.int32(min(max(blue, _ZERO), _ONE) * _WHITE)
+    return first | (second << np.int32(8)) | (third << np.int32(16))
 
-    Kept small (int8, 127 is 1) so that all of it stays in the processor's cache.
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _sky(pyramid, sky, gain, axes, b, a, work, line):  # noqa: ANN001, ANN202
+    """Colours a stretch of a row as sky: clear overhead, pale at the horizon, clouds on a plane far up."""
+    n = len(a)
+    up, u, v, footprint, cloud = work[0, :n], work[1, :n], work[2, :n], work[3, :n], work[4, :n]
+    x0, y0, z0, x1, y1, z1 = _directions(axes, b)
+    for j in range(n):
+        dx, dy, dz = x0 + a[j] * x1, y0 + a[j] * y1, z0 + a[j] * z1
+        up[j] = max(dz, _LOWEST) / np.sqrt(dx * dx + dy * dy + dz * dz)
+        u[j], v[j], footprint[j] = dx / up[j], dy / up[j], _LOWEST / up[j]
+    noise(pyramid[CLOUDS], u, v, 33.0, footprint, cloud)
+    amount = np.float32(sky[6])
+    r0, g0, b0 = np.float32(sky[0]), np.float32(sky[1]), np.float32(sky[2])
+    r1, g1, b1 = np.float32(sky[3] - sky[0]), np.float32(sky[4] - sky[1]), np.float32(sky[5] - sky[2])
+    gain = np.float32(gain)
+    for j in range(n):
+        clear = up[j] * (_ONE - min(amount * max(cloud[j] + _OVERCAST, _ZERO), _ONE))
+        line[j] = _packed((r0 + r1 * clear) * gain, (g0 + g1 * clear) * gain, (b0 + b1 * clear) * gain)
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _directions(axes: np.ndarray, b: float) -> tuple[float, float, float, float, float, float]:
+    """World direction of a row's ray in the middle, and what it gains per unit to the left."""
+    return (
+        np.float32(axes[0, 0] + b * axes[2, 0]),
+        np.float32(axes[0, 1] + b * axes[2, 1]),
+        np.float32(axes[0, 2] + b * axes[2, 2]),
+        np.float32(axes[1, 0]),
+        np.float32(axes[1, 1]),
+        np.float32(axes[1, 2]),
+    )
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _ground(pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axes, b, a, step, work, line):  # noqa: ANN001, ANN202
+    """Colours a stretch of a row as ground: shadows, patches, a pattern, grain."""
+    n = len(a)
+    x, y, u, v = work[0, :n], work[1, :n], work[2, :n], work[3, :n]
+    footprint, lit, patch, grain, figure = work[4, :n], work[5, :n], work[6, :n], work[7, :n], work[8, :n]
+    x0, y0, z0, x1, y1, z1 = _directions(axes, b)
+    ox, oy, oz, pixel = np.float32(origin[0]), np.float32(origin[1]), np.float32(origin[2]), np.float32(step)
+    cos, sin = np.float32(ground[10]), np.float32(ground[11])
+    for j in range(n):
+        t = -oz / (z0 + a[j] * z1)
+        x[j], y[j] = ox + t * (x0 + a[j] * x1), oy + t * (y0 + a[j] * y1)
+        u[j], v[j] = cos * x[j] + sin * y[j], cos * y[j] - sin * x[j]
+        footprint[j] = t * pixel
+    _sunshine(shadow, shadow_half, x, y, lit)
+    for k in range(len(discs)):
+        _darken(discs[k], x, y, lit)
+    noise(pyramid[CLOUDS], u, v, 17.0, footprint, patch)
+    noise(pyramid[GRAIN], u, v, 1.0 / ground[8], footprint, grain)
+    pattern, finest = int(ground[6]), np.float32(0.25 * ground[9])  # a finer figure than two pixels would shimmer
+    if pattern == _KERBS:
+        road_figure(u, v, ground[17:], ground[9], footprint, figure)
+        finest = _NEVER
+    elif pattern != 0:
+        ground_figure(pattern, u, v, ground[9], figure)
+    else:
+        figure[:] = _ZERO
+    strength, contrast, roughness = np.float32(ground[13]), np.float32(ground[12]), np.float32(ground[7])
+    brightness = np.float32(light[6] * (light[3] + light[4] * light[2]))
+    per_pixel, haze = np.float32(1.0 / step), np.float32(light[5])
+    for j in range(n):
+        borne = strength * figure[j] if footprint[j] < finest else _ZERO
+        share = min(max(_HALF + contrast * patch[j], _ZERO), _ONE)
+        t = footprint[j] * per_pixel
+        lit[j] = (_ONE + roughness * grain[j]) * lit[j] * brightness
+        patch[j], figure[j], grain[j] = share, borne, t / (t + haze)
+    r0, g0, b0 = np.float32(ground[0]), np.float32(ground[1]), np.float32(ground[2])
+    r1, g1, b1 = np.float32(ground[3]) - r0, np.float32(ground[4]) - g0, np.float32(ground[5]) - b0
+    r2, g2, b2 = np.float32(ground[14]), np.float32(ground[15]), np.float32(ground[16])
+    far = np.float32(light[6])
+    r3, g3, b3 = far * np.float32(sky[0]), far * np.float32(sky[1]), far * np.float32(sky[2])
+    for j in range(n):
+        red, green, blue = r0 + r1 * patch[j], g0 + g1 * patch[j], b0 + b1 * patch[j]
+        red = (red + (r2 - red) * figure[j]) * lit[j]
+        green = (green + (g2 - green) * figure[j]) * lit[j]
+        blue = (blue + (b2 - blue) * figure[j]) * lit[j]
+        fog = grain[j]
+        line[j] = _packed(red + (r3 - red) * fog, green + (g3 - green) * fog, blue + (b3 - blue) * fog)
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _sunshine(shadow: np.ndarray, half_m: float, x: np.ndarray, y: np.ndarray, out: np.ndarray) -> None:
+    """How much light reaches places on the ground, between the cells of the shadow map."""
+    cells = shadow.shape[0]
+    flat = shadow.reshape(-1)
+    per_m, middle, last = np.float32(cells / (2.0 * half_m)), np.float32(0.5 * cells - 0.5), np.float32(cells - 1.001)
+    for j in range(len(out)):
+        gx = min(max(x[j] * per_m + middle, _ZERO), last)
+        gy = min(max(y[j] * per_m + middle, _ZERO), last)
+        ix, iy = np.int32(gx), np.int32(gy)
+        fx, fy = gx - np.float32(ix), gy - np.float32(iy)
+        at = np.uint32(iy * np.int32(cells) + ix)
+        near = flat[at] + fx * (flat[at + np.uint32(1)] - flat[at])
+        at += np.uint32(cells)
+        far = flat[at] + fx * (flat[at + np.uint32(1)] - flat[at])
+        out[j] = near + fy * (far - near)
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _darken(disc: np.ndarray, x: np.ndarray, y: np.ndarray, lit: np.ndarray) -> None:
+    """The shade about the feet of something that walks: a disc of x, y, radius in metres."""
+    dx, dy, per_radius = np.float32(disc[0]), np.float32(disc[1]), np.float32(1.0 / disc[2])
+    for j in range(len(lit)):
+        gap = np.sqrt((x[j] - dx) * (x[j] - dx) + (y[j] - dy) * (y[j] - dy)) * per_radius
+        lit[j] *= min(_SHADE + _LIGHTER * max(gap - _ONE, _ZERO), _ONE)
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _frame(row: np.ndarray, origin: np.ndarray, light: np.ndarray) -> tuple[float, float, float, float, float, float]:
+    """Cosine and sine of a primitive's heading, the camera's place from its own, and the sun in its frame."""
+    co, si = math.cos(row[6]), math.sin(row[6])
+    sun_x, sun_y = co * light[0] + si * light[1], co * light[1] - si * light[0]
+    return (
+        np.float32(co),
+        np.float32(si),
+        np.float32(origin[0] - row[0]),
+        np.float32(origin[1] - row[1]),
+        np.float32(sun_x),
+        np.float32(sun_y),
+    )
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _surface(pyramid, form, row, material, light, frame, height, axes, b, a, step, t, work):  # noqa: ANN001, ANN202
+    """What the surface of one primitive needs to be coloured along a stretch of a row.
+
+    Leaves in `work` the light, the share of the second colour and the haze of each pixel, rows 5, 8 and 7.
     """
-    rng = np.random.default_rng(20240229)
-    frequency = np.fft.fftfreq(_NOISE_SIZE)
-    radius = np.hypot(frequency[:, None], frequency[None, :])
-    radius[0, 0] = np.inf
-    rows = []
-    for spectrum in _SPECTRA:
-        level = np.zeros(radius.shape)
-        for exponent, share in spectrum:
-            white = np.fft.fft2(rng.standard_normal(radius.shape))
-            part = np.fft.ifft2(white * radius**-exponent).real
-            level += share * part / part.std()
-        level = np.clip(level / 2.5, -1, 1)
-        levels = [level]
-        while len(levels) < _NOISE_LEVELS:
-            level = level.reshape(level.shape[0] // 2, 2, -1, 2).mean((1, 3))
-            levels.append(level)
-        rows.append(np.concatenate([level.ravel() for level in levels]))
-    return np.rint(127 * np.array(rows)).astype(np.int8)
+    n = len(a)
+    x, y, u, v, footprint = work[0, :n], work[1, :n], work[2, :n], work[3, :n], work[4, :n]
+    lit, z, grain, figure, upright = work[5, :n], work[6, :n], work[7, :n], work[8, :n], work[9, :n]
+    x0, y0, z0, x1, y1, z1 = _directions(axes, b)
+    co, si, ox, oy, sun_x, sun_y = frame
+    oz, base, pixel = np.float32(height), np.float32(row[2]), np.float32(step)
+    for j in range(n):
+        wx, wy = ox + t[j] * (x0 + a[j] * x1), oy + t[j] * (y0 + a[j] * y1)
+        x[j], y[j], z[j] = co * wx + si * wy, co * wy - si * wx, oz + t[j] * (z0 + a[j] * z1)
+        footprint[j] = t[j] * pixel
+    size0, size1, size2 = np.float32(row[3]), np.float32(row[4]), np.float32(row[5])
+    sun_z = np.float32(light[2])
+    ambient, sunlight = np.float32(light[3] * light[6]), np.float32(light[4] * light[6])
+    shift = np.float32(material[9])
+    slope = (size2 - size1) / size0
+    inverse0, inverse1, inverse2 = _ONE / (size0 * size0), _ONE / (size1 * size1), _ONE / (size2 * size2)
+    for j in range(n):
+        lx, ly, lz = x[j], y[j], z[j] - base
+        if form == _FRUSTUM:
+            lid = lz > size0 - _EDGE
+            nx, ny = _ZERO if lid else lx, _ZERO if lid else ly
+            nz = _ONE if lid else -slope * np.sqrt(lx * lx + ly * ly)
+        elif form == _ELLIPSOID:
+            nx, ny, nz = lx * inverse0, ly * inverse1, lz * inverse2
+        else:
+            qx, qy, qz = abs(lx) - size1, abs(ly) - size2, lz - size0
+            lid = (qz > qx) & (qz > qy)
+            side = (qx > qy) & ~lid
+            nx = (_ONE if lx > _ZERO else -_ONE) if side else _ZERO
+            ny = _ZERO if side | lid else (_ONE if ly > _ZERO else -_ONE)
+            nz = _ONE if lid else _ZERO
+        norm = _ONE / np.sqrt(nx * nx + ny * ny + nz * nz + _SMALL)
+        nx, ny, nz = nx * norm, ny * norm, nz * norm
+        facing = max(nx * sun_x + ny * sun_y + nz * sun_z, _ZERO)
+        light_here = ambient * (_SIDE + _TOP * nz) + sunlight * facing
+        lit[j] = light_here * (_FOOT + _OPEN * min(z[j] * _PER_FOOT, _ONE))  # near the ground the sky is half hidden
+        flat = abs(nz) > _FLAT
+        along = abs(nx) > abs(ny)
+        u[j] = shift + (ly if along & ~flat else lx)
+        v[j] = ly if flat else lz
+        upright[j] = _ZERO if flat else _ONE
+    texture = int(material[6])
+    stretch = _BARK_STRETCH if texture == _BARK else _ONE
+    if texture > _BARK:
+        surface_figure(texture, u, v, material[10], figure)
+        for j in range(n):
+            figure[j] = figure[j] * upright[j] if footprint[j] < _FINE else _ZERO
+    else:
+        figure[:] = _ZERO
+    for j in range(n):
+        v[j] *= stretch
+        footprint[j] *= stretch
+    noise(pyramid[GRAIN], u, v, 1.0 / material[8], footprint, grain)
+    roughness, haze = np.float32(material[7]), np.float32(light[5])
+    for j in range(n):
+        lit[j] *= _ONE + roughness * grain[j]
+        grain[j] = t[j] / (t[j] + haze)
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy", inline="always")
-def _noise(pyramid: np.ndarray, spectrum: int, u: float, v: float, per_m: float, footprint: float) -> float:
-    """Noise at a place in metres, of `per_m` texels a metre, from the halving whose texel is about the pixel's size."""
-    size, start, level = _NOISE_SIZE, 0, 1
-    while footprint * per_m > 1.0 and level < _NOISE_LEVELS:
-        start += size * size
-        size >>= 1
-        per_m *= 0.5
-        level += 1
-    i = math.floor(v * per_m) & (size - 1)
-    j = math.floor(u * per_m) & (size - 1)
-    return pyramid[spectrum, start + i * size + j] * (1.0 / 127.0)
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _paint(material, sky, gain, work, which, p, line):  # noqa: ANN001, ANN202
+    """Colours those pixels of a stretch of a row in which primitive `p` was found, as `_surface` left them."""
+    n = len(which)
+    lit, fog, figure = work[5, :n], work[7, :n], work[8, :n]
+    r0, g0, b0 = np.float32(material[0]), np.float32(material[1]), np.float32(material[2])
+    r1, g1, b1 = np.float32(material[3]) - r0, np.float32(material[4]) - g0, np.float32(material[5]) - b0
+    r3, g3, b3 = np.float32(sky[0] * gain), np.float32(sky[1] * gain), np.float32(sky[2] * gain)
+    for j in range(n):
+        red = (r0 + r1 * figure[j]) * lit[j]
+        green = (g0 + g1 * figure[j]) * lit[j]
+        blue = (b0 + b1 * figure[j]) * lit[j]
+        colour = _packed(red + (r3 - red) * fog[j], green + (g3 - green) * fog[j], blue + (b3 - blue) * fog[j])
+        line[j] = colour if which[j] == p else line[j]
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def _figure(texture: int, u: float, v: float, period: float) -> float:
-    """Whether a place on a surface bears the texture's second colour, 0 to 1."""
-    if texture == _BRICK:
-        course = math.floor(v / 0.2)
-        along = u / 0.45 + 0.5 * (course - 2.0 * math.floor(course / 2.0))
-        return 1.0 if v / 0.2 - course < 0.12 or along - math.floor(along) < 0.06 else 0.0
-    if texture == _WINDOWS:
-        across, up = u / period, v / 1.1
-        across, up = across - math.floor(across), up - math.floor(up)
-        return 1.0 if 0.25 < across < 0.75 and 0.35 < up < 0.85 else 0.0
-    if texture == _BANDS:
-        up = v / period
-        return 1.0 if up - math.floor(up) < 0.5 else 0.0
-    return 0.0
-
-
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def _ground_figure(pattern: int, x: float, y: float, period: float) -> float:
-    """Whether a place on the ground bears the pattern's second colour, 0 to 1."""
-    u, v = x / period, y / period
-    u, v = u - math.floor(u), v - math.floor(v)
-    if pattern == _TILES:
-        return 1.0 if u < 0.05 or v < 0.05 else 0.0
-    if pattern == _STRIPES:
-        return 1.0 if u < 0.5 else 0.0
-    if pattern == _CHECKER:
-        return 1.0 if (u < 0.5) == (v < 0.5) else 0.0
-    if pattern == _LANES:
-        return 1.0 if u < 0.12 / period and v < 0.6 else 0.0
-    return 0.0
-
-
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def _road_figure(along: float, left: float, half: float, slab: float, footprint: float) -> float:
-    """How far a place has the colour of kerbs and pavements, below 0 for a gutter; lines finer than a pixel are out.
-
-    Args:
-        along: in metres.
-        left: of the road's middle, in metres.
-        half: of the road's width, in metres.
-        slab: side of the pavement's slabs, in metres.
-        footprint: of a pixel, in metres.
-    """
-    beyond = abs(left) - half
-    if beyond < 0.0:
-        if beyond > -0.25:
-            return -0.25
-        dash = along / 3.0
-        return 1.0 if footprint < 0.06 and abs(left) < 0.06 and dash - math.floor(dash) < 0.5 else 0.0
-    if beyond < 0.15:
-        return 1.0
-    u, v = along / slab, beyond / slab
-    joint = u - math.floor(u) < 0.04 or v - math.floor(v) < 0.04
-    return 0.45 if joint and footprint < 0.05 * slab else 0.75
-
-
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def shade(
     forms: np.ndarray,
     rows: np.ndarray,
@@ -132,12 +257,13 @@ def shade(
     pyramid: np.ndarray,
     origin: np.ndarray,
     axes: np.ndarray,
-    tangent: float,
+    tangents: np.ndarray,
     depth: np.ndarray,
     index: np.ndarray,
+    rectangles: np.ndarray,
     image: np.ndarray,
 ) -> None:
-    """Fill `image` `(n, n, 3)` uint8 from `depth` and `index` as `kernels.cast` left them.
+    """Fill `image` `(n, n)` int32, a packed colour a pixel, from what `kernels.cast` left.
 
     Args:
         forms: see `Primitives`.
@@ -152,113 +278,47 @@ def shade(
         pyramid: from `noise_pyramid`.
         origin: of the camera, see `optics.mount`.
         axes: of the camera, see `optics.mount`.
-        tangent: of half the field of view.
+        tangents: `(n,)` float32, from `optics.tangents`.
         depth: `(n, n)` metres along the axis.
         index: `(n, n)` which primitive, or `GROUND` or `SKY`.
-        image: `(n, n, 3)` uint8, written.
+        rectangles: `(P, 4)` rows and columns within which each primitive's picture lies.
+        image: `(n, n)` int32, written: the bytes red, green, blue and 0 of each pixel.
     """
     n = depth.shape[0]
-    step = 2.0 * tangent / n
-    sun_x, sun_y, sun_z, ambient, sunlight, haze_m, gain = light
-    cells = shadow.shape[0]
-    cell = 2.0 * shadow_half / cells
-    turns = np.empty((len(rows), 2))
-    for p in range(len(rows)):
-        turns[p, 0], turns[p, 1] = math.cos(rows[p, 6]), math.sin(rows[p, 6])
+    step = float(tangents[0] - tangents[n - 1]) / (n - 1)
+    work = np.empty((10, n), np.float32)
     for i in range(n):
-        b = tangent - step * (i + 0.5)
-        for j in range(n):
-            a = tangent - step * (j + 0.5)
-            dx = axes[0, 0] + a * axes[1, 0] + b * axes[2, 0]
-            dy = axes[0, 1] + a * axes[1, 1] + b * axes[2, 1]
-            dz = axes[0, 2] + a * axes[1, 2] + b * axes[2, 2]
-            t, p = depth[i, j], index[i, j]
-            if p == SKY:
-                up = max(dz, 0.02) / math.sqrt(dx * dx + dy * dy + dz * dz)
-                cloud = sky[6] * max(_noise(pyramid, _CLOUDS, dx / up, dy / up, 33.0, 0.02 / up) + 0.2, 0.0)
-                for c in range(3):
-                    value = sky[c] + (sky[3 + c] - sky[c]) * up
-                    value += (sky[c] - value) * min(cloud, 1.0)
-                    image[i, j, c] = np.uint8(min(max(value * gain, 0.0), 1.0) * 255.0)
-                continue
-            x, y, z = origin[0] + t * dx, origin[1] + t * dy, origin[2] + t * dz
-            footprint = t * step
-            if p == GROUND:
-                lit = 1.0
-                gx, gy = (x + shadow_half) / cell - 0.5, (y + shadow_half) / cell - 0.5
-                if 0.0 <= gx < cells - 1 and 0.0 <= gy < cells - 1:
-                    ix, iy = int(gx), int(gy)
-                    fx, fy = gx - ix, gy - iy
-                    lit = (1 - fy) * ((1 - fx) * shadow[iy, ix] + fx * shadow[iy, ix + 1]) + fy * (
-                        (1 - fx) * shadow[iy + 1, ix] + fx * shadow[iy + 1, ix + 1]
-                    )
-                for k in range(len(discs)):
-                    gap = math.sqrt((x - discs[k, 0]) ** 2 + (y - discs[k, 1]) ** 2) / discs[k, 2]
-                    if gap < 2.0:
-                        lit *= 0.55 + 0.45 * max(gap - 1.0, 0.0)
-                lit *= gain * (ambient + sunlight * sun_z)
-                cos, sin = ground[10], ground[11]
-                u, v = cos * x + sin * y, cos * y - sin * x
-                patch = 0.5 + ground[12] * _noise(pyramid, _CLOUDS, u, v, 17.0, footprint)
-                share = min(max(patch, 0.0), 1.0)
-                figure = 0.0
-                # A figure finer than two pixels is left out: it would shimmer.
-                if ground[6] == _KERBS:
-                    figure = ground[13] * _road_figure(u, v - ground[17], ground[18], ground[9], footprint)
-                elif ground[6] != 0.0 and footprint < 0.25 * ground[9]:
-                    figure = ground[13] * _ground_figure(int(ground[6]), u, v, ground[9])
-                grain = 1.0 + ground[7] * _noise(pyramid, _GRAIN, u, v, 1.0 / ground[8], footprint)
-                fog = t / (t + haze_m)
-                for c in range(3):
-                    value = ground[c] + (ground[3 + c] - ground[c]) * share
-                    value += (ground[14 + c] - value) * figure
-                    value *= grain * lit
-                    value += (sky[c] * gain - value) * fog
-                    image[i, j, c] = np.uint8(min(max(value, 0.0), 1.0) * 255.0)
-                continue
-            row = rows[p]
-            co, si = turns[p, 0], turns[p, 1]
-            wx, wy = x - row[0], y - row[1]
-            lx, ly, lz = co * wx + si * wy, co * wy - si * wx, z - row[2]
-            nx, ny, nz = 0.0, 0.0, 0.0
-            if forms[p] == _FRUSTUM:
-                if lz > row[3] - 1e-4:
-                    nz = 1.0
-                else:
-                    slope = (row[5] - row[4]) / row[3]
-                    nx, ny, nz = lx, ly, -slope * math.sqrt(lx * lx + ly * ly)
-            elif forms[p] == _ELLIPSOID:
-                nx, ny, nz = lx / (row[3] * row[3]), ly / (row[4] * row[4]), lz / (row[5] * row[5])
-            else:
-                qx, qy, qz = abs(lx) - row[4], abs(ly) - row[5], lz - row[3]
-                if qz > qx and qz > qy:
-                    nz = 1.0
-                elif qx > qy:
-                    nx = math.copysign(1.0, lx)
-                else:
-                    ny = math.copysign(1.0, ly)
-            norm = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-12)
-            nx, ny, nz = nx * norm, ny * norm, nz * norm
-            facing = (co * nx - si * ny) * sun_x + (si * nx + co * ny) * sun_y + nz * sun_z
-            lit = gain * (ambient * (0.75 + 0.25 * nz) + sunlight * max(facing, 0.0))
-            lit *= 0.6 + 0.4 * min(z / 0.35, 1.0)  # near the ground the sky is half hidden
-            material = materials[p]
-            if abs(nz) > 0.7:
-                u, v = lx, ly
-            elif abs(nx) > abs(ny):
-                u, v = ly, lz
-            else:
-                u, v = lx, lz
-            u, v = u + material[9], v
-            texture = int(material[6])
-            figure = 0.0
-            if texture > _BARK and abs(nz) < 0.7 and footprint < 0.1:
-                figure = _figure(texture, u, v, material[10])
-            stretch = 0.2 if texture == _BARK else 1.0
-            grain = 1.0 + material[7] * _noise(pyramid, _GRAIN, u, v * stretch, 1.0 / material[8], footprint * stretch)
-            fog = t / (t + haze_m)
-            for c in range(3):
-                value = material[c] + (material[3 + c] - material[c]) * figure
-                value *= grain * lit
-                value += (sky[c] * gain - value) * fog
-                image[i, j, c] = np.uint8(min(max(value, 0.0), 1.0) * 255.0)
+        b = float(tangents[i])
+        first, last = _stretch(index[i], GROUND)
+        if first < last:
+            _ground(
+                pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axes, b, tangents[first:last], step,
+                work, image[i, first:last],
+            )  # fmt: skip
+        first, last = _stretch(index[i], SKY)
+        if first < last:
+            _sky(pyramid, sky, light[6], axes, b, tangents[first:last], work, image[i, first:last])
+    for p in range(len(forms)):
+        row0, row1, column0, column1 = rectangles[p]
+        frame = _frame(rows[p], origin, light)
+        for i in range(row0, row1):
+            first, last = _stretch(index[i, column0:column1], p)
+            if first < last:
+                first, last = first + column0, last + column0
+                t, which = depth[i, first:last], index[i, first:last]
+                _surface(
+                    pyramid, forms[p], rows[p], materials[p], light, frame, origin[2], axes, float(tangents[i]),
+                    tangents[first:last], step, t, work,
+                )  # fmt: skip
+                _paint(materials[p], sky, light[6], work, which, p, image[i, first:last])
+
+
+@njit(cache=True)
+def _stretch(index: np.ndarray, which: int) -> tuple[int, int]:
+    """The least stretch of a row, first and end, that holds every pixel of `which`; empty where there is none."""
+    first, last = 0, len(index)
+    while first < last and index[first] != which:
+        first += 1
+    while last > first and index[last - 1] != which:
+        last -= 1
+    return first, last
