@@ -49,7 +49,7 @@ def test_what_fills_the_picture_is_left_out():
 
 def test_background_is_sky_far_things_and_ground_at_left_middle_and_right():
     arrays = picture([(slice(18, 30), slice(5, 12), 1.5)])
-    _, distance, ground, sky = arrays
+    ground, sky = arrays[2:]
     objects, background = choose(*arrays, 5.0)
     assert len(background) == 5
     assert (np.sum([*background, objects[0]], axis=0) == 1).all()  # each pixel is hidden once
@@ -95,7 +95,11 @@ def test_a_label_changes_only_in_the_direction_of_what_is_taken_away():
 
 def test_a_small_change_of_a_label_is_none():
     whole = np.array([2.0, -1.0, -1.0])
-    assert changed(whole + [0.9 * CHANGED_REWARD, -1.1 * CHANGED_REWARD, -1.0], whole).tolist() == [False, True, True]
+    assert changed(whole + np.array([0.9 * CHANGED_REWARD, -1.1 * CHANGED_REWARD, -1.0]), whole).tolist() == [
+        False,
+        True,
+        True,
+    ]
 
 
 def test_a_distance_to_the_side_is_longer_than_its_depth():

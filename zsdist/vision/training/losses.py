@@ -1,9 +1,14 @@
-"""Losses of Algorithm 1: of the actions' rewards, and of distances as distributions over bins."""
+"""Losses of Algorithm 1: of the actions' rewards, of distances as distributions over bins, and the contrast."""
+
+from typing import Literal
 
 import torch
 from torch import Tensor
 
 RANKED_WEIGHT = 0.3
+TEMPERATURE = 0.1  # of the contrast
+
+Form = Literal["difference", "literal"]
 
 
 def action_losses(predicted: Tensor, labels: Tensor) -> Tensor:
@@ -43,3 +48,58 @@ def kind_loss(logits: Tensor, dynamic: Tensor, present: Tensor) -> Tensor:
     """
     each = torch.nn.functional.binary_cross_entropy_with_logits(logits, dynamic, reduction="none")
     return (each * present).sum() / present.sum().clamp(min=1)
+
+
+def total_loss(of_actions: Tensor, contrast: Tensor, contrast_weight: float) -> Tensor:
+    """Eq. (5), `L_total = sum_a L_a + lambda L_c`, a scalar.
+
+    Args:
+        of_actions: `(3,)`, each L_a.
+        contrast: scalar, L_c.
+        contrast_weight: lambda.
+    """
+    return of_actions.sum() + contrast_weight * contrast
+
+
+def contrastive_loss(
+    anchors: Tensor,
+    original: Tensor,
+    masked: Tensor,
+    positive: Tensor,
+    negative: Tensor,
+    weight: Tensor,
+    form: Form = "difference",
+    temperature: float = TEMPERATURE,
+) -> Tensor:
+    """Eq. (6): `L_c = -log exp(s+ / tau) / (exp(s+ / tau) + sum over x- of exp(s- / tau))`, a scalar.
+
+    `s` is the cosine of an anchor I_a and a sample. The mean is over the anchors that have samples of both kinds and
+    over the positive samples of each; other anchors are skipped, and where there are none the loss is 0.
+
+    Deviation: a sample is by default the difference `E - E_i` of the embeddings of the picture and of the masked
+    picture, which is what the hidden thing gave to the picture. The literal sample is `E_i` itself: it pulls I_a
+    towards a picture in which the thing that matters to the action is hidden, and so away from the thing. Both are
+    here to be compared; the lab's figures are I_a nearest to the object in direction a in 0.88 to 0.97 of pictures
+    with the difference, in 0.58 to 0.69 with the literal form.
+
+    Args:
+        anchors: `(B, 3, D)`, I_1 to I_3.
+        original: `(B, D)`, E, the mean of the projected tokens (in the difference form it must not be normalised).
+        masked: `(B, M, D)`, E_i likewise.
+        positive: `(B, 3, M)` bool, for which actions the masked picture's label has changed.
+        negative: `(B, 3, M)` bool, for which it has not; a place that holds no masked picture is neither.
+        weight: `(B, M)`, of each sample among the negative ones; less than 1 for the background.
+        form: which sample.
+        temperature: tau.
+    """
+    samples = original[:, None] - masked if form == "difference" else masked
+    logits = torch.nn.functional.normalize(anchors, dim=-1) @ torch.nn.functional.normalize(samples, dim=-1).mT
+    logits = logits / temperature
+    rest = (logits + weight.clamp(min=1e-6).log()[:, None]).masked_fill(~negative, -torch.inf)
+    rest = rest.logsumexp(-1, keepdim=True).expand_as(logits)
+    counted = positive & negative.any(-1, keepdim=True)
+    if not counted.any():
+        return anchors.sum() * 0.0
+    each = torch.nn.functional.softplus(rest[counted] - logits[counted])
+    share = (1 / counted.sum(-1, keepdim=True).clamp(min=1)).expand_as(logits)[counted]
+    return (each * share).sum() / counted.any(-1).sum()
