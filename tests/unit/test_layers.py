@@ -13,8 +13,8 @@ ROWS = (  # a unit may import from rows above its own in this list; within a row
     {"planning", "vision", "dqn", "replay", "protocol", "wire", "transport"},
     {"agent"},
     {"roles", "sim"},
-    {"evaluation", "run", "pretraining"},
-    {"closing"},
+    {"evaluation", "run"},
+    {"pretraining", "closing"},
     {"launch", "evaluate", "pretrain", "monitor", "report", "doctor"},
 )
 OWNERS = {

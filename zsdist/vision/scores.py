@@ -4,6 +4,9 @@ import numpy as np
 
 MISS_M = (1.5, 2.5)  # a miss: nearer than the first in truth, said to be beyond the second
 FALSE_ALARM_M = (3.5, 2.0)  # a false alarm: beyond the first in truth, said to be nearer than the second
+NEAR_OBJECT_M = 2.5  # an object whose nearest point in view is nearer counts
+UNSEEN_BEYOND_M = 1.0  # an object is unseen where each of its rays is said to be farther by more
+LEAST_RAYS = 2  # an object that fewer rays meet is too narrow, or too little of it is in view, to count
 
 
 def action_scores(predicted: np.ndarray, labels: np.ndarray) -> dict[str, float]:
@@ -30,6 +33,51 @@ def ray_scores(said_m: np.ndarray, true_m: np.ndarray) -> dict[str, float]:
         "miss_rate": float(np.sum(near & (said_m > MISS_M[1])) / max(near.sum(), 1)),
         "false_alarm_rate": float(np.sum(far & (said_m < FALSE_ALARM_M[1])) / max(far.sum(), 1)),
     }
+
+
+def calibration(quantile_m: np.ndarray, true_m: np.ndarray, range_m: float) -> dict[str, float]:
+    """How often the truth lies under a quantile; of a calibrated reading as often as the quantile's share.
+
+    Args:
+        quantile_m: `(N, R)` a quantile of the distances said, at most `range_m`.
+        true_m: `(N, R)`, capped at `range_m`.
+        range_m: of the camera.
+
+    Returns:
+        `short`: the share over rays whose quantile is short of the range, NaN where none is; `all`: over all rays, of
+        which those that are free for certain can never have the truth below; `rays`: how many are short of it.
+    """
+    below, short = true_m < quantile_m, quantile_m < range_m
+    return {
+        "short": float(below[short].mean()) if short.any() else float("nan"),
+        "all": float(below.mean()),
+        "rays": int(short.sum()),
+    }
+
+
+def unseen_objects(objects: np.ndarray, said_m: np.ndarray, true_m: np.ndarray) -> tuple[int, int]:
+    """Whole objects that one look does not see.
+
+    An object counts where `LEAST_RAYS` or more rays of a picture meet it, the nearest of them within `NEAR_OBJECT_M`.
+    It is unseen where every one of its rays is said to be more than `UNSEEN_BEYOND_M` longer than it is.
+
+    Args:
+        objects: `(N, R)` int, a number of what each ray meets, the same for rays that meet the same object of a
+            picture; negative where that is none.
+        said_m: `(N, R)` distances said.
+        true_m: `(N, R)`.
+
+    Returns:
+        How many objects count, and how many of those are unseen.
+    """
+    counted, unseen = 0, 0
+    for numbers, said, true in zip(objects, said_m, true_m, strict=True):
+        for number in np.unique(numbers[numbers >= 0]):
+            rays = numbers == number
+            if rays.sum() >= LEAST_RAYS and true[rays].min() < NEAR_OBJECT_M:
+                counted += 1
+                unseen += bool((said[rays] > true[rays] + UNSEEN_BEYOND_M).all())
+    return counted, unseen
 
 
 def depth_rays_m(

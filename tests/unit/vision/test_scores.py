@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from zsdist.vision.scores import action_scores, depth_rays_m, ray_scores
+from zsdist.vision.scores import action_scores, calibration, depth_rays_m, ray_scores, unseen_objects
 
 LABELS = np.array([[2.0, 0.0, -1.0], [0.0, 1.0, 1.0]])
 
@@ -20,6 +20,26 @@ def test_misses_and_false_alarms_are_shares_of_the_rays_where_they_could_happen(
     true = np.array([[1.0, 1.0, 4.0, 4.0, 2.0]])
     said = np.array([[3.0, 1.2, 1.0, 4.0, 0.1]])
     assert ray_scores(said, true) == {"miss_rate": 0.5, "false_alarm_rate": 0.5}
+
+
+def test_calibration_counts_truths_under_the_quantile_among_rays_that_are_short_of_the_range():
+    said = np.array([[1.0, 2.0, 3.0, 4.0, 5.0]])
+    true = np.array([[0.5, 2.5, 3.5, 4.5, 4.0]])
+    assert calibration(said, true, 5.0) == {"short": 0.25, "all": 0.4, "rays": 4}
+    assert np.isnan(calibration(np.full((1, 3), 5.0), np.full((1, 3), 5.0), 5.0)["short"])
+
+
+def test_an_object_is_unseen_only_if_each_of_its_rays_is_said_to_be_much_longer():
+    objects = np.array([[0, 0, 1, 1, 2, 3, 3, -1, -2, -2]])
+    true = np.array([[2.0, 2.2, 1.0, 1.1, 1.0, 3.0, 3.0, 5.0, 1.0, 1.0]])
+    said = np.array([[3.2, 3.3, 2.5, 1.2, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0]])
+    # 0 is unseen; 1 is seen by one ray; 2 is met by one ray only; 3 is too far; walls and nothing are no objects
+    assert unseen_objects(objects, said, true) == (2, 1)
+
+
+def test_the_same_number_in_two_pictures_is_two_objects():
+    objects, true = np.zeros((2, 4), int), np.full((2, 4), 1.5)
+    assert unseen_objects(objects, np.stack([np.full(4, 5.0), true[0]]), true) == (2, 1)
 
 
 def wall(px=64, at_m=2.0):
