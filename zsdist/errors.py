@@ -39,3 +39,11 @@ class WeightsError(ZsdistError):
 
 class RunError(ZsdistError):
     """A run cannot start, go on or be resumed; or its books do not balance."""
+
+
+class DataError(ZsdistError):
+    """A data set's folder or file is missing, damaged, or not in the layout that is expected."""
+
+
+class ImageError(ZsdistError, ValueError):
+    """Pictures are not an array of the shape and dtype that a network takes."""

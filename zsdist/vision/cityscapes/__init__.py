@@ -1,0 +1,4 @@
+"""Pictures of real streets with labels, from a copy of the Cityscapes data set.
+
+Use `views.cityscapes_views` and `views.cityscapes_masked_views`: they give what the simulator's sources give.
+"""
