@@ -1,0 +1,141 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from zsdist.vision.masks import Mask, MaskedExamples, MaskedView
+from zsdist.vision.models.head import VisualActHead
+from zsdist.vision.models.projection import Projection
+from zsdist.vision.rays import RANGE_M, RAYS, ray_angles_rad
+from zsdist.vision.training.contrast import Contrast, encode
+from zsdist.vision.training.examples import Examples
+
+SIDE, FEATURES = 8, 6
+ANGLES = ray_angles_rad(RAYS, math.pi / 2)
+THING, GROUND = 0, 1  # features
+COLUMNS = {"left": 0, "ahead": 3, "right": 6}
+GOAL = np.array([0.0]), np.array([6.0])
+
+
+def world():
+    """Pictures with a thing at the left, ahead and at the right; hidden are all things in turn and the ground."""
+    rng = np.random.default_rng(0)
+    tokens, distance, masked, image, without, background = [], [], [], [], [], []
+    for number in range(24):
+        picture = 0.05 * rng.standard_normal((SIDE, SIDE, FEATURES))
+        picture[5:, :, GROUND] += 1.0
+        rays = np.full(RAYS, RANGE_M, np.float32)
+        places = [column for column in COLUMNS.values() if rng.random() < 0.8] or [0]
+        for column in places:
+            picture[2:5, column : column + 2, THING : THING + 1] += 1.0
+            picture[2:5, column : column + 2, 2 + column // 3] += 1.0
+            rays[4 * column : 4 * column + 8] = 1.0
+        tokens.append(picture)
+        distance.append(rays)
+        for column in places:
+            rest, far = picture.copy(), rays.copy()
+            rest[2:5, column : column + 2] = 0.0
+            far[4 * column : 4 * column + 8] = RANGE_M
+            masked.append(rest), without.append(far), image.append(number), background.append(False)
+        rest = picture.copy()
+        rest[5:] = 0.0
+        masked.append(rest), without.append(rays), image.append(number), background.append(True)
+
+    def still(rows):
+        return np.zeros((len(rows), RAYS), bool)
+
+    originals = Examples(np.array(tokens, np.float16), np.array(distance), still(tokens), ANGLES)
+    return originals, MaskedExamples(
+        np.array(masked, np.float16), np.array(image), np.array(without), still(masked), np.array(background)
+    )
+
+
+def new_head():
+    torch.manual_seed(0)
+    return VisualActHead(FEATURES, SIDE, math.pi / 2, width=16, column_width=16, heads=2)
+
+
+def share_on_things(head, originals):
+    """How much of each action's attention is on things, in the pictures where its direction has one, the mean."""
+    tokens = torch.from_numpy(originals.tokens.astype(np.float32))
+    things = (tokens[..., THING] > 0.5).flatten(1)
+    with torch.no_grad():
+        found = (head(tokens).attention * things[:, None]).sum(-1)
+    return float(found.mean())
+
+
+def trained_share(form):
+    originals, masked = world()
+    contrast, head, rng = Contrast(torch.nn.Identity(), originals, masked, form), new_head(), np.random.default_rng(1)
+    optimiser, before = torch.optim.Adam(head.parameters(), 3e-3), share_on_things(head, originals)
+    for _ in range(60):
+        optimiser.zero_grad()
+        contrast.loss(head, rng).backward()
+        optimiser.step()
+    return before, share_on_things(head, originals)
+
+
+def test_the_difference_form_draws_attention_to_what_stands_in_the_way_and_the_literal_one_less():
+    before, after = trained_share("difference")
+    assert after > 2 * before and after > 1.5 * trained_share("literal")[1]
+
+
+def test_the_projection_is_not_trained():
+    projection, head = Projection(FEATURES, 10), new_head()
+    Contrast(projection, *world()).loss(head, np.random.default_rng(0)).backward()
+    assert all(parameter.grad is None for parameter in projection.parameters())
+    assert head.attention.queries.grad.abs().sum() > 0
+
+
+def test_a_thing_is_a_positive_sample_for_its_direction_and_the_ground_for_none():
+    originals, masked = world()
+    contrast = Contrast(torch.nn.Identity(), originals, masked)
+    rows = np.flatnonzero(masked.image == 3)[None]
+    positive, present = contrast.samples(np.array([3]), np.append(rows, -1)[None], *GOAL)
+    assert present.tolist() == [[True] * rows.size + [False]]
+    gone = (masked.ray_distance_m[rows[0]] != originals.ray_distance_m[3]).any(1)
+    assert gone.sum() == rows.size - 1
+    assert (positive[0].any(0) == np.append(gone, False)).all()
+
+
+def test_the_loss_follows_its_random_numbers():
+    contrast, head = Contrast(Projection(FEATURES, 10), *world(), batch=8), new_head()
+    first, again, other = (float(contrast.loss(head, np.random.default_rng(seed)).detach()) for seed in (0, 0, 1))
+    assert first == again != other
+
+
+class Means:
+    """An encoder whose tokens are mean colours."""
+
+    def tokens(self, images):
+        return images.reshape(-1, 2, 4, 2, 4, 3).mean((2, 4), dtype=np.float32)
+
+
+def test_encoding_keeps_each_masked_picture_with_its_original_and_its_truth():
+    rng = np.random.default_rng(0)
+
+    def mask(number, background):
+        hidden = np.zeros((8, 8), bool)
+        hidden[:4, :4] = True
+        return Mask(hidden, background, np.full(RAYS, number, np.float32), np.zeros(RAYS, bool))
+
+    def view(number, count):
+        image = rng.integers(0, 256, (8, 8, 3), np.uint8)
+        masks = tuple(mask(number + 0.1 * k, k == 0) for k in range(count))
+        return MaskedView(image, np.full(RAYS, number, np.float32), np.ones(RAYS, bool), masks)
+
+    views = [view(k, count) for k, count in enumerate((2, 0, 3))]
+    originals, masked = encode(views, Means(), ANGLES, at_once=2)
+    assert len(originals) == 3 and originals.ray_distance_m[:, 0].tolist() == [0, 1, 2]
+    assert masked.image.tolist() == [0, 0, 2, 2, 2]
+    assert masked.background.tolist() == [True, False, True, False, False]
+    np.testing.assert_allclose(masked.ray_distance_m[:, 0], [0, 0.1, 2, 2.1, 2.2], rtol=1e-6)
+    np.testing.assert_allclose(masked.tokens[:, 1, 1], originals.tokens[masked.image][:, 1, 1])
+    assert (masked.tokens[:, 0, 0] != originals.tokens[masked.image][:, 0, 0]).any(1).all()
+
+
+def test_views_without_any_mask_are_refused_in_one_line():
+    view = MaskedView(np.zeros((8, 8, 3), np.uint8), np.zeros(RAYS, np.float32), np.zeros(RAYS, bool), ())
+    with pytest.raises(ValueError, match="no masked picture"):
+        encode([view], Means(), ANGLES)
