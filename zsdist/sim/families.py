@@ -12,6 +12,7 @@ from zsdist.errors import SceneError
 from zsdist.planning.grid import HEADINGS
 from zsdist.sim import families_layout
 from zsdist.sim.families_canvas import Canvas, Redraw, turned
+from zsdist.sim.kinds import GROUNDS, KINDS
 from zsdist.sim.manifest import TRAINED_GROUNDS, WITHHELD_GROUNDS, Split, split_seed
 from zsdist.sim.scene import DEFAULT_GRID, Scene, check
 from zsdist.sim.solvability import solve
@@ -177,6 +178,13 @@ def _varied(rng: np.random.Generator, name: str) -> Scene:
     return canvas.scene(name, _ground(rng, TRAINED_GROUNDS))
 
 
+def _vocabulary(rng: np.random.Generator, name: str) -> Scene:
+    """A few obstacles of every kind on any ground, to learn what they are called."""
+    canvas = _any_other_way(rng)
+    canvas.scatter(int(rng.integers(5, 13)), dict.fromkeys(KINDS, 1.0), gap_m=0.6)
+    return canvas.scene(name, _ground(rng, tuple(GROUNDS)))
+
+
 # The order is part of every scene's seed: append only.
 FAMILIES: dict[str, Callable[[np.random.Generator, str], Scene]] = {
     "singleton": _iid,
@@ -190,4 +198,5 @@ FAMILIES: dict[str, Callable[[np.random.Generator, str], Scene]] = {
     "ood-all": _all,
     "street": _street,
     "varied": _varied,
+    "vocabulary": _vocabulary,
 }

@@ -35,6 +35,17 @@ def test_the_vision_model_never_sees_the_policys_commonest_obstacle():
     assert "tree" not in MANIFEST["vision-training"].kinds
 
 
+def test_what_learns_words_has_a_family_of_its_own_that_no_head_trains_on_and_no_test_draws_from():
+    words = MANIFEST["word-training"]
+    assert set(words.kinds) == set(KINDS) and set(words.grounds) == set(GROUNDS)
+    others = {family for name, entry in MANIFEST.items() if name != "word-training" for family in entry.families}
+    assert not set(words.families) & others
+    assert words.split != MANIFEST["test"].split
+    drawn = [draw("vocabulary", words.split, index) for index in range(30)]
+    assert {o.kind for scene in drawn for o in scene.obstacles} == set(KINDS)
+    assert {scene.ground for scene in drawn} == set(GROUNDS)
+
+
 def test_appearance_scenes_show_only_kinds_and_grounds_that_no_training_shows():
     for index in range(12):
         scene = generate("ood-appearance", split_seed("test", index))

@@ -1,0 +1,73 @@
+"""From the tokens of an encoder to the space that pictures share with words; torch."""
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+WIDTH = 128  # features of a token inside the projection
+
+
+class Projection(nn.Module):
+    """Projects each token to the space of words, with a look at its neighbours, and texts by a linear map.
+
+    The map of texts begins as no change at all: it learns which directions of the tower's space tell apart what a
+    camera can see.
+
+    Args:
+        features: of a token.
+        text_width: D, of the text tower's embeddings and of the common space.
+    """
+
+    def __init__(self, features: int, text_width: int) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(features))
+        self.register_buffer("scale", torch.ones(features))
+        self.enter = nn.Linear(features, WIDTH)
+        self.around = nn.Conv2d(WIDTH, WIDTH, 3, padding=1, groups=WIDTH)
+        self.mix = nn.Linear(WIDTH, WIDTH)
+        self.leave = nn.Linear(WIDTH, text_width)
+        self.text = nn.Linear(text_width, text_width)
+        nn.init.eye_(self.text.weight)
+        nn.init.zeros_(self.text.bias)
+
+    def normalise_to(self, mean: np.ndarray, deviation: np.ndarray) -> None:
+        """Sets the mean and standard deviation `(features,)` of the tokens that are to be expected."""
+        self.mean.copy_(torch.from_numpy(mean))
+        self.scale.copy_(1 / torch.from_numpy(np.maximum(deviation, 1e-6)))
+
+    def hidden(self, tokens: Tensor) -> Tensor:
+        """What `forward` maps linearly: `(B, side, side, WIDTH)` of tokens `(B, side, side, features)`."""
+        x = torch.relu(self.enter((tokens - self.mean) * self.scale))
+        x = x + self.around(x.permute(0, 3, 1, 2)).permute(0, 2, 3, 1)
+        return torch.relu(x + self.mix(torch.relu(x)))
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        """Tokens `(B, side, side, features)` in the space of words, `(B, side, side, D)`; their lengths tell weight."""
+        return self.leave(self.hidden(tokens))
+
+    def texts(self, embeddings: Tensor) -> Tensor:
+        """Embeddings `(N, D)` of a text tower in the common space, `(N, D)` of unit length."""
+        return functional.normalize(self.text(embeddings), dim=-1)
+
+
+def image_embedding(projected: Tensor) -> Tensor:
+    """I_0 `(B, D)` of unit length, of the whole picture: the mean of projected tokens `(B, side, side, D)`."""
+    return functional.normalize(projected.mean((1, 2)), dim=-1)
+
+
+def attended_embeddings(projected: Tensor, attention: Tensor) -> Tensor:
+    """I_1 to I_3 `(B, 3, D)` of unit length: means of the projected tokens, weighted by where each action looked.
+
+    Args:
+        projected: `(B, side, side, D)`.
+        attention: `(B, 3, side * side)`, as in `Reading`.
+    """
+    return functional.normalize(attention @ projected.flatten(1, 2), dim=-1)
+
+
+def projection_of(weights: dict[str, Tensor]) -> Projection:
+    """The projection with these weights, which also tell its sizes."""
+    projection = Projection(weights["enter.weight"].shape[1], weights["leave.weight"].shape[0])
+    projection.load_state_dict(weights)
+    return projection.eval()
