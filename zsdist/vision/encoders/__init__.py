@@ -4,6 +4,7 @@ from pathlib import Path
 
 from zsdist.errors import WeightsError
 from zsdist.vision.encoders.base import Encoder
+from zsdist.vision.encoders.clip_folder import ClipFolder
 from zsdist.vision.encoders.lite0 import EfficientNetLite0
 
 DEFAULT = "efficientnet-lite0"
@@ -17,4 +18,6 @@ def open_encoder(spec: str) -> Encoder:
     """
     if spec == DEFAULT:
         return EfficientNetLite0()
+    if Path(spec).is_dir():
+        return ClipFolder(Path(spec))
     raise WeightsError(f"encoder is {spec!r}; allowed are {DEFAULT!r} and a folder with a CLIP model")

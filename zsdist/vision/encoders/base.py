@@ -5,9 +5,14 @@ from typing import Protocol
 
 import numpy as np
 
+from zsdist.errors import ImageError
+
 
 class Encoder(Protocol):
-    """What the networks behind it need of an encoder.
+    """Tokens of images, and g(T) of texts, as `embed_texts`.
+
+    f(I) is made of tokens by a map into text space, which CLIP brings (`native_projection`) and which is trained by us
+    for the default encoder.
 
     Attributes:
         name: such as "efficientnet-lite0/block10" or "clip/vit-b-32".
@@ -61,10 +66,10 @@ def unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def check_images(images: np.ndarray) -> None:
-    """Raises `ValueError` unless `images` is `(B, px, px, 3)` uint8, square, of 32 pixels a side or more."""
+    """Raises `ImageError` unless `images` is `(B, px, px, 3)` uint8, square, of 32 pixels a side or more."""
     shape, dtype = np.shape(images), getattr(images, "dtype", type(images).__name__)
     if dtype != np.uint8 or len(shape) != 4 or shape[0] < 1 or shape[3] != 3 or shape[1] != shape[2] or shape[1] < 32:
-        raise ValueError(f"images are {shape} {dtype}; allowed are (batch, px, px, 3) uint8, square, px of 32 or more")
+        raise ImageError(f"images are {shape} {dtype}; allowed are (batch, px, px, 3) uint8, square, px of 32 or more")
 
 
 def check_texts(texts: Sequence[str]) -> list[str]:

@@ -50,7 +50,7 @@ class EfficientNetLite0:
         """Tokens `(B, 14, 14, 112)` float32 of images `(B, px, px, 3)` uint8; other sizes than 224 are resampled.
 
         Raises:
-            ValueError: the images are no such array.
+            ImageError: the images are no such array.
         """
         check_images(images)
         return self._session.run(["tokens"], {"image": resample(images, INPUT_PX)})[0]

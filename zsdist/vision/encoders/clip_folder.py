@@ -1,0 +1,117 @@
+"""CLIP from a folder on this machine, of open_clip or of Hugging Face; nothing is fetched from anywhere."""
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+
+from zsdist.vision.encoders.base import check_images, check_texts, resample
+from zsdist.vision.encoders.clip_layouts import read_folder
+from zsdist.vision.encoders.clip_tokenizer import read_tokenizer
+from zsdist.vision.exported import cached_session, export, file_sha256
+
+TEXTS_AT_ONCE = 64
+VERSION = 1
+"""Of the towers' code: exported towers of another version are not read."""
+
+
+class ClipFolder:
+    """CLIP's towers, run by onnxruntime on one thread; torch is imported only to build each at its first use.
+
+    Its tokens are the patches after the last norm. CLIP was trained to map its class token alone into text space, so
+    that patches mapped by the same projection carry meaning less surely than `embed_images` does.
+
+    Images of another size are resampled by triangles, where the libraries take cubic curves.
+
+    Raises:
+        WeightsError: the folder lacks a file, or a file is damaged or of a model that is no plain CLIP.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._clip, self._weights = read_folder(folder)
+        self._folder = folder
+        self.name = f"clip/{folder.resolve().name}"
+        self.sha256 = file_sha256(self._weights)
+        self.input_px = self._clip.image_px
+        self.side = self._clip.image_px // self._clip.patch_px
+        self.features = self._clip.vision.width
+        digest = hashlib.sha256(repr((VERSION, self.sha256, self._clip)).encode()).hexdigest()
+        self._cached = f"clip-{digest[:16]}"
+        self._texts: TextSide | None = None
+        self._session = cached_session(f"{self._cached}-image", self._build)
+
+    def tokens(self, images: np.ndarray) -> np.ndarray:
+        """Tokens `(B, side, side, features)` float32 of images `(B, px, px, 3)` uint8, from the top left.
+
+        Raises:
+            ImageError: the images are no such array.
+        """
+        return self._run("tokens", images)
+
+    def embed_images(self, images: np.ndarray) -> np.ndarray:
+        """CLIP's own embeddings `(B, D)` float32 of images, of unit length; raises as `tokens`."""
+        return self._run("embedding", images)
+
+    def embed_texts(self, texts: Sequence[str]) -> np.ndarray:
+        """Embeddings `(N, D)` float32 of texts, of unit length; tokenizer and text tower are loaded at first use.
+
+        Raises:
+            WeightsError: the folder lacks a tokenizer, or has a damaged one.
+            ValueError: the texts are no list of texts.
+        """
+        texts = check_texts(texts)
+        if self._texts is None:
+            self._texts = TextSide(self._folder, self._cached)
+        return self._texts.embed(texts)
+
+    def native_projection(self) -> dict[str, np.ndarray]:
+        """CLIP's map of its class token into text space: `weight` `(D, features)`, and a `bias` `(D,)` of zeros."""
+        from zsdist.vision.encoders.clip_towers import projection
+
+        weight = projection(self._clip, self._weights).numpy()
+        return {"weight": np.ascontiguousarray(weight), "bias": np.zeros(len(weight), np.float32)}
+
+    def _run(self, output: str, images: np.ndarray) -> np.ndarray:
+        check_images(images)
+        return self._session.run([output], {"image": resample(images, self.input_px)})[0]
+
+    def _build(self, out: Path) -> None:
+        """Exports the image tower and checks it against torch."""
+        import torch
+
+        from zsdist.vision.encoders.clip_towers import image_tower
+
+        with torch.random.fork_rng():  # building it draws initial weights, which are not kept
+            tower = image_tower(self._clip, self._weights)
+        example = np.random.default_rng(0).integers(0, 256, (1, self.input_px, self.input_px, 3), np.uint8)
+        export(tower, example, out, "image", ["tokens", "embedding"])
+
+
+class TextSide:
+    """Tokenizer and text tower of a folder; `cached` names the exported tower."""
+
+    def __init__(self, folder: Path, cached: str) -> None:
+        self._clip, self._weights = read_folder(folder)
+        self._tokenizer, self._end = read_tokenizer(folder, self._clip)
+        self._session: onnxruntime.InferenceSession = cached_session(f"{cached}-text-{self._end}", self._build)
+
+    def embed(self, texts: list[str]) -> np.ndarray:
+        """Embeddings `(N, D)` float32 of unit length."""
+        parts = []
+        for begin in range(0, len(texts), TEXTS_AT_ONCE):
+            encoded = self._tokenizer.encode_batch(texts[begin : begin + TEXTS_AT_ONCE])
+            ids = np.array([one.ids for one in encoded], np.int64)
+            parts += self._session.run(["embedding"], {"ids": ids})
+        return np.concatenate(parts)
+
+    def _build(self, out: Path) -> None:
+        """Exports the text tower and checks it against torch."""
+        import torch
+
+        from zsdist.vision.encoders.clip_towers import text_tower
+
+        with torch.random.fork_rng():
+            tower = text_tower(self._clip, self._weights, self._end)
+        export(tower, np.array([[0, 1, self._end], [0, self._end, 1]]), out, "ids", ["embedding"], ("batch", "length"))

@@ -1,0 +1,210 @@
+"""The two layouts in which CLIP models lie in folders, read into one description.
+
+open_clip: `open_clip_config.json`, `open_clip_model.safetensors`; a tokenizer's files unless CLIP's own is meant.
+Hugging Face: `config.json`, `model.safetensors`, `preprocessor_config.json`; `tokenizer.json`, or `vocab.json` with
+`merges.txt`, for texts. Nothing is fetched from anywhere.
+"""
+
+import json
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from zsdist.errors import WeightsError
+
+
+class Layout(StrEnum):
+    """Whose names files and weights have."""
+
+    OPEN_CLIP = "open_clip"
+    HUGGING_FACE = "huggingface"
+
+
+CONFIG = {Layout.OPEN_CLIP: "open_clip_config.json", Layout.HUGGING_FACE: "config.json"}
+WEIGHTS = {Layout.OPEN_CLIP: "open_clip_model.safetensors", Layout.HUGGING_FACE: "model.safetensors"}
+ALLOWED = "allowed are the layouts " + " and ".join(f"{one} ({CONFIG[one]}, {WEIGHTS[one]})" for one in Layout)
+
+# What a configuration leaves out has these values, in the library that wrote it.
+OPEN_CLIP_VISION = {
+    "layers": 12, "width": 768, "head_width": 64, "mlp_ratio": 4.0, "patch_size": 16, "image_size": 224,
+}  # fmt: skip
+OPEN_CLIP_TEXT = {
+    "layers": 12, "width": 512, "heads": 8, "mlp_ratio": 4.0, "context_length": 77, "vocab_size": 49408,
+}  # fmt: skip
+OPEN_CLIP_PLAIN = {  # settings that change what is computed, at the values that the plain towers have
+    "pool_type": ("tok", "argmax"), "pos_embed_type": ("learnable",), "proj_type": ("linear",),
+    "block_type": ("default",),
+}  # fmt: skip
+OPEN_CLIP_OTHER = (  # settings that change nothing here
+    "patch_dropout", "output_tokens", "attn_pooler_queries", "attn_pooler_heads", "timm_pool", "timm_proj",
+    "pad_id", "eos_id", "hf_tokenizer_name", "tokenizer_mode", "tokenizer_kwargs", "hf_model_pretrained",
+)  # fmt: skip
+HUGGING_FACE_TOWER = {"num_hidden_layers": 12, "layer_norm_eps": 1e-5, "hidden_act": "quick_gelu"}
+HUGGING_FACE_VISION = HUGGING_FACE_TOWER | {
+    "hidden_size": 768, "num_attention_heads": 12, "intermediate_size": 3072, "patch_size": 32, "image_size": 224,
+}  # fmt: skip
+HUGGING_FACE_TEXT = HUGGING_FACE_TOWER | {
+    "hidden_size": 512, "num_attention_heads": 8, "intermediate_size": 2048, "max_position_embeddings": 77,
+    "vocab_size": 49408,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TowerShape:
+    """One transformer; `inner` is the width inside a layer, `activation` is "gelu" or "quick_gelu"."""
+
+    layers: int
+    width: int
+    heads: int
+    inner: int
+    activation: str
+    epsilon: float
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A CLIP model but for its weights.
+
+    Attributes:
+        layout: whose names its weights have.
+        image_px: side of the images.
+        patch_px: side of a patch.
+        mean: of red, green, blue between 0 and 1, as trained with.
+        std: of the same.
+        vision: the image tower.
+        text: the text tower.
+        context: tokens of the longest text, both marks included.
+        vocabulary: how many tokens there are.
+        dimensions: of the space that both towers map to.
+        standard_words: whether its tokenizer is the one that CLIP was published with.
+    """
+
+    layout: Layout
+    image_px: int
+    patch_px: int
+    mean: tuple[float, float, float]
+    std: tuple[float, float, float]
+    vision: TowerShape
+    text: TowerShape
+    context: int
+    vocabulary: int
+    dimensions: int
+    standard_words: bool
+
+
+def read_folder(folder: Path) -> tuple[Clip, Path]:
+    """What model a folder holds, and its weights file.
+
+    Raises:
+        WeightsError: a file is missing or damaged, or the model is of a kind that is not read here.
+    """
+    layouts = [layout for layout in Layout if (folder / CONFIG[layout]).is_file()]
+    if not layouts:
+        raise WeightsError(f"encoder folder {folder} has neither {' nor '.join(CONFIG.values())}; {ALLOWED}")
+    whole = [layout for layout in layouts if (folder / WEIGHTS[layout]).is_file()]
+    if not whole:
+        raise WeightsError(
+            f"encoder folder {folder} lacks {' and '.join(WEIGHTS[layout] for layout in layouts)}; {ALLOWED}"
+        )
+    path = folder / CONFIG[whole[0]]
+    try:
+        clip = (_open_clip if whole[0] is Layout.OPEN_CLIP else _hugging_face)(path)
+    except KeyError as error:
+        raise WeightsError(f"encoder configuration {path} lacks {error}") from error
+    except (AttributeError, TypeError, ValueError) as error:  # a list where an object should be, and the like
+        raise WeightsError(f"encoder configuration {path} is damaged: {error}") from error
+    if clip.image_px % clip.patch_px or clip.vision.width % clip.vision.heads or clip.text.width % clip.text.heads:
+        raise WeightsError(
+            f"encoder configuration {path}: patches of {clip.patch_px} px do not fill images of {clip.image_px}, "
+            "or heads not the width of a tower; allowed are whole numbers of them"
+        )
+    return clip, folder / WEIGHTS[whole[0]]
+
+
+def _open_clip(path: Path) -> Clip:
+    about = _read(path)
+    model, seen = about["model_cfg"], about["preprocess_cfg"]
+    activation = "quick_gelu" if model.get("quick_gelu") else "gelu"
+    towers = {}
+    for name, defaults in (("vision_cfg", OPEN_CLIP_VISION), ("text_cfg", OPEN_CLIP_TEXT)):
+        for key, value in model[name].items():
+            plain = not value or value in OPEN_CLIP_PLAIN.get(key, ())
+            if key not in defaults and key not in OPEN_CLIP_OTHER and not plain:
+                raise WeightsError(
+                    f"encoder configuration {path}: {name}.{key} is {value!r}; allowed are plain transformers without"
+                )
+        towers[name] = defaults | model[name]
+    vision, text = towers.values()
+    if isinstance(vision["layers"], list):
+        raise WeightsError(f"encoder configuration {path}: vision_cfg is a ResNet's; allowed is a vision transformer")
+    vision["heads"] = vision["width"] // vision["head_width"]
+    shapes = [
+        TowerShape(one["layers"], one["width"], one["heads"], int(one["width"] * one["mlp_ratio"]), activation, 1e-5)
+        for one in (vision, text)
+    ]
+    return Clip(
+        Layout.OPEN_CLIP,
+        _side(vision["image_size"]),
+        _side(vision["patch_size"]),
+        _colours(seen["mean"]),
+        _colours(seen["std"]),
+        *shapes,
+        text["context_length"],
+        text["vocab_size"],
+        model["embed_dim"],
+        not (text.get("hf_tokenizer_name") or text.get("tokenizer_kwargs")),
+    )
+
+
+def _hugging_face(path: Path) -> Clip:
+    about = _read(path)
+    if about.get("model_type") != "clip":
+        raise WeightsError(
+            f"encoder configuration {path}: model_type is {about.get('model_type')!r}; allowed is 'clip'"
+        )
+    if not (preprocessor := path.with_name("preprocessor_config.json")).is_file():
+        raise WeightsError(f"encoder folder {path.parent} lacks {preprocessor.name}, which has the mean of the colours")
+    seen = _read(preprocessor)
+    vision, text = HUGGING_FACE_VISION | about["vision_config"], HUGGING_FACE_TEXT | about["text_config"]
+    names = (
+        "num_hidden_layers", "hidden_size", "num_attention_heads", "intermediate_size", "hidden_act", "layer_norm_eps"
+    )  # fmt: skip
+    shapes = [TowerShape(*(one[name] for name in names)) for one in (vision, text)]
+    for shape in shapes:
+        if shape.activation not in ("gelu", "quick_gelu"):
+            raise WeightsError(
+                f"encoder configuration {path}: hidden_act is {shape.activation!r}; allowed are 'gelu' and 'quick_gelu'"
+            )
+    return Clip(
+        Layout.HUGGING_FACE,
+        _side(vision["image_size"]),
+        _side(vision["patch_size"]),
+        _colours(seen["image_mean"]),
+        _colours(seen["image_std"]),
+        *shapes,
+        text["max_position_embeddings"],
+        text["vocab_size"],
+        about.get("projection_dim", 512),
+        standard_words=False,
+    )
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return json.loads(path.read_text())
+    except OSError as error:
+        raise WeightsError(f"encoder configuration {path} cannot be read: {error.strerror}") from error
+
+
+def _side(size: object) -> int:
+    """The side of a square, given as a number or as two that are the same."""
+    sides = set(size) if isinstance(size, list) else {size}
+    if len(sides) != 1 or not all(isinstance(side, int) and side > 0 for side in sides):
+        raise ValueError(f"a size is {size!r}; allowed is a square's, in pixels")
+    return sides.pop()
+
+
+def _colours(values: list[float]) -> tuple[float, float, float]:
+    red, green, blue = (float(value) for value in values)
+    return red, green, blue
