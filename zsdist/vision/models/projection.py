@@ -52,7 +52,7 @@ class Projection(nn.Module):
 
 
 def image_embedding(projected: Tensor) -> Tensor:
-    """I_0 `(B, D)` of unit length, of the whole picture: the mean of projected tokens `(B, side, side, D)`."""
+    """I_0 `(B, D)` of unit length, the f(I) of Eq. (1): the mean of projected tokens `(B, side, side, D)`."""
     return functional.normalize(projected.mean((1, 2)), dim=-1)
 
 

@@ -11,7 +11,7 @@ def projection():
     return Projection(features=6, text_width=10).eval()
 
 
-def test_the_embedding_of_an_image_is_the_mean_of_its_projected_tokens_at_unit_length():
+def test_eq01_the_embedding_of_an_image_is_the_mean_of_its_projected_tokens_at_unit_length():
     projected = torch.zeros(1, 2, 2, 3)
     projected[0, 0, 0], projected[0, 1, 1] = torch.tensor([6.0, 0.0, 0.0]), torch.tensor([0.0, 8.0, 0.0])
     assert image_embedding(projected)[0].tolist() == pytest.approx([0.6, 0.8, 0.0])
