@@ -1,0 +1,27 @@
+"""Where the head looked on a picture and what it found there, in the space of words; torch."""
+
+import torch
+from torch import Tensor, nn
+
+from zsdist.vision.models.head import VisualActHead
+from zsdist.vision.models.projection import attended_embeddings, image_embedding
+
+
+class Looking(nn.Module):
+    """Head and projection together.
+
+    Args:
+        head: tells where each action looks.
+        projection: carries tokens `(B, side, side, features)` to the space of words, `(B, side, side, D)`.
+    """
+
+    def __init__(self, head: VisualActHead, projection: nn.Module) -> None:
+        super().__init__()
+        self.head = head
+        self.projection = projection
+
+    def forward(self, tokens: Tensor) -> tuple[Tensor, Tensor]:
+        """The attention of each action `(B, 3, side * side)` and I_0 to I_3, `(B, 4, D)` of unit length."""
+        weights, projected = self.head(tokens).attention, self.projection(tokens)
+        whole = image_embedding(projected)[:, None]
+        return weights, torch.cat([whole, attended_embeddings(projected, weights)], 1)

@@ -1,0 +1,71 @@
+"""A small network that reads a picture by itself, without an encoder: what the head says, at a tenth of the cost."""
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from zsdist.vision.labels import sectors
+from zsdist.vision.models import STUDENT_PX
+from zsdist.vision.models.head import ACTIONS, Reading, Residual1d, attention
+from zsdist.vision.rays import BINS, RAYS, ray_angles_rad
+
+MARGIN_COLUMNS = 3  # of the neighbouring directions that an action may also look at
+
+
+class Student(nn.Module):
+    """From pictures to what `VisualActHead` tells from tokens.
+
+    Four convolutions halve the picture to as many columns as there are rays, and twice more its height alone, so that
+    a column keeps its width; what is left of the height becomes the features of a column.
+
+    Args:
+        field_of_view_rad: of the camera, which tells the columns of each direction.
+        channels: of the four convolutions.
+        column_width: features of a column.
+    """
+
+    def __init__(
+        self,
+        field_of_view_rad: float,
+        channels: tuple[int, int, int, int] = (16, 32, 64, 96),
+        column_width: int = 96,
+    ) -> None:
+        super().__init__()
+        strides, layers, before = ((2, 2), (2, 2), (2, 1), (2, 1)), [], 3
+        for width, stride in zip(channels, strides, strict=True):
+            layers += [nn.Conv2d(before, width, 3, stride, padding=1, bias=False), nn.BatchNorm2d(width), nn.ReLU()]
+            before = width
+        self.trunk = nn.Sequential(*layers)
+        self.fold = nn.Conv1d(before * STUDENT_PX // 16, column_width, 1)
+        self.context = nn.Linear(column_width, column_width)
+        self.columns = nn.Sequential(Residual1d(column_width), Residual1d(column_width))
+        self.ray_bins = nn.Conv1d(column_width, BINS, 1)
+        self.queries = nn.Parameter(column_width**-0.5 * torch.randn(ACTIONS, column_width))
+        self.keys = nn.Linear(column_width, column_width)
+        self.action_networks = nn.ModuleList(
+            nn.Sequential(nn.Linear(2 * column_width, column_width), nn.ReLU(), nn.Linear(column_width, BINS + 1))
+            for _ in range(ACTIONS)
+        )
+        # by which logits are divided where the student is used; `training.calibration` fits them when it has learned
+        self.register_buffer("clearance_temperature", torch.ones(()))
+        self.register_buffer("rays_temperature", torch.ones(()))
+        self.register_buffer("allowed", _allowed(field_of_view_rad), persistent=False)
+
+    def forward(self, images: Tensor) -> Reading:
+        """What is to be read from pictures `(B, 128, 128, 3)`, 0 to 255; the attention `(B, 3, RAYS)` is of columns."""
+        x = self.trunk((images.permute(0, 3, 1, 2).float() - 127) / 64)
+        columns = self.fold(x.flatten(1, 2))
+        columns = torch.relu(columns + self.context(columns.mean(2))[..., None])
+        columns = self.columns(columns)
+        each = columns.transpose(1, 2)
+        looked, weights = attention(self.queries, self.keys(each), each, self.allowed)
+        looked = torch.cat([looked, each.mean(1, keepdim=True).expand(-1, ACTIONS, -1)], -1)
+        actions = torch.stack([network(looked[:, a]) for a, network in enumerate(self.action_networks)], 1)
+        return Reading(actions[..., :BINS], actions[..., BINS], self.ray_bins(columns).transpose(1, 2), weights)
+
+
+def _allowed(field_of_view_rad: float) -> Tensor:
+    """`(3, RAYS)` bool, the columns each action may look at."""
+    own = sectors(ray_angles_rad(RAYS, field_of_view_rad))
+    near = np.abs(np.arange(RAYS)[:, None] - np.arange(RAYS)) <= MARGIN_COLUMNS
+    return torch.from_numpy((own[:, None] & near).any(-1))
