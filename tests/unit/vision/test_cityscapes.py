@@ -110,6 +110,18 @@ def test_rays_run_from_left_to_right_and_a_thin_pole_stops_its_ray(tmp_path):
     assert not view.ray_dynamic.any()
 
 
+def test_stray_values_of_the_stereo_make_nothing_nearer(tmp_path):
+    root, fine = write(tmp_path, [HOUSE, A_CAR]), CAMERA.model_copy(update={"size_px": 224})
+    clean = only(root, fine).ray_clearance_m
+    path = next(root.rglob("*_disparity.png"))
+    values = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    rng = np.random.default_rng(0)
+    stray = rng.random(values.shape) < 0.01
+    values[stray] = 256 * BASELINE * FX / rng.uniform(2.0, 6.0, stray.sum())
+    cv2.imwrite(str(path), values)
+    assert only(root, fine).ray_clearance_m == pytest.approx(clean, rel=0.01)
+
+
 def test_what_hangs_higher_than_a_car_is_in_nobodys_way(tmp_path):
     assert (only(write(tmp_path, [CROWN])).ray_clearance_m == 5.0).all()
 

@@ -30,7 +30,7 @@ from zsdist.vision.rays import RAYS
 SCALE = 5.0
 SIGHT_HEIGHT_M = 1.5  # in the street's own metres: what is above, such as a crown, is in nobody's way
 _FINER = 4  # pixels of the frame's view for one of the picture's, a side: for thin things, and for a smooth picture
-_LEAST_PIXELS = 8  # of a ray's view at a distance or nearer: fewer are stray values of the stereo
+_LEAST_PIXELS, _LEAST_SHARE = 8, 0.02  # of what a ray meets, at a distance or nearer: fewer are stray stereo values
 _UNLABELLED_SHARE = 0.5  # of a ray's view; with more, nobody knows what is there
 _OUTSIDE = -1  # label of what is not in the frame
 
@@ -129,12 +129,13 @@ class _Level:
             there = self.in_the_way[view] & (self.distance_m[view] < self.range_m)
             if without is not None:
                 there &= self.objects[view] != without
-            if there.sum() < _LEAST_PIXELS:
-                continue
             distances, labels = self.distance_m[view][there], self.labels[view][there]
-            nearest = np.argpartition(distances, _LEAST_PIXELS - 1)[:_LEAST_PIXELS]
+            if len(distances) < _LEAST_PIXELS:
+                continue
+            least = max(_LEAST_PIXELS, round(_LEAST_SHARE * len(distances)))
+            nearest = np.argpartition(distances, least - 1)[:least]
             distance_m[ray] = distances[nearest].max()
-            dynamic[ray] = 2 * np.isin(labels[nearest], list(MOVING.values())).sum() > _LEAST_PIXELS
+            dynamic[ray] = np.isin(labels[nearest], list(MOVING.values())).mean() > 0.5
         return distance_m, dynamic
 
     def known(self) -> bool:
