@@ -26,11 +26,12 @@ def tokenizer():
 
 
 def randomised(model):
-    """Weights that are nowhere zero or one, so that none can be mixed up or left out unseen."""
+    """Weights that are nowhere zero or one, so that none can be mixed up or left out unseen; always the same."""
     generator = torch.Generator().manual_seed(5)
     with torch.no_grad():
-        for parameter in model.parameters():
-            parameter += 0.3 * torch.randn(parameter.shape, generator=generator)
+        for name, parameter in model.named_parameters():
+            around = 1.0 if parameter.ndim == 1 and "weight" in name else 0.0  # norms
+            parameter.copy_(around + 0.2 * torch.randn(parameter.shape, generator=generator))
     return model.eval()
 
 
