@@ -30,7 +30,7 @@ from zsdist.vision.rays import RAYS
 SCALE = 5.0
 SIGHT_HEIGHT_M = 1.5  # in the street's own metres: what is above, such as a crown, is in nobody's way
 _FINER = 4  # pixels of the frame's view for one of the picture's, a side: for thin things, and for a smooth picture
-_LEAST_PIXELS, _LEAST_SHARE = 8, 0.02  # of what a ray meets, at a distance or nearer: fewer are stray stereo values
+_LEAST_PIXELS, _LEAST_SHARE = 8, 0.03  # of what a ray meets, at a distance or nearer: fewer are stray stereo values
 _UNLABELLED_SHARE = 0.5  # of a ray's view; with more, nobody knows what is there
 _OUTSIDE = -1  # label of what is not in the frame
 
