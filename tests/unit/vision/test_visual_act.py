@@ -1,17 +1,23 @@
 import json
+import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
+import safetensors.torch
 import torch
 
 from zsdist.config import CameraConfig, VisionConfig
-from zsdist.errors import WeightsError
+from zsdist.errors import ImageError, WeightsError
 from zsdist.sim.views import labelled_views
 from zsdist.vision.encoders.lite0 import FEATURES, INPUT_PX, SIDE, EfficientNetLite0
-from zsdist.vision.folder import HEAD_FILE, METADATA_FILE
-from zsdist.vision.models.head import VisualActHead
+from zsdist.vision.folder import HEAD_FILE, METADATA_FILE, PROJECTION_FILE, STUDENT_FILE, read, write
+from zsdist.vision.models import STUDENT_PX
+from zsdist.vision.models.head import Probabilities, VisualActHead
+from zsdist.vision.models.projection import Projection, attended_embeddings, image_embedding, projection_of
+from zsdist.vision.models.student import Student
 from zsdist.vision.rays import BINS, RAYS
-from zsdist.vision.training.head import save
 from zsdist.vision.visual_act import VisualAct
 
 CAMERA = CameraConfig()
@@ -23,26 +29,26 @@ def made(tmp_path_factory):
     encoder = EfficientNetLite0()
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        head = VisualActHead(FEATURES, SIDE, np.pi / 2)
+        head, student = VisualActHead(FEATURES, SIDE, np.pi / 2), Student(np.pi / 2)
+        projection = Projection(FEATURES, 6)
     folder = tmp_path_factory.mktemp("weights")
     metadata = {
         "encoder": {"name": encoder.name, "sha256": encoder.sha256},
         "camera": {"field_of_view_deg": 90.0, "range_m": 5.0, "height_m": 1.0},
     }
-    save(head, folder, metadata)
+    modules = {HEAD_FILE: head, STUDENT_FILE: student, PROJECTION_FILE: projection}
+    write(folder, {file: safetensors.torch.save(module.state_dict()) for file, module in modules.items()}, metadata)
     return folder
 
 
 @pytest.fixture
 def folder(made, tmp_path):
     """A copy of `made` to spoil."""
-    for name in (HEAD_FILE, METADATA_FILE):
-        (tmp_path / name).write_bytes((made / name).read_bytes())
-    return tmp_path
+    return shutil.copytree(made, tmp_path / "weights")
 
 
-def load(folder, camera=CAMERA):
-    return VisualAct.load(VisionConfig(weights=str(folder)), camera)
+def load(folder, camera=CAMERA, **settings):
+    return VisualAct.load(VisionConfig(weights=str(folder), **settings), camera)
 
 
 def rewrite(folder, change):
@@ -52,8 +58,8 @@ def rewrite(folder, change):
     path.write_text(json.dumps(metadata))
 
 
-def images(count):
-    return np.random.default_rng(0).integers(0, 256, (count, INPUT_PX, INPUT_PX, 3), np.uint8)
+def images(count, px=INPUT_PX):
+    return np.random.default_rng(0).integers(0, 256, (count, px, px, 3), np.uint8)
 
 
 def test_the_shipped_model_gives_one_view_an_image_with_proper_distributions():
@@ -136,11 +142,159 @@ def test_weights_for_another_camera_are_refused(folder):
         load(folder, CAMERA.model_copy(update={"field_of_view_deg": 60.0}))
 
 
-def test_weights_of_another_network_are_refused(folder, tmp_path, monkeypatch):
-    trunk = EfficientNetLite0()
+def rewritten(folder, **contents):
+    """The folder with other contents, rightly hashed, of the files named by their stems."""
+    old = read(folder)
+    files = {file: old.content(file) for file in old.metadata["files"]}
+    write(folder, files | {f"{stem}.safetensors": content for stem, content in contents.items()}, old.metadata)
+    return folder
+
+
+@pytest.fixture
+def empty_cache(tmp_path, monkeypatch):
+    """No network was built yet, but for the encoder, which takes a while."""
+    encoder = EfficientNetLite0()
+    monkeypatch.setattr("zsdist.vision.visual_act.open_encoder", lambda spec: encoder)
     monkeypatch.setenv("ZSDIST_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("zsdist.vision.visual_act.open_encoder", lambda spec: trunk)
-    metadata = json.loads((folder / METADATA_FILE).read_text())
-    save(torch.nn.Linear(2, 2), folder, metadata)
-    with pytest.raises(WeightsError, match="not those of a head"):
-        load(folder)
+
+
+@pytest.mark.parametrize("content", [b"", b"no tensors", safetensors.torch.save({"weight": torch.zeros(2)})])
+def test_weights_of_another_network_are_refused_in_one_line(folder, empty_cache, content):
+    rewritten(folder, head=content, student=content, projection=content)
+    for stem, use in (
+        ("head", lambda: load(folder)),
+        ("student", lambda: load(folder, network="student")),
+    ):
+        with pytest.raises(WeightsError, match=rf"{stem}\.safetensors are not those of a {stem}: ") as refusal:
+            use()
+        assert "\n" not in str(refusal.value)
+
+
+def test_a_projection_that_is_none_is_refused_when_it_is_asked_for(folder, empty_cache):
+    model = load(rewritten(folder, projection=b"no tensors"))
+    with pytest.raises(WeightsError, match=r"projection\.safetensors are not those of a projection"):
+        model.look(images(1))
+
+
+def test_weights_without_a_temperature_or_with_one_more_are_refused(folder, empty_cache):
+    weights = safetensors.torch.load(read(folder).content(HEAD_FILE))
+    for change in ({"one_more": torch.ones(())}, {"rays_temperature": None}):
+        spoilt = {name: value for name, value in (weights | change).items() if value is not None}
+        with pytest.raises(WeightsError, match=next(iter(change))):
+            load(rewritten(folder, head=safetensors.torch.save(spoilt)))
+
+
+def test_distributions_are_those_of_the_network_at_its_temperatures(folder, empty_cache):
+    weights = safetensors.torch.load(read(folder).content(STUDENT_FILE))
+    weights |= {"rays_temperature": torch.tensor(3.0), "clearance_temperature": torch.tensor(0.5)}
+    network = Student(np.pi / 2).eval()
+    network.load_state_dict(weights)
+    pictures = images(2, STUDENT_PX)
+    found = load(rewritten(folder, student=safetensors.torch.save(weights)), network="student").read(pictures)
+    with torch.no_grad():
+        said, expected = network(torch.from_numpy(pictures)), Probabilities(network)(torch.from_numpy(pictures))
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-4)
+    np.testing.assert_allclose(found[2], (said.rays / 3).softmax(-1), atol=1e-4)
+    np.testing.assert_allclose(found[0], (said.clearance / 0.5).softmax(-1), atol=1e-4)
+
+
+def test_the_student_gives_views_without_any_encoder_at_any_resolution(made, monkeypatch):
+    monkeypatch.setattr("zsdist.vision.visual_act.open_encoder", pytest.fail)
+    model = load(made, network="student")
+    for px in (STUDENT_PX, INPUT_PX):
+        views = model(images(2, px), np.zeros(2), np.full(2, 6.0))
+        assert len(views) == 2 and views[0].ray_probabilities.shape == (RAYS, BINS)
+        np.testing.assert_allclose(views[0].ray_probabilities.sum(1), 1, atol=1e-5)
+    assert model.encoder_name == "student" and model.encoder_sha256 == model.weights_sha256
+    assert model.weights_sha256 == read(made).sha256(STUDENT_FILE) != read(made).sha256(HEAD_FILE)
+
+
+def test_the_student_takes_a_picture_of_its_own_size_as_it_is(made, monkeypatch):
+    model, pictures = load(made, network="student"), images(1, STUDENT_PX)
+    expected = model.read(pictures)
+    monkeypatch.setattr("zsdist.vision.encoders.base._coverage", pytest.fail)
+    for one, other in zip(model.read(pictures), expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_the_student_needs_no_encoder_to_fit_the_weights(folder):
+    rewrite(folder, lambda metadata: metadata["encoder"].update(name="resnet"))
+    assert load(folder, network="student").encoder_name == "student"
+
+
+def test_the_student_has_no_words_and_says_so(made):
+    with pytest.raises(WeightsError, match=r"vision\.network is 'student'.*allowed is 'head'"):
+        load(made, network="student").look(images(1))
+
+
+def test_a_folder_without_a_student_or_a_projection_says_so(folder):
+    old = read(folder)
+    write(folder, {HEAD_FILE: old.content(HEAD_FILE)}, old.metadata)
+    with pytest.raises(WeightsError, match=rf"hold no {STUDENT_FILE}, only {HEAD_FILE}"):
+        load(folder, network="student")
+    with pytest.raises(WeightsError, match=f"hold no {PROJECTION_FILE}"):
+        load(folder).look(images(1))
+
+
+def test_a_look_is_the_attention_and_the_embeddings_of_the_whole_and_of_where_each_action_looked(made):
+    model, pictures = load(made), images(2)
+    look = model.look(pictures)
+    head = VisualActHead(FEATURES, SIDE, np.pi / 2).eval()
+    head.load_state_dict(safetensors.torch.load(read(made).content(HEAD_FILE)))
+    projection = projection_of(safetensors.torch.load(read(made).content(PROJECTION_FILE)))
+    tokens = torch.from_numpy(EfficientNetLite0().tokens(pictures))
+    with torch.no_grad():
+        attention, projected = head(tokens).attention, projection(tokens)
+        np.testing.assert_allclose(look.attention, attention, atol=1e-5)
+        np.testing.assert_allclose(look.embeddings[:, 0], image_embedding(projected), atol=1e-4)
+        np.testing.assert_allclose(look.embeddings[:, 1:], attended_embeddings(projected, attention), atol=1e-4)
+    assert look.attention.shape == (2, 3, SIDE * SIDE) and look.embeddings.shape == (2, 4, 6)
+
+
+def test_an_encoder_that_brings_its_own_projection_needs_none_in_the_folder(folder, empty_cache, monkeypatch):
+    old, rng = read(folder), np.random.default_rng(0)
+    write(folder, {HEAD_FILE: old.content(HEAD_FILE)}, old.metadata)
+    native = {"weight": rng.normal(size=(5, FEATURES)).astype(np.float32), "bias": np.zeros(5, np.float32)}
+    monkeypatch.setattr(EfficientNetLite0, "native_projection", lambda self: native)
+    model, pictures = load(folder), images(1)
+    mean = EfficientNetLite0().tokens(pictures).mean((1, 2)) @ native["weight"].T
+    np.testing.assert_allclose(
+        model.look(pictures).embeddings[:, 0], mean / np.linalg.norm(mean, axis=1, keepdims=True), atol=1e-4
+    )
+
+
+@pytest.mark.parametrize("network", ["head", "student"])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        np.zeros((224, 224, 3), np.uint8),
+        np.zeros((1, 224, 224, 3), np.float32),
+        np.zeros((1, 224, 128, 3), np.uint8),
+        np.zeros((1, 224, 224, 4), np.uint8),
+        np.zeros((0, 224, 224, 3), np.uint8),
+        None,
+    ],
+    ids=["no batch", "float", "not square", "four channels", "empty", "none"],
+)
+def test_images_that_are_none_are_refused_in_one_line(made, network, wrong):
+    model = load(made, network=network)
+    for use in (model.read, lambda images: model(images, np.zeros(1), np.ones(1))):
+        with pytest.raises(ImageError, match=r"images are .*; allowed are") as refusal:
+            use(wrong)
+        assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("network", ["head", "student"])
+def test_a_built_model_sees_and_looks_without_torch(made, network):
+    load(made, network=network), load(made).look(images(1))
+    look = "m.look(i);" if network == "head" else ""
+    code = (
+        "import sys, numpy as np; from zsdist.config import CameraConfig, VisionConfig;"
+        "from zsdist.vision.visual_act import VisualAct;"
+        f"m = VisualAct.load(VisionConfig(weights={str(made)!r}, network={network!r}), CameraConfig());"
+        f"i = np.zeros((1, 224, 224, 3), np.uint8); m(i, np.zeros(1), np.ones(1)); {look}"
+        "print('torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"

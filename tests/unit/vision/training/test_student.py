@@ -1,0 +1,128 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from zsdist.vision.models import STUDENT_PX
+from zsdist.vision.models.student import Student
+from zsdist.vision.rays import BIN_CENTRES_M, BINS, RANGE_M, RAYS, ray_angles_rad, soft_labels
+from zsdist.vision.training import student as training
+from zsdist.vision.training.examples import Examples, targets
+from zsdist.vision.training.head import new_head, validate
+from zsdist.vision.training.student import Lesson, disturbed, new_student, of_pictures, taught, teach
+from zsdist.vision.training.trainer import Recipe
+
+ANGLES = ray_angles_rad(RAYS, math.pi / 2)
+QUICK = Recipe(epochs=3, batch=8)
+
+
+def examples(count, seed):
+    """A made-up world: the nearer what a column shows, the brighter the column."""
+    rng = np.random.default_rng(seed)
+    distance = np.where(rng.random((count, 4)) < 0.4, RANGE_M, rng.uniform(0.3, RANGE_M, (count, 4)))
+    distance = distance.repeat(RAYS // 4, 1).astype(np.float32)
+    bright = (40 + 40 * (RANGE_M - distance)).repeat(STUDENT_PX // RAYS, 1)
+    images = np.broadcast_to(bright[:, None, :, None], (count, STUDENT_PX, STUDENT_PX, 3)).astype(np.uint8)
+    tokens = rng.standard_normal((count, 8, 8, 6)).astype(np.float16)
+    return Examples(tokens, distance, rng.random((count, RAYS)) < 0.2, ANGLES, images)
+
+
+def small():
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        return Student(math.pi / 2, (4, 6, 8, 8), 16)
+
+
+def history(network, lesson=None, recipe=QUICK):
+    data = examples(48, 0)
+    return list(training.train(network, data, examples(16, 1), recipe, np.random.default_rng(0), lambda: 0.0, lesson))
+
+
+def oracle(data):
+    """A lesson that is true, and sure of it."""
+    sure = np.eye(BINS, dtype=np.float16)
+    bins = np.abs(np.log(BIN_CENTRES_M) - np.log(data.ray_distance_m)[..., None]).argmin(-1)
+    return Lesson(sure[np.zeros((len(data), 3), int)], np.zeros((len(data), 3), np.float16), sure[bins])
+
+
+def test_training_lowers_the_loss_on_pictures_it_has_not_seen():
+    network, unseen = small(), of_pictures(examples(16, 2))
+    before = validate(network, unseen, 16)
+    figures = history(network, recipe=Recipe(epochs=6, batch=8))
+    after = validate(network, unseen, 16)
+    assert after["rays"] < 0.8 * before["rays"] and sum(after.values()) < sum(before.values())
+    assert {"epoch", "learning_rate", "loss", "validation_loss", "validation_rays"} <= set(figures[-1])
+
+
+def test_training_repeats_exactly_with_its_seed():
+    first, second = small(), small()
+    assert history(first, recipe=Recipe(epochs=1, batch=8)) == history(second, recipe=Recipe(epochs=1, batch=8))
+    for name, value in first.state_dict().items():
+        assert torch.equal(value, second.state_dict()[name])
+
+
+def test_the_head_teaches_its_answers_to_the_same_examples():
+    data = examples(5, 3)
+    head = new_head(data, math.pi / 2, 0)
+    lesson = teach(head, data, batch=2)
+    rays = head(torch.from_numpy(data.tokens.astype(np.float32))).rays.softmax(-1)
+    np.testing.assert_allclose(lesson.rays, rays.detach(), atol=1e-3)
+    assert lesson.clearance.shape == (5, 3, BINS) and lesson.dynamic.shape == (5, 3)
+
+
+def test_a_lesson_changes_what_is_learned():
+    alone, with_lesson = history(small()), history(small(), oracle(examples(48, 0)))
+    assert alone[-1]["validation_loss"] != with_lesson[-1]["validation_loss"]
+
+
+def test_a_taught_label_lies_between_truth_and_answer_mirrored_with_its_picture():
+    data, index = of_pictures(examples(4, 3)), np.arange(4)
+    shapes = ((4, 3, BINS), (4, 3), (4, RAYS, BINS))
+    lesson = Lesson(*(np.random.default_rng(0).random(shape).astype(np.float16) for shape in shapes))
+    for mirrored in (False, True):
+        batch = targets(data, index, np.full(4, mirrored), np.random.default_rng(0))
+        mixed = taught(batch, lesson, index, np.full(4, mirrored))
+        sides = [0, 2, 1] if mirrored else [0, 1, 2]
+        said = lesson.rays[:, ::-1] if mirrored else lesson.rays
+        share = training.TAUGHT_SHARE
+        np.testing.assert_allclose(mixed.rays, (1 - share) * batch.rays.numpy() + share * said, atol=1e-3)
+        np.testing.assert_allclose(
+            mixed.clearance, (1 - share) * batch.clearance.numpy() + share * lesson.clearance[:, sides], atol=1e-3
+        )
+        np.testing.assert_allclose(
+            mixed.dynamic, (1 - share) * batch.dynamic.numpy() + share * lesson.dynamic[:, sides], atol=1e-3
+        )
+        assert torch.equal(mixed.reward, batch.reward) and torch.equal(mixed.present, batch.present)
+
+
+def test_a_mirrored_picture_has_mirrored_labels():
+    data = of_pictures(examples(3, 4))
+    plain, mirrored = (
+        targets(data, np.arange(3), np.full(3, flip), np.random.default_rng(0)) for flip in (False, True)
+    )
+    assert torch.equal(mirrored.tokens, plain.tokens.flip(2)) and torch.equal(mirrored.rays, plain.rays.flip(1))
+    np.testing.assert_allclose(plain.rays, soft_labels(data.ray_distance_m))
+
+
+def test_each_picture_is_disturbed_in_its_own_way_within_what_a_picture_can_be():
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        images = torch.full((6, 32, 32, 3), 100.0)
+        changed = disturbed(images)
+    means, spreads = changed.mean((1, 2)), changed.std((1, 2)).mean(-1)
+    assert means.std(0).min() > 3 and means.std(1).min() > 0.5 and len(set(spreads.tolist())) == 6
+    assert changed.min() >= 0 and changed.max() <= 255 and torch.equal(images, torch.full_like(images, 100.0))
+
+
+def test_examples_without_their_pictures_are_refused():
+    bare = Examples(np.zeros((1, 2, 2, 3), np.float16), np.ones((1, RAYS)), np.zeros((1, RAYS), bool), ANGLES)
+    with pytest.raises(ValueError, match="without their pictures"):
+        training.train(small(), bare, bare, QUICK, np.random.default_rng(0), lambda: 0.0)
+
+
+def test_a_new_student_follows_from_its_seed_and_leaves_the_global_generator_alone():
+    state = torch.random.get_rng_state()
+    first, again, other = (new_student(math.pi / 2, seed).state_dict()["keys.weight"] for seed in (0, 0, 1))
+    assert torch.equal(first, again) and not torch.equal(first, other)
+    assert torch.equal(torch.random.get_rng_state(), state)
