@@ -111,6 +111,7 @@ class FakeVisualAct:
     """
 
     encoder_name = "fake"
+    encoder_sha256 = "1" * 64
     weights_sha256 = "0" * 64
 
     def __init__(self, noise=0.0, misses=0.0, seed=0):

@@ -10,6 +10,7 @@ from zsdist import config
 from zsdist.run import directory, inline, program
 from zsdist.run.program import Itinerary, Parts, Setting
 from zsdist.transport.base import Mailbox
+from zsdist.vision.identity import VisionIdentity
 from zsdist.wire import codec
 
 SMALL = (
@@ -28,6 +29,7 @@ SMALL = (
     "high.hidden=[16]",
     "scenes.train=[singleton]",
 )
+SEEN = VisionIdentity.of(FakeVisualAct(), "head")
 
 
 def kinematic(settings):
@@ -65,13 +67,13 @@ class Tap:
 def start(folder: Path, *overrides: str) -> Setting:
     settings = config.load(None, (*SMALL, *overrides))
     folder = directory.create(folder, settings)
-    return Setting(settings, directory.key_name(folder), folder, {}, kinematic)
+    return Setting(settings, directory.key_name(folder), folder, {}, SEEN, kinematic)
 
 
 def resume(folder: Path, *overrides: str) -> Setting:
     settings, states = directory.reopen(folder, overrides)
     directory.rewind(folder, settings, states)
-    return Setting(settings, directory.key_name(folder), folder, states, kinematic)
+    return Setting(settings, directory.key_name(folder), folder, states, SEEN, kinematic)
 
 
 def rehearse(setting: Setting, **hooks) -> dict:

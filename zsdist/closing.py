@@ -16,7 +16,7 @@ from zsdist.evaluation.report import Report, evaluate
 from zsdist.evaluation.selection import select
 from zsdist.evaluation.workers import Entrant
 from zsdist.run import program
-from zsdist.run.checkpoint import load_policy, make_policy
+from zsdist.run.checkpoint import Policy, check_vision, load_policy, make_policy
 from zsdist.sim.families import SINGLETON_SCENES
 from zsdist.types import Level
 
@@ -51,7 +51,10 @@ def compare(folder: Path, settings: Config, console: Console) -> None:
     if not episodes:
         console.print("no evaluation: the run was too short, or run.final_evaluation_episodes is 0")
         return
-    reports = [(trial, _drive(trial, settings.seed)) for trial in _trials(folder, settings, episodes)]
+    trained = load_policy(folder)
+    if note := check_vision(trained):
+        console.print(note, highlight=False, soft_wrap=True)
+    reports = [(trial, _drive(trial, settings.seed)) for trial in _trials(trained, settings, episodes)]
     (folder / "evaluation.json").write_text(json.dumps([report.result for _, report in reports], indent=1) + "\n")
     for trial, report in reports:
         if trial.name == "trained":
@@ -65,9 +68,8 @@ def compare(folder: Path, settings: Config, console: Console) -> None:
     console.print(f"figures: {folder / 'figures'}", highlight=False, soft_wrap=True)
 
 
-def _trials(folder: Path, settings: Config, episodes: int) -> Iterator[Trial]:
+def _trials(trained: Policy, settings: Config, episodes: int) -> Iterator[Trial]:
     """The trained networks beside the same networks before training, then beside baselines where nobody has been."""
-    trained = load_policy(folder)
     parameters = {level: program.make_learner(settings, level).parameters() for level in Level}
     untrained = make_policy(settings, parameters, "before training")
     home = settings.scenes.train[0]

@@ -3,6 +3,7 @@
 import argparse
 import json
 import os
+import sys
 from pathlib import Path
 
 from rich.console import Console
@@ -12,7 +13,7 @@ from zsdist.errors import RunError, WeightsError
 from zsdist.evaluation.baselines import BASELINES
 from zsdist.evaluation.report import evaluate
 from zsdist.evaluation.workers import Entrant
-from zsdist.run.checkpoint import load_policy
+from zsdist.run.checkpoint import check_vision, load_policy
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -61,7 +62,7 @@ def find_policy(name: str, config_file: Path | None = None) -> tuple[Entrant, st
     """Who is meant by a POLICY argument, and the hash of its weights (None for a baseline).
 
     Raises:
-        WeightsError: it is neither a baseline nor a place with weights.
+        WeightsError: it is neither a baseline nor a place with weights, or was trained on another encoder than is here.
         ConfigError: the configuration file is wrong.
     """
     if name in BASELINES:
@@ -73,6 +74,8 @@ def find_policy(name: str, config_file: Path | None = None) -> tuple[Entrant, st
             f"policy {name!r} is no folder; allowed are a run directory, a checkpoint and {', '.join(BASELINES)}"
         )
     policy = load_policy(Path(name))
+    if note := check_vision(policy):
+        print(note, file=sys.stderr)
     return Entrant(policy.config, policy.parameters), policy.sha256
 
 

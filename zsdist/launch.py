@@ -16,6 +16,7 @@ from zsdist.errors import ConfigError, RunError
 from zsdist.run import directory, inline, program
 from zsdist.run.display import Display
 from zsdist.run.program import Setting
+from zsdist.vision.identity import VisionIdentity
 
 
 def main(options: argparse.Namespace) -> int:
@@ -77,9 +78,9 @@ def _overrides(options: argparse.Namespace) -> tuple[str, ...]:
 
 def _start(options: argparse.Namespace, console: Console) -> Setting:
     settings = config.load(options.config, _overrides(options))
-    _check_parts(settings, console)
+    vision = _check_parts(settings, console)
     folder = directory.create(options.run_dir, settings).resolve()
-    return Setting(settings, directory.key_name(folder), folder, {})
+    return Setting(settings, directory.key_name(folder), folder, {}, vision)
 
 
 def _resume(options: argparse.Namespace, console: Console) -> Setting:
@@ -95,17 +96,20 @@ def _resume(options: argparse.Namespace, console: Console) -> Setting:
             f"the run in {options.resume} has finished {finished} episodes and --episodes is {settings.run.episodes}; "
             f"allowed is more than {finished}"
         )
-    _check_parts(settings, console)
+    trained = directory.read_vision(directory.newest_checkpoint(options.resume))
+    vision = _check_parts(settings, console)
+    if note := trained.check(str(options.resume), vision):
+        console.print(note, highlight=False, soft_wrap=True)
     folder = options.resume.resolve()
     directory.rewind(folder, settings, states)
-    return Setting(settings, directory.key_name(folder), folder, states)
+    return Setting(settings, directory.key_name(folder), folder, states, vision)
 
 
-def _check_parts(settings: Config, console: Console) -> None:
+def _check_parts(settings: Config, console: Console) -> VisionIdentity:
     """Finds out before anything is written or started whether scenes, vision weights and memory are there, and fit."""
     program.check_memory(settings)
     console.print("preparing; the first time, this takes about 15 s for what is compiled then", highlight=False)
-    program.warm_up(settings)
+    return program.warm_up(settings)
 
 
 def _train(setting: Setting, interruption: "Interruption", console: Console, *, prefer_lines: bool) -> dict:

@@ -8,8 +8,9 @@ from zsdist import config
 from zsdist.config import Config
 from zsdist.dqn import network
 from zsdist.errors import ConfigError, WeightsError
-from zsdist.run import directory
+from zsdist.run import directory, program
 from zsdist.types import Level, Parameters
+from zsdist.vision.identity import VisionIdentity
 from zsdist.wire.messages import State
 
 
@@ -22,12 +23,14 @@ class Policy:
         parameters: online networks by level.
         sha256: of both networks together, 64 hex digits.
         source: where it was read from.
+        vision: by what it saw as it was trained; None: it has not been.
     """
 
     config: Config
     parameters: dict[Level, Parameters]
     sha256: str
     source: str
+    vision: VisionIdentity | None = None
 
 
 def load_policy(path: Path) -> Policy:
@@ -41,6 +44,7 @@ def load_policy(path: Path) -> Policy:
         if checkpoint is None:
             checkpoint = directory.newest_checkpoint(path)
         states = directory.read_checkpoint(checkpoint)
+        vision = directory.read_vision(checkpoint)
         settings = config.load(checkpoint.parent.parent / "config.yaml")
     except ConfigError as error:
         raise WeightsError(f"policy {path}: {error}") from error
@@ -49,16 +53,32 @@ def load_policy(path: Path) -> Policy:
     missing = [level for level in Level if f"learner-{level}" not in states]
     if missing:
         raise WeightsError(f"policy {path}: checkpoint {checkpoint} lacks the {missing[0]} level's network")
-    return policy_of(settings, states, str(checkpoint))
+    return policy_of(settings, states, str(checkpoint), vision)
 
 
-def policy_of(settings: Config, states: dict[str, State], source: str) -> Policy:
+def check_vision(policy: Policy) -> str | None:
+    """Holds what a trained policy saw by against what it would see by here.
+
+    Returns:
+        One line for the user where another head or student is on the same encoder, else None.
+
+    Raises:
+        WeightsError: the encoder here is another, or vision weights are missing or damaged.
+    """
+    if policy.vision is None:
+        return None
+    return policy.vision.check(policy.source, program.vision_here(policy.config))
+
+
+def policy_of(settings: Config, states: dict[str, State], source: str, vision: VisionIdentity) -> Policy:
     """The policy in the states of a checkpoint."""
     parameters = {level: states[f"learner-{level}"].part("dqn/online/") for level in Level}
-    return make_policy(settings, parameters, source)
+    return make_policy(settings, parameters, source, vision)
 
 
-def make_policy(settings: Config, parameters: dict[Level, Parameters], source: str) -> Policy:
+def make_policy(
+    settings: Config, parameters: dict[Level, Parameters], source: str, vision: VisionIdentity | None = None
+) -> Policy:
     """A policy of given networks."""
     digest = hashlib.sha256("".join(network.sha256(parameters[level]) for level in Level).encode()).hexdigest()
-    return Policy(settings, parameters, digest, source)
+    return Policy(settings, parameters, digest, source, vision)

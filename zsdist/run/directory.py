@@ -11,6 +11,7 @@ from pathlib import Path
 from zsdist import __version__, config
 from zsdist.config import Config
 from zsdist.errors import ConfigError, DecodeError, RunError
+from zsdist.vision.identity import VisionIdentity
 from zsdist.wire import codec
 from zsdist.wire.messages import State
 
@@ -105,6 +106,17 @@ def read_checkpoint(checkpoint: Path) -> dict[str, State]:
     return states
 
 
+def read_vision(checkpoint: Path) -> VisionIdentity:
+    """By what the policy in a checkpoint folder saw; raises `RunError` where it does not say."""
+    path = checkpoint / "manifest.json"
+    try:
+        return VisionIdentity.read(json.loads(path.read_text())["vision"])
+    except OSError as error:
+        raise RunError(f"checkpoint {checkpoint}: {error.filename}: {error.strerror}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise RunError(f"checkpoint file {path} does not say which encoder its policy is for: {error}") from error
+
+
 def issue_epochs(folder: Path, count: int) -> range:
     """`count` fresh epochs, never issued before in this run directory (its resumes included)."""
     path = folder / "epochs"
@@ -116,11 +128,18 @@ def issue_epochs(folder: Path, count: int) -> range:
 class RunDirectory:
     """The scheduler's ledger on disk (see `zsdist.roles.scheduler.Ledger`)."""
 
-    def __init__(self, folder: Path, earlier_s: float = 0.0) -> None:
-        """Opens the files of `folder`; `earlier_s` is what earlier sittings of this run took."""
+    def __init__(self, folder: Path, vision: VisionIdentity, earlier_s: float = 0.0) -> None:
+        """Opens the files of `folder`.
+
+        Args:
+            folder: of the run.
+            vision: by what its policy sees, for the checkpoints.
+            earlier_s: what earlier sittings of this run took.
+        """
         from torch.utils.tensorboard import SummaryWriter  # imports slowly, and only the scheduler's process needs it
 
         self.folder = folder
+        self._vision = vision
         self._earlier_s = earlier_s
         self._opened_s = time.monotonic()
         self._episodes = (folder / "episodes.jsonl").open("a", buffering=1)
@@ -151,7 +170,12 @@ class RunDirectory:
         for name, payload in payloads.items():
             (partial / f"{name}.state").write_bytes(payload)
         hashes = {name: hashlib.sha256(payload).hexdigest() for name, payload in payloads.items()}
-        manifest = {"zsdist": __version__, "episodes": episodes, "sha256": hashes}
+        manifest = {
+            "zsdist": __version__,
+            "episodes": episodes,
+            "vision": self._vision.written(),
+            "sha256": hashes,
+        }
         (partial / "manifest.json").write_text(json.dumps(manifest, indent=1))
         shutil.rmtree(final, ignore_errors=True)
         partial.rename(final)

@@ -13,7 +13,7 @@ from zsdist.agent import blocks, features
 from zsdist.agent.hierarchy import HierarchicalAgent, q_functions
 from zsdist.config import Config
 from zsdist.dqn.learner import DqnLearner
-from zsdist.errors import ConfigError
+from zsdist.errors import ConfigError, WeightsError
 from zsdist.replay.buffer import row_bytes
 from zsdist.roles.actor import Actor, VisualAct
 from zsdist.roles.base import Context, Role
@@ -28,6 +28,7 @@ from zsdist.sim.env import CarNavigation
 from zsdist.sim.scene import Scene
 from zsdist.transport.base import Transport
 from zsdist.types import Level
+from zsdist.vision.identity import VisionIdentity
 from zsdist.vision.visual_act import VisualAct as PretrainedVisualAct
 from zsdist.wire.messages import State
 
@@ -117,6 +118,11 @@ def simulation(config: Config) -> Parts:
     )
 
 
+def vision_here(config: Config) -> VisionIdentity:
+    """By what cars of this configuration see on this machine; raises `WeightsError` as `VisualAct.load`."""
+    return VisionIdentity.of(PretrainedVisualAct.load(config.vision, config.camera), config.vision.network)
+
+
 def check_memory(config: Config) -> None:
     """Holds what the replay may grow to against its byte budget; raises `ConfigError` where it does not fit."""
     row = sum(row_bytes(shape.state_size, shape.actions) for shape in SHAPES.values())
@@ -128,8 +134,11 @@ def check_memory(config: Config) -> None:
         )
 
 
-def warm_up(config: Config) -> None:
+def warm_up(config: Config) -> VisionIdentity:
     """Drives one car for a step, in this process: what is compiled or built at first use is then on disk for all.
+
+    Returns:
+        By what the car saw.
 
     Raises:
         ZsdistError: scenes or vision weights are not there, or do not fit the configuration.
@@ -142,6 +151,7 @@ def warm_up(config: Config) -> None:
         bearing_rad, distance_m = car.goal_seen_from_here()
         (view,) = parts.visual_act(car.image[None], np.array([bearing_rad]), np.array([distance_m]))
         car.advance(view, q)
+    return VisionIdentity.of(parts.visual_act, config.vision.network)
 
 
 @dataclass(frozen=True)
@@ -153,6 +163,7 @@ class Setting:
         run: name on the key space.
         folder: the run directory.
         states: of the checkpoint that is gone on from, by role name; empty for a new run.
+        vision: by what every car sees.
         make_parts: what actors are made of; tests put a kinematic car in the place of the simulation.
     """
 
@@ -160,6 +171,7 @@ class Setting:
     run: str
     folder: Path
     states: dict[str, State]
+    vision: VisionIdentity
     make_parts: Callable[[Config], Parts] = simulation
 
     def context(self, place: Place, transport: Transport, wake: threading.Event) -> Context:
@@ -173,7 +185,7 @@ class Setting:
             case "scheduler":
                 restored = self.states.get("scheduler")
                 earlier_s = restored.meta["wall_s"] if restored else 0.0
-                return Scheduler(context, RunDirectory(self.folder, earlier_s), restored)
+                return Scheduler(context, RunDirectory(self.folder, self.vision, earlier_s), restored)
             case "replay":
                 return Replay(context, SHAPES, self.states.get("replay"))
             case "learner":
@@ -181,6 +193,9 @@ class Setting:
                 return Learner(context, level, make_learner(config, level), self.states.get(place.name))
             case "actor":
                 parts = self.make_parts(config)
+                seen = VisionIdentity.of(parts.visual_act, config.vision.network)
+                if seen != self.vision:
+                    raise WeightsError(f"{place.name} sees by {seen}; allowed is what the run sees by, {self.vision}")
                 cars = [Car(parts.make_env(), HierarchicalAgent(config)) for _ in range(config.run.cars_per_actor)]
                 return Actor(context, cars, parts.visual_act, parts.itinerary)
         raise ValueError(f"no role is called {place.role!r}")

@@ -8,8 +8,10 @@ from zsdist.errors import RunError, WeightsError
 from zsdist.run import directory
 from zsdist.run.checkpoint import load_policy
 from zsdist.run.directory import RunDirectory
+from zsdist.vision.identity import VisionIdentity
 from zsdist.wire.messages import State
 
+SEEN = VisionIdentity("clip/b", "a" * 64, "head", "b" * 64)
 META = {"finished": [1, 2, 4], "wall_s": 3.0}
 
 
@@ -20,7 +22,7 @@ def folder(tmp_path):
 
 @pytest.fixture
 def ledger(folder):
-    return RunDirectory(folder)
+    return RunDirectory(folder, SEEN)
 
 
 def states(value=1.0):
@@ -40,6 +42,22 @@ def test_a_checkpoint_reads_back_as_it_was_written_and_the_newest_wins(folder, l
     read = directory.read_checkpoint(newest)
     assert read["scheduler"].meta == META
     np.testing.assert_array_equal(read["replay"].arrays["ring"], np.full(3, 100.0))
+
+
+def test_a_checkpoint_says_by_what_its_policy_saw(folder, ledger):
+    ledger.checkpoint(5, states())
+    assert directory.read_vision(directory.newest_checkpoint(folder)) == SEEN
+
+
+@pytest.mark.parametrize("vision", [None, {"encoder": "clip/b"}, "clip/b"])
+def test_a_checkpoint_that_does_not_say_what_its_policy_saw_by_is_refused(folder, ledger, vision):
+    ledger.checkpoint(5, states())
+    path = directory.newest_checkpoint(folder) / "manifest.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"vision": vision}))
+    with pytest.raises(RunError, match="does not say which encoder"):
+        directory.read_vision(path.parent)
+    with pytest.raises(WeightsError, match="does not say which encoder"):
+        load_policy(folder)
 
 
 def test_only_the_newest_checkpoints_are_kept(folder, ledger):

@@ -1,0 +1,85 @@
+"""A policy drives on the encoder that it was trained on, and on no other."""
+
+from dataclasses import replace
+
+import pytest
+from rehearsal import SEEN, kinematic
+
+from zsdist import cli, config, evaluate, launch
+from zsdist.errors import WeightsError
+from zsdist.run import directory, program
+from zsdist.run.directory import RunDirectory
+from zsdist.run.program import Place, Setting
+from zsdist.types import Level
+from zsdist.wire.messages import State
+
+SETTINGS = config.load(None, ("low.hidden=[8]", "high.hidden=[8]"))
+
+
+@pytest.fixture(scope="module")
+def here():
+    return program.vision_here(SETTINGS)
+
+
+@pytest.fixture
+def trained(tmp_path):
+    """Writes the checkpoint of a run whose policy saw by what it is given."""
+
+    def write(vision):
+        folder = directory.create(tmp_path / "run", SETTINGS)
+        arrays = {level: program.make_learner(SETTINGS, level).state() for level in Level}
+        states = {
+            f"learner-{level}": State(f"learner-{level}", {}, {f"dqn/{name}": array for name, array in parts.items()})
+            for level, parts in arrays.items()
+        }
+        states["scheduler"] = State("scheduler", {"finished": [1], "wall_s": 1.0}, {})
+        RunDirectory(folder, vision).checkpoint(1, states)
+        return folder
+
+    return write
+
+
+def evaluated(folder, capsys):
+    with pytest.raises(SystemExit) as exit_:
+        cli.execute(lambda _: evaluate.find_policy(str(folder)) and 0, evaluate.make_parser(), [str(folder)])
+    return exit_.value.code, capsys.readouterr().err
+
+
+def test_a_policy_is_evaluated_on_its_own_encoder_without_a_word(trained, here, capsys):
+    assert evaluated(trained(here), capsys) == (0, "")
+
+
+@pytest.mark.parametrize("change", [{"encoder": "clip/b"}, {"encoder_sha256": "0" * 64}])
+def test_a_policy_is_not_evaluated_on_another_encoder_and_one_line_says_why(trained, here, capsys, change):
+    code, complaint = evaluated(trained(replace(here, **change)), capsys)
+    assert code == 2 and complaint.count("\n") == 1
+    assert "was trained on encoder" in complaint and here.encoder in complaint
+
+
+def test_another_head_is_said_in_one_line_and_the_policy_is_evaluated(trained, here, capsys):
+    code, note = evaluated(trained(replace(here, weights_sha256="0" * 64)), capsys)
+    assert code == 0 and note.count("\n") == 1 and "trained with head 0000000000000000" in note
+
+
+def resumed(folder, monkeypatch, seen):
+    monkeypatch.setattr(program, "warm_up", lambda settings: seen)
+    return launch._resume(launch.parser().parse_args(["--resume", str(folder)]), launch.Console())
+
+
+def test_a_run_is_not_gone_on_with_on_another_encoder(trained, monkeypatch):
+    folder = trained(SEEN)
+    with pytest.raises(WeightsError, match="trained on encoder 'fake'"):
+        resumed(folder, monkeypatch, replace(SEEN, encoder_sha256="0" * 64))
+    assert resumed(folder, monkeypatch, SEEN).vision == SEEN
+
+
+def test_going_on_with_another_head_is_said(trained, monkeypatch, capsys):
+    seen = replace(SEEN, weights_sha256="d" * 64)
+    assert resumed(trained(SEEN), monkeypatch, seen).vision == seen
+    assert "sees by head dddd" in capsys.readouterr().out
+
+
+def test_an_actor_that_sees_by_something_else_than_its_run_is_refused(tmp_path):
+    setting = Setting(SETTINGS, "run", tmp_path, {}, replace(SEEN, weights_sha256="d" * 64), kinematic)
+    with pytest.raises(WeightsError, match="actor-0 sees by"):
+        setting.build(Place("actor", "0", 0), None, None)
