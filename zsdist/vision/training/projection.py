@@ -65,14 +65,14 @@ class WordRecipe(Recipe):
             the understanding of words is for the kinds that were trained.
     """
 
-    epochs: int = 12
+    epochs: int = 10
     batch: int = 64
     learning_rate: float = 2e-3
     temperature: float = 0.07
     captions: float = 0.5
     kinds: float = 1.0
     cells: float = 1.0
-    word_noise: float = 0.5
+    word_noise: float = 1.0
     exclude_kinds: tuple[str, ...] = field(default=())
 
 

@@ -32,7 +32,7 @@ def test_even_attention_gives_the_embedding_of_the_whole_image(projection):
     assert torch.allclose(attended_embeddings(projected, even), image_embedding(projected)[:, None], atol=1e-5)
 
 
-def test_texts_go_unchanged_at_first_and_come_at_unit_length(projection):
+def test_texts_keep_their_direction_and_come_at_unit_length(projection):
     texts = torch.nn.functional.normalize(torch.randn(4, 10), dim=-1)
     assert torch.allclose(projection.texts(3 * texts), texts, atol=1e-6)
 
