@@ -130,7 +130,17 @@ class VisualAct:
         if self._encoder is None:
             check_images(images)
             return tuple(self._session.run(READ, {"image": resample(images, STUDENT_PX)}))
-        return tuple(self._session.run(READ, {"tokens": self._encoder.tokens(images)}))
+        return self.read_tokens(self._encoder.tokens(images))
+
+    def read_tokens(self, tokens: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same of the encoder's tokens `(B, side, side, features)` float32, where they are at hand; the head only.
+
+        Raises:
+            WeightsError: this is the student.
+        """
+        if self._encoder is None:
+            raise WeightsError("vision.network is 'student', which reads no tokens; allowed is 'head'")
+        return tuple(self._session.run(READ, {"tokens": tokens}))
 
     def look(self, images: np.ndarray) -> Look:
         """Where the head looks on images `(B, px, px, 3)` uint8; its network is opened when first asked for.

