@@ -14,6 +14,8 @@ import statistics
 import time
 from collections.abc import Callable
 
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # one core, as a role has it; before numpy and torch read it
+
 import numpy as np
 import onnxruntime
 import torch
@@ -38,7 +40,6 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="fewer rounds; ends within 50 s on two cores")
     parser.add_argument("--weights", default="pretrained", help="as vision.weights (default: pretrained)")
     options = parser.parse_args()
-    torch.set_num_threads(1)
     camera, rounds = CameraConfig(), 40 if options.quick else 200
     pictures = [view.image[None] for view in labelled_views(["iid", "street"], "validation", rounds, 0, camera)]
     began_s = time.perf_counter()
