@@ -1,5 +1,6 @@
 """The visual-act model as the car uses it: an image and the goal's direction in, a `View` out; no torch needed."""
 
+import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Self, TypeVar
@@ -71,7 +72,8 @@ class VisualAct:
         self._quantile = ray_quantile
         self._angles = ray_angles_rad(RAYS, _field_of_view_rad(weights))
         self._session = cached_session(
-            f"{Path(file).stem}-{self.weights_sha256[:16]}", lambda out: _build(weights, content, encoder, out)
+            f"{Path(file).stem}-{self.weights_sha256[:16]}-{_code()}",
+            lambda out: _build(weights, content, encoder, out),
         )
         self._looking: onnxruntime.InferenceSession | None = None
 
@@ -163,9 +165,16 @@ class VisualAct:
         else:
             head, projection, of = weights.content(HEAD_FILE), native, encoder.sha256
         return cached_session(
-            f"looking-{self.weights_sha256[:16]}-{of[:16]}",
+            f"looking-{self.weights_sha256[:16]}-{of[:16]}-{_code()}",
             lambda out: _build_looking(weights, head, projection, encoder, out),
         )
+
+
+def _code() -> str:
+    """A short hash of what the networks are written in: the same weights in other code are another network."""
+    here = Path(__file__).parent
+    sources = (*sorted((here / "models").glob("*.py")), here / "labels.py", here / "rays.py")
+    return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:8]
 
 
 def _field_of_view_rad(weights: Folder) -> float:

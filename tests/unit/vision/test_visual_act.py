@@ -199,6 +199,16 @@ def test_distributions_are_those_of_the_network_at_its_temperatures(folder, empt
     np.testing.assert_allclose(found[0], (said.clearance / 0.5).softmax(-1), atol=1e-4)
 
 
+def test_a_network_that_was_built_from_other_code_is_built_anew(folder, empty_cache, monkeypatch):
+    first = load(folder, network="student").read(images(1))
+    monkeypatch.setattr("zsdist.vision.models.student.LEVELS", 32.0)
+    again = load(folder, network="student").read(images(1))
+    monkeypatch.setattr("zsdist.vision.visual_act._code", lambda: "changed")
+    other = load(folder, network="student").read(images(1))
+    np.testing.assert_array_equal(first[2], again[2])
+    assert np.abs(first[2] - other[2]).max() > 1e-4
+
+
 def test_the_student_gives_views_without_any_encoder_at_any_resolution(made, monkeypatch):
     monkeypatch.setattr("zsdist.vision.visual_act.open_encoder", pytest.fail)
     model = load(made, network="student")

@@ -9,6 +9,7 @@ from zsdist.vision.models import STUDENT_PX
 from zsdist.vision.models.head import ACTIONS, Reading, Residual1d, attention
 from zsdist.vision.rays import BINS, RAYS, ray_angles_rad
 
+LEVELS = 64.0  # of 255, the spread of a usual picture
 MARGIN_COLUMNS = 3  # of the neighbouring directions that an action may also look at
 
 
@@ -53,7 +54,7 @@ class Student(nn.Module):
 
     def forward(self, images: Tensor) -> Reading:
         """What is to be read from pictures `(B, 128, 128, 3)`, 0 to 255; the attention `(B, 3, RAYS)` is of columns."""
-        x = self.trunk((images.permute(0, 3, 1, 2).float() - 127) / 64)
+        x = self.trunk((images.permute(0, 3, 1, 2).float() - 127) / LEVELS)
         columns = self.fold(x.flatten(1, 2))
         columns = torch.relu(columns + self.context(columns.mean(2))[..., None])
         columns = self.columns(columns)
