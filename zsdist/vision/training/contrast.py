@@ -15,6 +15,7 @@ from zsdist.vision.training.examples import Examples
 from zsdist.vision.training.losses import Form, contrastive_loss
 
 BATCH = 32  # originals a step, each with all its masked pictures
+EMPTY_WEIGHT = 1.0  # of actions in whose way nothing stands, `losses.contrastive_loss`
 _AT_ONCE = 256  # pictures projected at a time
 
 
@@ -71,6 +72,7 @@ class Contrast:
             negative,
             torch.from_numpy(weight),
             self._form,
+            empty_weight=EMPTY_WEIGHT,
         )
 
     def samples(

@@ -70,17 +70,20 @@ def contrastive_loss(
     weight: Tensor,
     form: Form = "difference",
     temperature: float = TEMPERATURE,
+    empty_weight: float = 0.0,
 ) -> Tensor:
     """Eq. (6): `L_c = -log exp(s+ / tau) / (exp(s+ / tau) + sum over x- of exp(s- / tau))`, a scalar.
 
     `s` is the cosine of an anchor I_a and a sample. The mean is over the anchors that have samples of both kinds and
-    over the positive samples of each; other anchors are skipped, and where there are none the loss is 0.
+    over the positive samples of each; other anchors are skipped, and where there are none the loss is 0. Beyond the
+    paper, an anchor with negative samples only, that of an action in whose way nothing stands, can be held against a
+    cosine of 0 in the place of `s+`: it is to be like nothing that was hidden, the ground among it.
 
     Deviation: a sample is by default the difference `E - E_i` of the embeddings of the picture and of the masked
     picture, which is what the hidden thing gave to the picture. The literal sample is `E_i` itself: it pulls I_a
     towards a picture in which the thing that matters to the action is hidden, and so away from the thing. Both are
-    here to be compared; the lab's figures are I_a nearest to the object in direction a in 0.88 to 0.97 of pictures
-    with the difference, in 0.58 to 0.69 with the literal form.
+    here to be compared: of two heads of one seed in wild pictures, I_a was nearest to the object in direction a in 0.75
+    to 0.93 of them by kind with the difference, in 0.45 to 0.77 with the literal form.
 
     Args:
         anchors: `(B, 3, D)`, I_1 to I_3.
@@ -91,15 +94,15 @@ def contrastive_loss(
         weight: `(B, M)`, of each sample among the negative ones; less than 1 for the background.
         form: which sample.
         temperature: tau.
+        empty_weight: of anchors with negative samples only; 0 skips them too.
     """
     samples = original[:, None] - masked if form == "difference" else masked
     logits = torch.nn.functional.normalize(anchors, dim=-1) @ torch.nn.functional.normalize(samples, dim=-1).mT
     logits = logits / temperature
-    rest = (logits + weight.clamp(min=1e-6).log()[:, None]).masked_fill(~negative, -torch.inf)
-    rest = rest.logsumexp(-1, keepdim=True).expand_as(logits)
+    rest = (logits + weight.clamp(min=1e-6).log()[:, None]).masked_fill(~negative, -torch.inf).logsumexp(-1)
     counted = positive & negative.any(-1, keepdim=True)
-    if not counted.any():
-        return anchors.sum() * 0.0
-    each = torch.nn.functional.softplus(rest[counted] - logits[counted])
-    share = (1 / counted.sum(-1, keepdim=True).clamp(min=1)).expand_as(logits)[counted]
-    return (each * share).sum() / counted.any(-1).sum()
+    apart = torch.nn.functional.softplus(rest[..., None] - logits).masked_fill(~counted, 0.0)
+    each = apart.sum(-1) / counted.sum(-1).clamp(min=1)
+    alone = empty_weight * (negative.any(-1) & ~positive.any(-1))
+    each = each + torch.where(alone > 0, alone * torch.nn.functional.softplus(rest), 0.0)
+    return each.sum() / (counted.any(-1).sum() + alone.sum()).clamp(min=1e-6)
