@@ -1,160 +1,137 @@
-"""`python -m zsdist.pretrain`: trains the visual-act head on rendered streets (Algorithm 1), or checks a trained one.
+"""`python -m zsdist.pretrain`: trains the vision of the car (Algorithm 1), or checks one that is trained.
 
-With `--check` the model that `vision.weights` names looks at fresh pictures of the wilderness, families that no
-training has seen, and is compared with three yardsticks that know less or more than it does.
+Pictures are rendered and encoded first, then the projection to words, the head and the small student network learn
+from them. What is finished is kept: Ctrl-C, and `--resume DIR` goes on. With `--check` the model that `vision.weights`
+names looks at fresh pictures of families that no training has seen, beside yardsticks that know less or more.
 """
 
 import argparse
-import itertools
+import json
 import math
+import os
 import shlex
 import sys
-import time
-from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import numpy as np
-
-from zsdist import __version__, cli
+from zsdist import cli
 from zsdist import config as configuration
-from zsdist.config import CameraConfig, Config
-from zsdist.errors import RunError
-from zsdist.pretraining.batches import BATCH, batched
-from zsdist.pretraining.check import check
-from zsdist.sim.manifest import MANIFEST
-from zsdist.sim.views import LabelledView, labelled_views
-from zsdist.vision.encoders.base import Encoder
-from zsdist.vision.encoders.lite0 import EfficientNetLite0
-from zsdist.vision.folder import CAMERA_KEYS
-from zsdist.vision.rays import RAYS, ray_angles_rad
+from zsdist.config import Config
+from zsdist.errors import ConfigError
+from zsdist.pretraining import job as jobs
+from zsdist.pretraining.check import OBJECTS, check
+from zsdist.pretraining.job import PURPOSE, STAGES, Job
+from zsdist.pretraining.pictures import check_disk
+from zsdist.pretraining.progress import Watch
+from zsdist.vision.encoders import open_encoder
 
-if TYPE_CHECKING:
-    from zsdist.vision.training.examples import Examples
-
-VALIDATION_SHARE = 0.08  # validation pictures for each training picture
-PICTURES_SHARE = 0.5  # of the minutes allowed that may go into pictures
+IMAGES = 30_000
+CHECK_IMAGES = 300
 
 
 def make_parser() -> argparse.ArgumentParser:
     """The command's options."""
     parser = cli.Parser(prog="zsdist.pretrain", description=__doc__)
-    parser.add_argument(
-        "--images", type=_count, help="pictures to train on (default: 8000) or to check on (default: 300)"
-    )
-    parser.add_argument("--epochs", type=_count, default=24, help="passes over them (default: 24)")
-    parser.add_argument("--minutes", type=_minutes, default=math.inf, help="hurry so as to be done by then")
-    parser.add_argument("--out", type=Path, metavar="DIR", default=Path("runs/visual-act"), help="where weights go")
-    parser.add_argument("--check", action="store_true", help="check trained weights instead of training")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures of the check there")
-    parser.add_argument("--seed", type=_seed, default=0, help="of scenes, places, looks and weights (default: 0)")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="camera, and weights to check")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change a setting")
+    add = parser.add_argument
+    add("--images", type=_count, metavar="N", help=f"to train the head on ({IMAGES}), or to check on ({CHECK_IMAGES})")
+    add("--epochs", type=_count, metavar="N", help="passes over them, in every stage (default: each stage's own)")
+    add("--minutes", type=_minutes, default=math.inf, metavar="M", help="hurry so as to be done by then")
+    add("--out", type=Path, metavar="DIR", help="where weights go (default: runs/visual-act)")
+    add("--resume", type=Path, metavar="DIR", help="go on with the pretraining in DIR")
+    add("--families", metavar="A,B", help=f"of the scenes (default: {','.join(PURPOSE.families)})")
+    add("--cityscapes", type=Path, metavar="DIR", help="train on the photographs in DIR instead of on scenes")
+    add("--stages", metavar="A,B", help=f"what to train (default: {','.join(STAGES)})")
+    add("--encoder", metavar="NAME|DIR", help="as vision.encoder: efficientnet-lite0, or a folder with a CLIP model")
+    add("--workers", type=_count, default=os.cpu_count() or 1, metavar="N", help="processes (default: one a core)")
+    add("--keep-pictures", action="store_true", help="do not remove the pictures at the end")
+    add("--check", action="store_true", help="check trained weights instead of training")
+    add("--json", type=Path, metavar="FILE", help="write the figures of the check there")
+    add("--objects", type=_natural, default=OBJECTS, metavar="N", help=f"to drive up to in a check ({OBJECTS})")
+    add("--objects-file", type=Path, metavar="FILE", help="where each of them is noted, and from where a check goes on")
+    add("--unseen-kinds", action="store_true", help="check words for kinds that a projection was not trained on, too")
+    add("--seed", type=_natural, metavar="S", help="of scenes, places, looks and weights (default: 0)")
+    add("--config", type=Path, metavar="FILE", help="camera and encoder, and weights to check")
+    add("--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change a setting")
+    add("--plain", action="store_true", help="progress as lines, also on a terminal")
     return parser
 
 
 def main(options: argparse.Namespace) -> int:
     """Runs the command; returns its exit status."""
-    config = configuration.load(options.config, tuple(options.set))
     if options.check:
-        check(config, options.images or 300, options.seed, options.json)
-    else:
-        pretrain(config, options)
+        check(
+            _config(options),
+            options.images or CHECK_IMAGES,
+            options.seed or 0,
+            options.json,
+            options.objects,
+            options.objects_file,
+            options.unseen_kinds,
+        )
+        return 0
+    return pretrain(options)
+
+
+def pretrain(options: argparse.Namespace) -> int:
+    """Trains, and checks what came of it; 130 where it was interrupted.
+
+    Raises:
+        ZsdistError: an option, the folder or the encoder cannot be used.
+    """
+    from zsdist.pretraining.train import train  # imports torch, which a check does without
+
+    folder = options.resume or options.out or Path("runs/visual-act")
+    job = _reopened(options) if options.resume else _new(options)
+    encoder = open_encoder(job.config.vision.encoder)
+    check_disk(job, encoder, folder)
+    if not options.resume:
+        jobs.create(folder, job)
+    try:
+        with Watch(prefer_lines=options.plain) as watch:
+            train(job, folder, encoder, options.minutes, options.workers, options.keep_pictures, watch)
+    except KeyboardInterrupt:
+        print(f"interrupted; what is finished is kept, go on with\n  python -m zsdist.pretrain --resume {folder}")
+        return cli.INTERRUPTED
+    if "head" in job.stages:
+        vision = job.config.vision.model_copy(update={"weights": str(folder)})
+        check(job.config.model_copy(update={"vision": vision}), CHECK_IMAGES, job.seed, options.json, object_count=0)
+    print(f"weights are in {folder}; use them by --set vision.weights={folder}")
     return 0
 
 
-def pretrain(config: Config, options: argparse.Namespace) -> None:
-    """Renders and encodes pictures, trains a head on them and writes it with what it was made from and how well it did.
-
-    Raises:
-        RunError: the folder cannot be written.
-    """
-    from zsdist.vision.training import head as training  # imports torch, which a check does not need
-
-    begin, allowed_s = time.monotonic(), options.minutes * 60
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RunError(f"--out {options.out} cannot be made: {error.strerror or error}") from error
-    count, encoder, purpose = options.images or 8000, EfficientNetLite0(), MANIFEST["vision-training"]
-
-    def views(number: int, seed: int) -> Iterator[LabelledView]:
-        return labelled_views(list(purpose.families), purpose.split, number, seed, config.camera, varied=True)
-
-    def pictures_left() -> bool:
-        return time.monotonic() - begin < PICTURES_SHARE * allowed_s
-
-    examples, scenes = gather(views(count, options.seed), count, encoder, config.camera, pictures_left)
-    held_out = math.ceil(VALIDATION_SHARE * len(examples))
-    others = (view for view in views(2 * held_out, options.seed + 1) if view.scene_hash not in scenes)
-    validation, _ = gather(itertools.islice(others, held_out), held_out, encoder, config.camera, lambda: True)
-    head = training.new_head(examples, math.radians(config.camera.field_of_view_deg), options.seed)
-    recipe, epochs = training.Recipe(epochs=options.epochs), []
-    rng, train_begin = np.random.default_rng([options.seed, 1]), time.monotonic()
-    train_s = max(allowed_s - (train_begin - begin), 1.0)
-    for figures in training.train(
-        head, examples, validation, recipe, rng, lambda: (time.monotonic() - train_begin) / train_s
-    ):
-        epochs.append(figures)
-        print(
-            f"epoch {figures['epoch']:3d} of {recipe.epochs}: loss {figures['loss']:.3f}, "
-            f"validation {figures['validation_loss']:.3f} (rays {figures['validation_rays']:.3f}), "
-            f"{time.monotonic() - begin:.0f} s",
-            flush=True,
-        )
-    best = min(epochs, key=lambda figures: figures["validation_loss"])
-    metadata = {
-        "encoder": {"name": encoder.name, "sha256": encoder.sha256},
-        "camera": {key: getattr(config.camera, key) for key in CAMERA_KEYS},
-        "command": shlex.join(["python", "-m", "zsdist.pretrain", *sys.argv[1:]]),
-        "zsdist": __version__,
-        "seed": options.seed,
-        "families": list(purpose.families),
-        "images": len(examples),
-        "scenes": len(scenes),
-        "validation": {key: round(value, 4) for key, value in best.items()},
-    }
-    digest = training.save(head, options.out, metadata)
-    print(
-        f"weights {digest[:16]}, of epoch {best['epoch']}, are in {options.out}; use them by --set vision.weights=..."
+def _new(options: argparse.Namespace) -> Job:
+    if options.cityscapes and options.families:
+        raise ConfigError("--families cannot go with --cityscapes, which takes photographs instead of scenes")
+    families = () if options.cityscapes else _names(options.families, PURPOSE.families)
+    jobs.check_families(families)
+    stages = _names(options.stages, STAGES)
+    jobs.check_stages(stages)
+    return Job(
+        images=options.images or IMAGES,
+        epochs=options.epochs or 0,
+        seed=options.seed or 0,
+        families=families,
+        cityscapes=str(options.cityscapes or ""),
+        stages=tuple(stage for stage in STAGES if stage in stages),
+        config=_config(options),
+        command=shlex.join(["python", "-m", "zsdist.pretrain", *sys.argv[1:]]),
     )
 
 
-def gather(
-    views: Iterable[LabelledView], count: int, encoder: Encoder, camera: CameraConfig, go_on: Callable[[], bool]
-) -> tuple["Examples", set[str]]:
-    """Encodes pictures as they come; the pictures themselves are not kept.
+def _reopened(options: argparse.Namespace) -> Job:
+    own = ("images", "epochs", "out", "families", "cityscapes", "stages", "encoder", "seed", "config", "set")
+    for name in own:
+        if getattr(options, name):
+            raise ConfigError(f"--{name} cannot go with --resume: the pretraining in {options.resume} has its own")
+    return jobs.reopen(options.resume)
 
-    Args:
-        views: at most `count` of them.
-        count: for how many there is room.
-        encoder: of the pictures.
-        camera: that took them.
-        go_on: asked after each batch.
 
-    Returns:
-        What can be trained on, and the hashes of the scenes they are of.
-    """
-    from zsdist.vision.training.examples import Examples
+def _config(options: argparse.Namespace) -> Config:
+    encoder = [f"vision.encoder={json.dumps(options.encoder)}"] if options.encoder else []
+    return configuration.load(options.config, (*options.set, *encoder))
 
-    angles = ray_angles_rad(RAYS, math.radians(camera.field_of_view_deg))
-    distance, dynamic = np.empty((count, RAYS), np.float32), np.empty((count, RAYS), bool)
-    tokens, made, scenes = None, 0, set()
-    for batch in batched(views, BATCH):
-        found = encoder.tokens(np.stack([view.image for view in batch]))
-        if tokens is None:
-            tokens = np.empty((count, *found.shape[1:]), np.float16)
-        rows = slice(made, made + len(batch))
-        tokens[rows] = found
-        distance[rows] = [view.ray_clearance_m for view in batch]
-        dynamic[rows] = [view.ray_dynamic for view in batch]
-        scenes |= {view.scene_hash for view in batch}
-        made += len(batch)
-        if made % (50 * BATCH) == 0:
-            print(f"{made} of {count} pictures encoded", flush=True)
-        if not go_on():
-            break
-    return Examples(tokens[:made], distance[:made], dynamic[:made], angles), scenes
+
+def _names(text: str | None, default: tuple[str, ...]) -> tuple[str, ...]:
+    return default if text is None else tuple(name.strip() for name in text.split(","))
 
 
 def _count(text: str) -> int:
@@ -164,7 +141,7 @@ def _count(text: str) -> int:
     return value
 
 
-def _seed(text: str) -> int:
+def _natural(text: str) -> int:
     value = int(text)
     if value < 0:
         raise argparse.ArgumentTypeError(f"{value} is not 0 or more")

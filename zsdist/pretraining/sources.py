@@ -1,0 +1,227 @@
+"""The kinds of pictures that a pretraining needs, and how a shard of each is rendered and encoded.
+
+* `act`, `act-tiny`: what the head and the student learn from, drawn by the caster and some by the slow reference;
+* `validation`: the same from other scenes, by which is decided when to stop;
+* `masked`: pictures and their masked versions, for the contrast;
+* `described`, `described-validation`: pictures with words, for the projection alone; the head never sees such scenes.
+"""
+
+import hashlib
+import itertools
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zsdist.config import CameraConfig
+from zsdist.pretraining.batches import BATCH, batched
+from zsdist.pretraining.job import PURPOSE, Job
+from zsdist.sim.described import DescribedView, described_views
+from zsdist.sim.manifest import MANIFEST
+from zsdist.sim.masked import masked_views
+from zsdist.sim.views import LabelledView, labelled_views
+from zsdist.vision.cityscapes.files import frames
+from zsdist.vision.cityscapes.views import CityView, cityscapes_masked_views, cityscapes_views
+from zsdist.vision.encoders.base import Encoder, resample
+from zsdist.vision.masks import MaskedView, hide
+
+STUDENT_PX = 128  # side of the pictures that are kept for the student
+TINY_SHARE = 0.1  # of the pictures to train on, from the other renderer
+VALIDATION_SHARE = 0.08
+CITY_VALIDATION_SHARE = 0.17  # there are 2,975 photographs to train on, and 500 others
+MASKED_SHARE = 0.07
+DESCRIBED_SHARE = 0.2
+SHARD = 512  # pictures; the scenes of two families come out even
+MASKED_SHARD = 64  # each with about nine masks
+_MASKS = 9  # of a picture, about: for what is said before the start
+
+Arrays = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Shard:
+    """A part of a source: so many pictures, which follow from its name and the seed of the pretraining."""
+
+    source: str
+    index: int
+    count: int
+
+    @property
+    def name(self) -> str:
+        """Of the folder in which it is kept."""
+        return f"{self.source}-{self.index:04d}"
+
+
+@dataclass(frozen=True)
+class Source:
+    """How many pictures of one kind, how many to a shard, and what makes a shard."""
+
+    pictures: int
+    shard: int
+    make: "Callable[[Job, Shard, int, Encoder], Arrays]"  # with a seed for the shard
+
+    def bytes_each(self, encoder: Encoder) -> int:
+        """On disk, of a picture."""
+        tokens = 2 * encoder.side**2 * encoder.features
+        return tokens * (1 + _MASKS) if self.make in (_masked, _city_masked) else tokens + STUDENT_PX**2 * 3
+
+
+def sources(job: Job) -> dict[str, Source]:
+    """What a pretraining needs pictures of.
+
+    Raises:
+        DataError: photographs are asked for, and there are none.
+    """
+    found = {}
+    if "head" in job.stages:
+        found |= _photographs(job) if job.cityscapes else _rendered(job)
+        if "words" not in job.stages:
+            del found["masked"]
+    if "words" in job.stages:
+        found["described"] = Source(_share(DESCRIBED_SHARE, job.images), SHARD // 2, _described)
+        count = _share(DESCRIBED_SHARE * VALIDATION_SHARE, job.images)
+        found["described-validation"] = Source(count, SHARD // 2, _described)
+    return {name: source for name, source in found.items() if source.pictures}
+
+
+def _rendered(job: Job) -> dict[str, Source]:
+    tiny = round(TINY_SHARE * job.images)
+    return {
+        "act": Source(job.images - tiny, SHARD, _act),
+        "act-tiny": Source(tiny, SHARD // 4, _act_tiny),
+        "validation": Source(_share(VALIDATION_SHARE, job.images), SHARD, _act),
+        "masked": Source(_share(MASKED_SHARE, job.images), MASKED_SHARD, _masked),
+    }
+
+
+def _photographs(job: Job) -> dict[str, Source]:
+    there = len(frames(Path(job.cityscapes), "train"))
+    others = len(frames(Path(job.cityscapes), "val"))
+    return {
+        "act": Source(min(job.images, there), SHARD // 4, _city_act),
+        "validation": Source(min(_share(CITY_VALIDATION_SHARE, job.images), others), SHARD // 4, _city_validation),
+        "masked": Source(min(_share(MASKED_SHARE, job.images), there), MASKED_SHARD, _city_masked),
+    }
+
+
+def _share(of: float, images: int) -> int:
+    return math.ceil(of * images)
+
+
+def shards(wanted: dict[str, Source]) -> list[Shard]:
+    """All shards, the sources taking turns, so that wherever one stops each has its share."""
+    found = []
+    for name, source in wanted.items():
+        count = math.ceil(source.pictures / source.shard)
+        for index in range(count):
+            size = min(source.shard, source.pictures - index * source.shard)
+            found.append(((index + 0.5) / count, Shard(name, index, size)))
+    return [shard for _, shard in sorted(found, key=lambda entry: (entry[0], entry[1].source))]
+
+
+def make(job: Job, shard: Shard, encoder: Encoder) -> Arrays:
+    """Renders and encodes a shard: arrays by name, each with a row a picture, or a mask of one."""
+    digest = hashlib.sha256(f"{job.seed} {shard.name}".encode()).digest()
+    source = sources(job)[shard.source]
+    return source.make(job, shard, int.from_bytes(digest[:7]), encoder)
+
+
+def _act(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
+    return _encode_act(_views(job, shard, seed, job.config.camera), encoder)
+
+
+def _act_tiny(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
+    return _encode_act(_views(job, shard, seed, job.config.camera.model_copy(update={"back_end": "pybullet"})), encoder)
+
+
+def _views(job: Job, shard: Shard, seed: int, camera: CameraConfig) -> Iterator[LabelledView]:
+    return labelled_views(list(job.families), PURPOSE.split, shard.count, seed, camera, varied=True)
+
+
+def _city_act(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
+    return _encode_act(_city_views(job, shard, "train"), encoder)
+
+
+def _city_validation(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
+    return _encode_act(_city_views(job, shard, "val"), encoder)
+
+
+def _city_views(job: Job, shard: Shard, split: str) -> Iterator[CityView]:
+    first = shard.index * sources(job)[shard.source].shard
+    return cityscapes_views(Path(job.cityscapes), split, shard.count, job.seed, job.config.camera, first=first)
+
+
+def _encode_act(views: Iterable[LabelledView | CityView], encoder: Encoder) -> Arrays:
+    def fields(batch: list[LabelledView | CityView]) -> dict[str, Any]:
+        images = np.stack([view.image for view in batch])
+        return {
+            "tokens": encoder.tokens(images).astype(np.float16),
+            "images": resample(images, STUDENT_PX),
+            "ray_distance_m": [view.ray_clearance_m for view in batch],
+            "ray_dynamic": [view.ray_dynamic for view in batch],
+            "scene": scene_numbers(view.scene_hash for view in batch),
+        }
+
+    return _join(map(fields, batched(views, BATCH)))
+
+
+def _masked(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
+    views = masked_views(list(job.families), PURPOSE.split, shard.count, seed, job.config.camera, varied=True)
+    return _encode_masked(views, encoder)
+
+
+def _city_masked(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
+    first, camera = shard.index * sources(job)[shard.source].shard, job.config.camera
+    views = cityscapes_masked_views(Path(job.cityscapes), "train", shard.count, job.seed, camera, first=first)
+    return _encode_masked(views, encoder)
+
+
+def _encode_masked(views: Iterable[MaskedView], encoder: Encoder) -> Arrays:
+    """A row for each picture and one for each of its masks, whose `original` is its number; -1: it is none."""
+
+    def fields(number: int, view: MaskedView) -> dict[str, Any]:
+        truths = [view, *view.masks]
+        return {
+            "tokens": encoder.tokens(
+                np.stack([view.image, *(hide(view.image, mask.hidden) for mask in view.masks)])
+            ).astype(np.float16),
+            "original": [-1] + [number] * len(view.masks),
+            "background": [False] + [mask.background for mask in view.masks],
+            "ray_distance_m": [truth.ray_distance_m for truth in truths],
+            "ray_dynamic": [truth.ray_dynamic for truth in truths],
+        }
+
+    return _join(itertools.starmap(fields, enumerate(views)))
+
+
+def _described(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
+    purpose = MANIFEST["word-training"]
+    views = described_views(list(purpose.families), purpose.split, shard.count, seed, job.config.camera, varied=True)
+
+    def fields(batch: list[DescribedView]) -> dict[str, Any]:
+        return {
+            "tokens": encoder.tokens(np.stack([view.image for view in batch])).astype(np.float16),
+            "cells": [view.cells for view in batch],
+            "captions": encoder.embed_texts([view.caption for view in batch]).astype(np.float16),
+            "dominant": [view.dominant for view in batch],
+            "ground": [view.ground for view in batch],
+            "scene": scene_numbers(view.scene_hash for view in batch),
+        }
+
+    return _join(map(fields, batched(views, BATCH)))
+
+
+def scene_numbers(hashes: Iterable[str]) -> np.ndarray:
+    """`(N,)` uint64, by which pictures of one scene are known."""
+    return np.array([int(text[:16], 16) for text in hashes], np.uint64)
+
+
+def _join(parts: Iterable[dict[str, Any]]) -> Arrays:
+    lists: dict[str, list[np.ndarray]] = {}
+    for part in parts:
+        for name, rows in part.items():
+            lists.setdefault(name, []).append(np.asarray(rows))
+    return {name: np.concatenate(rows) for name, rows in lists.items()}

@@ -1,0 +1,174 @@
+"""The networks of a pretraining, one stage after the other: words, head, student.
+
+A stage appends its figures to the history after every epoch and then saves where it stands; when it is over, its
+weights take the place of that, so a pretraining that was broken off goes on at the last whole epoch. The pictures of
+the head and those of the words are kept apart: the head, which is tested on kinds that it has not seen, meets the
+projection through the contrast alone.
+"""
+
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace as changed
+from pathlib import Path
+
+import numpy as np
+import safetensors.torch
+from torch import nn
+
+from zsdist.pretraining.calibrating import calibrate
+from zsdist.pretraining.job import Job, replace
+from zsdist.pretraining.pictures import Pictures
+from zsdist.pretraining.progress import Watch
+from zsdist.vision.encoders.base import Encoder
+from zsdist.vision.folder import HEAD_FILE, HISTORY_FILE, PROJECTION_FILE, STUDENT_FILE, VOCABULARY_FILE
+from zsdist.vision.training import head as of_head
+from zsdist.vision.training import projection as of_words
+from zsdist.vision.training import student as of_student
+from zsdist.vision.training.contrast import Contrast
+from zsdist.vision.training.trainer import Recipe, Trainer
+from zsdist.vision.words.vocabulary import Vocabulary, shipped_words
+
+TIME_SHARES = {"pictures": 0.5, "words": 0.05, "head": 0.25, "student": 0.2}
+RECIPES = {"words": of_words.WordRecipe(), "head": Recipe(epochs=24), "student": Recipe(epochs=24)}
+
+
+class Budget:
+    """The time allowed, parted among pictures and stages; what one leaves over is for those after it.
+
+    Args:
+        allowed_s: in all, from now on; infinite: no limit.
+        stages: keys of `TIME_SHARES` in the order in which they come.
+        clock: in seconds.
+    """
+
+    def __init__(self, allowed_s: float, stages: Sequence[str], clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock, self._stages = clock, list(stages)
+        self._end_s = clock() + allowed_s
+
+    def begin(self, stage: str) -> Callable[[], float]:
+        """A function that tells which share of a stage's time is gone; the stage begins now."""
+        began_s = self._clock()
+        left = self._stages[self._stages.index(stage) :]
+        share = TIME_SHARES[stage] / sum(TIME_SHARES[name] for name in left)
+        allowed_s = max(share * (self._end_s - began_s), 1e-3)
+        return lambda: (self._clock() - began_s) / allowed_s
+
+
+class Stages:
+    """Trains what a job asks for in `folder`, where it also looks for what earlier sittings left.
+
+    Args:
+        job: what is to be trained.
+        folder: of the pretraining.
+        pictures: all of them.
+        encoder: of the pictures.
+        budget: of time.
+        watch: is told of every epoch.
+    """
+
+    def __init__(
+        self, job: Job, folder: Path, pictures: Pictures, encoder: Encoder, budget: Budget, watch: Watch
+    ) -> None:
+        self._job, self._pictures, self._encoder, self._budget, self._watch = job, pictures, encoder, budget, watch
+        self._history = folder / HISTORY_FILE
+        self._folder = folder / "stages"
+        self._field_of_view_rad = math.radians(job.config.camera.field_of_view_deg)
+
+    def run(self) -> dict[str, bytes]:
+        """Every stage; returns the files of the weights folder by name."""
+        self._folder.mkdir(exist_ok=True)
+        files, projection = {}, None
+        if "words" in self._job.stages:
+            projection, more = self.words()
+            files |= more
+        if "head" in self._job.stages:
+            examples, validation = self._pictures.examples(), self._pictures.validation()
+            head = of_head.new_head(examples, self._field_of_view_rad, self._job.seed)
+
+            def train_head(recipe: Recipe, rng: np.random.Generator, time_used: Callable[[], float]) -> Trainer:
+                contrast = None if projection is None else Contrast(projection, *self._pictures.masked())
+                return of_head.train(head, examples, validation, recipe, rng, time_used, contrast)
+
+            self._train("head", head, train_head, lambda: calibrate(head, validation))
+            files[HEAD_FILE] = safetensors.torch.save(head.state_dict())
+        if "student" in self._job.stages:
+            student = of_student.new_student(self._field_of_view_rad, self._job.seed)
+
+            def train_student(recipe: Recipe, rng: np.random.Generator, time_used: Callable[[], float]) -> Trainer:
+                lesson = of_student.teach(head, examples)
+                return of_student.train(student, examples, validation, recipe, rng, time_used, lesson)
+
+            self._train(
+                "student", student, train_student, lambda: calibrate(student, of_student.of_pictures(validation))
+            )
+            files[STUDENT_FILE] = safetensors.torch.save(student.state_dict())
+        return files
+
+    def words(self) -> tuple[nn.Module, dict[str, bytes]]:
+        """The projection to the space of words, and the files that it and the vocabulary make."""
+        words = shipped_words()
+        vocabulary = Vocabulary(words, self._encoder.embed_texts(words), self._encoder.sha256)
+        examples = self._pictures.described()
+        projection = of_words.new_projection(examples, self._job.seed)
+
+        def train(recipe: Recipe, rng: np.random.Generator, time_used: Callable[[], float]) -> Trainer:
+            validation = self._pictures.described_validation()
+            return of_words.train(projection, examples, validation, vocabulary, recipe, rng, time_used)
+
+        self._train("words", projection, train, lambda: None)
+        return projection, {
+            VOCABULARY_FILE: vocabulary.to_bytes(),
+            PROJECTION_FILE: safetensors.torch.save(projection.state_dict()),
+        }
+
+    def _train(
+        self,
+        stage: str,
+        network: nn.Module,
+        begin: Callable[[Recipe, np.random.Generator, Callable[[], float]], Trainer],
+        finish: Callable[[], None],
+    ) -> None:
+        """Trains a stage's network in place, or loads the weights with which an earlier sitting ended."""
+        ended, stands = self._folder / f"{stage}.safetensors", self._folder / f"{stage}.training"
+        if ended.exists():
+            network.load_state_dict(safetensors.torch.load(ended.read_bytes()))
+            self._watch.say(f"{stage}: trained already")
+            return
+        recipe = RECIPES[stage]
+        if self._job.epochs:
+            recipe = changed(recipe, epochs=self._job.epochs)
+        rng = np.random.default_rng([self._job.seed, list(TIME_SHARES).index(stage)])
+        trainer = begin(recipe, rng, self._budget.begin(stage))
+        if stands.exists():
+            trainer.restore(stands.read_bytes())
+            self._watch.say(f"{stage}: going on after epoch {trainer.epoch}")
+        strike_out(self._history, stage, trainer.epoch)
+        for figures in trainer:
+            with self._history.open("a") as file:
+                file.write(json.dumps({"stage": stage, **figures}) + "\n")
+            replace(stands, trainer.state())
+            self._watch.epoch(stage, figures, recipe.epochs)
+        finish()
+        replace(ended, safetensors.torch.save(network.state_dict()))
+        stands.unlink(missing_ok=True)
+
+
+def strike_out(history: Path, stage: str, epoch: int) -> None:
+    """Leaves out of a history the epochs of a stage after `epoch`: they were broken off before they were saved."""
+    if not history.exists():
+        return
+    lines = [json.loads(line) for line in history.read_text().splitlines() if line.endswith("}")]
+    kept = [line for line in lines if line["stage"] != stage or line["epoch"] <= epoch]
+    replace(history, "".join(json.dumps(line) + "\n" for line in kept).encode())
+
+
+def best_epochs(history: Path) -> dict[str, dict[str, float]]:
+    """Of each stage in a history the figures of the epoch whose weights were kept."""
+    best: dict[str, dict[str, float]] = {}
+    for line in map(json.loads, history.read_text().splitlines()):
+        stage = line.pop("stage")
+        if stage not in best or line["validation_loss"] < best[stage]["validation_loss"]:
+            best[stage] = {name: round(value, 5) for name, value in line.items()}
+    return best
