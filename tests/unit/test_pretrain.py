@@ -1,30 +1,58 @@
-import json
-import sys
-
 import pytest
 
 from zsdist import pretrain
-from zsdist.config import CameraConfig
-from zsdist.sim.manifest import OOD_FAMILIES
+from zsdist.errors import ConfigError, DataError, RunError
+from zsdist.pretraining import job
 from zsdist.vision.folder import METADATA_FILE
-
-KEYS = {"best_action_accuracy", "regret", "mae", "miss_rate", "false_alarm_rate"}
-CAMERA = CameraConfig(size_px=64)
 
 
 def command(*arguments):
     return pretrain.main(pretrain.make_parser().parse_args([str(argument) for argument in arguments]))
 
 
-def test_a_few_pictures_make_weights_that_a_check_takes(tmp_path, capsys, monkeypatch):
-    out = tmp_path / "weights"
-    monkeypatch.setattr(sys, "argv", ["pretrain", "--images", "32"])
-    assert command("--images", 32, "--epochs", 2, "--out", out, "--seed", 5) == 0
-    metadata = json.loads((out / METADATA_FILE).read_text())
-    assert metadata["images"] == 32 and metadata["seed"] == 5 and "--images 32" in metadata["command"]
-    assert set(metadata["families"]).isdisjoint(OOD_FAMILIES)
-    assert "epoch   2" in capsys.readouterr().out
-    assert command("--check", "--images", 8, "--set", f"vision.weights={out}") == 0
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [
+        (("--families", "meadow"), "'meadow', which is no family; allowed are street, varied"),
+        (("--families", "street,ood-layout"), "'ood-layout', which is withheld from the training of vision.*test"),
+        (("--stages", "feet"), "'feet'; allowed are words, head, student"),
+        (("--stages", "student"), "student without head"),
+    ],
+)
+def test_families_and_stages_that_cannot_be_are_refused_with_the_reason(wrong, reason, tmp_path):
+    with pytest.raises(ConfigError, match=reason):
+        command("--out", tmp_path / "new", *wrong)
+    assert not (tmp_path / "new").exists()
+
+
+def test_an_empty_folder_of_photographs_is_refused_before_anything_is_made(tmp_path):
+    with pytest.raises(DataError, match=str(tmp_path)):
+        command("--cityscapes", tmp_path, "--out", tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_folder_that_holds_a_pretraining_or_weights_is_left_alone(tmp_path):
+    (tmp_path / METADATA_FILE).write_text("{}")
+    with pytest.raises(RunError, match="finished weights"):
+        command("--images", 16, "--out", tmp_path)
+    (tmp_path / job.JOB_FILE).write_text("{}")
+    with pytest.raises(RunError, match="--resume"):
+        command("--images", 16, "--out", tmp_path)
+
+
+def test_what_cannot_be_resumed_is_said(tmp_path):
+    with pytest.raises(RunError, match="holds no pretraining"):
+        command("--resume", tmp_path)
+    with pytest.raises(ConfigError, match="--images cannot go with --resume"):
+        command("--resume", tmp_path, "--images", 16)
+    (tmp_path / job.JOB_FILE).write_text("{}")
+    with pytest.raises(RunError, match="is damaged"):
+        command("--resume", tmp_path)
+
+
+def test_pictures_for_which_there_is_no_room_are_refused(tmp_path):
+    with pytest.raises(RunError, match="GB are free"):
+        command("--images", 10**10, "--out", tmp_path / "new")
 
 
 @pytest.mark.parametrize("wrong", [("--images", "0"), ("--minutes", "-1"), ("--epochs", "many"), ("--seed", "-1")])

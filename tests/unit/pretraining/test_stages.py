@@ -1,0 +1,25 @@
+import json
+
+from zsdist.pretraining.stages import Budget, strike_out
+
+
+def test_what_a_stage_leaves_of_its_time_is_for_those_after_it():
+    now = [0.0]
+    budget = Budget(100.0, ["pictures", "head", "student"], lambda: now[0])
+    used = budget.begin("pictures")
+    now[0] = 10.0
+    assert 0.18 < used() < 0.20
+    used = budget.begin("head")
+    now[0] = 60.0  # head has 0.25 of 0.45 of the 90 seconds that are left
+    assert abs(used() - 1.0) < 1e-9
+    used = budget.begin("student")
+    now[0] = 100.0
+    assert abs(used() - 1.0) < 1e-9
+
+
+def test_epochs_that_were_broken_off_before_they_were_saved_are_struck_out(tmp_path):
+    history = tmp_path / "training.jsonl"
+    lines = [{"stage": stage, "epoch": epoch} for stage in ("words", "head") for epoch in (1, 2, 3)]
+    history.write_text("".join(json.dumps(line) + "\n" for line in lines) + '{"stage": "he')
+    strike_out(history, "head", 1)
+    assert [json.loads(line) for line in history.read_text().splitlines()] == lines[:4]
