@@ -1,4 +1,8 @@
-"""Training of the small network on pictures, by the truth and by what the trained head says of the same pictures."""
+"""Training of the small network on pictures, by the truth and by what the trained head says of the same pictures.
+
+The head's answers beside the truth made no clear difference where that was measured: 12,000 pictures, ten epochs, one
+seed, best action right in 0.90 and 0.91 of two validation sets with them, in 0.90 and 0.92 without.
+"""
 
 import math
 from collections.abc import Callable
