@@ -28,6 +28,7 @@ _SCENES = 1_000_000  # of a family and split, from which those of a call are dra
 PLACE_HALF_M = 11.0  # places are drawn within plus and minus this
 _NEAR_SHARE = 0.6  # of the poses look at an obstacle from close by; elsewhere most pictures would be empty
 _NEAR_M = (0.9, 4.5)  # from its surface, of the car's centre
+_PYBULLET_SHARE = 0.12  # of the scenes for training are drawn by it: four times as slow, and without textures
 _MOUNT_JITTER_M = 0.15
 _TILT_JITTER_RAD = 0.05
 
@@ -75,8 +76,8 @@ def labelled_views(
         count: of pictures.
         seed: of scenes, places and looks.
         camera: resolution, field of view, mount and range.
-        varied: colours, textures, grounds, mount and picture quality drawn without mercy (for training);
-            else each scene looks as it does when driven through.
+        varied: colours, textures, grounds, renderer, mount and picture quality drawn without mercy (for training);
+            else each scene looks as it does when driven through, drawn by the camera's own back end.
     """
     rng = np.random.default_rng([seed, *split.encode()])
     made = 0
@@ -138,7 +139,9 @@ def free_pose(scene: Scene, rng: np.random.Generator, people: np.ndarray | None 
 def _views_of(
     scene: Scene, count: int, rng: np.random.Generator, config: CameraConfig, varied: bool
 ) -> Iterator[LabelledView]:
-    with contextlib.closing(varied_camera(config, rng) if varied else make_camera(config)) as camera:
+    with contextlib.closing(
+        varied_camera(_any_back_end(config, rng), rng) if varied else make_camera(config)
+    ) as camera:
         for _ in range(count):
             people = people_on_paths(scene, rng)
             pose = free_pose(scene, rng, people)
@@ -149,6 +152,10 @@ def _views_of(
             yield LabelledView(
                 image=image, pose=pose, scene=scene.name, scene_hash=scene.hash(), **label(scene, pose, config, people)
             )
+
+
+def _any_back_end(config: CameraConfig, rng: np.random.Generator) -> CameraConfig:
+    return config.model_copy(update={"back_end": "pybullet" if rng.random() < _PYBULLET_SHARE else "caster"})
 
 
 def varied_camera(config: CameraConfig, rng: np.random.Generator) -> Camera:

@@ -37,6 +37,20 @@ def test_views_have_the_promised_shapes_and_ranges(varied):
         assert view.image.std() > 0
 
 
+def test_varied_views_are_drawn_by_both_renderers(monkeypatch):
+    asked = []
+
+    def camera(config, look):
+        asked.append((config.back_end, config.height_m))
+        return make_camera(config, look)
+
+    monkeypatch.setattr("zsdist.sim.views.make_camera", camera)
+    drawn = views(count=96, seed=8, varied=True)
+    assert {back_end for back_end, _ in asked} == {"caster", "pybullet"}
+    assert len({height for _, height in asked}) == len(asked) == 12
+    assert len(drawn) == 96
+
+
 def test_the_same_arguments_give_the_same_views_and_another_seed_gives_others():
     for varied in (False, True):
         once, again = views(varied=varied), views(varied=varied)

@@ -10,7 +10,7 @@ from zsdist.vision.labels import SECTOR_HALF_RAD
 from zsdist.vision.rays import BINS, RAYS
 
 ACTIONS = 3
-MASK_MARGIN = 2  # token columns of the neighbouring directions that an action's query may also look at
+MASK_MARGIN = 0  # token columns of the neighbouring directions that an action may also look at; 2 blurs I_1 to I_3
 
 
 class Reading(NamedTuple):
@@ -130,6 +130,9 @@ class VisualActHead(nn.Module):
         self.context = nn.Linear(column_width, column_width)
         self.columns = nn.Sequential(Residual1d(column_width), Residual1d(column_width))
         self.ray_bins = nn.Conv1d(column_width, BINS, 1)
+        # by which logits are divided where the head is used; `training.calibration` fits them when it has learned
+        self.register_buffer("clearance_temperature", torch.ones(()))
+        self.register_buffer("rays_temperature", torch.ones(()))
 
     def normalise_to(self, mean: np.ndarray, deviation: np.ndarray) -> None:
         """Sets the mean and standard deviation `(features,)` of the tokens that the head is to expect."""
@@ -153,16 +156,20 @@ class VisualActHead(nn.Module):
 
 
 class Probabilities(nn.Module):
-    """The head as it is used: probabilities instead of logits."""
+    """The head, or the student, as it is used: calibrated probabilities instead of logits."""
 
-    def __init__(self, head: VisualActHead) -> None:
+    def __init__(self, network: nn.Module) -> None:
         super().__init__()
-        self.head = head
+        self.network = network
 
     def forward(self, tokens: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Probabilities of clearance, dynamic and rays, in the shapes of `Reading`."""
-        clearance, dynamic, rays, _ = self.head(tokens)
-        return clearance.softmax(-1), dynamic.sigmoid(), rays.softmax(-1)
+        clearance, dynamic, rays, _ = self.network(tokens)
+        return (
+            (clearance / self.network.clearance_temperature).softmax(-1),
+            dynamic.sigmoid(),
+            (rays / self.network.rays_temperature).softmax(-1),
+        )
 
 
 def _allowed(side: int, field_of_view_rad: float) -> Tensor:

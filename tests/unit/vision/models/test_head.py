@@ -1,7 +1,7 @@
 import numpy as np
 import torch
 
-from zsdist.vision.models.head import VisualActHead, attention
+from zsdist.vision.models.head import Probabilities, VisualActHead, attention
 from zsdist.vision.rays import BINS, RAYS
 
 FEATURES, SIDE = 8, 14
@@ -69,3 +69,17 @@ def test_the_scale_of_the_tokens_is_taken_out():
     scaled.normalise_to(np.full(FEATURES, 5.0, np.float32), np.full(FEATURES, 3.0, np.float32))
     with torch.no_grad():
         np.testing.assert_allclose(scaled(tokens() * 3 + 5)[0], plain(tokens())[0], atol=1e-4)
+
+
+def test_a_temperature_sharpens_or_widens_what_is_said_and_leaves_the_logits():
+    network = head()
+    with torch.no_grad():
+        plain, before = Probabilities(network)(tokens()), network(tokens())
+        network.clearance_temperature.fill_(4.0)
+        network.rays_temperature.fill_(0.25)
+        fitted, after = Probabilities(network)(tokens()), network(tokens())
+    assert fitted[0].max(-1).values.mean() < plain[0].max(-1).values.mean()
+    assert fitted[2].max(-1).values.mean() > plain[2].max(-1).values.mean()
+    for part in (*plain[::2], *fitted[::2]):
+        np.testing.assert_allclose(part.sum(-1), 1.0, rtol=1e-5)
+    assert torch.equal(plain[1], fitted[1]) and torch.equal(before.rays, after.rays)

@@ -1,0 +1,44 @@
+"""Calibration of a trained network: one temperature makes its distributions of distance as wide as its errors are."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from zsdist.vision.rays import RANGE_M, quantile_m
+from zsdist.vision.scores import calibration
+
+SHARE = 0.1  # of the quantile under which the truth is to lie as often
+TEMPERATURES = np.geomspace(0.125, 8.0, 61)  # allowed, 7% apart
+
+
+def fit(logits: Tensor, true_m: np.ndarray) -> float:
+    """The temperature by which logits are to be divided so that the truth lies under the low quantile as it should.
+
+    Of `TEMPERATURES` the one whose share of truths under the quantile `SHARE` is the nearest to `SHARE`, counted where
+    that quantile is short of the range: where it is free, nothing can lie under it. The most likely temperature is
+    another one: it looks at the whole distribution, and labels that are wider than their bin, and the middle of the
+    distribution, count for more than its near end, which is what the map is built of.
+
+    Args:
+        logits: `(..., BINS)`, before any temperature, of pictures on which the network was not trained.
+        true_m: `(...)` true distances in metres.
+
+    Raises:
+        ValueError: the shapes do not fit, or there is nothing to fit to.
+    """
+    if tuple(logits.shape[:-1]) != np.shape(true_m) or not np.size(true_m):
+        raise ValueError(
+            f"logits are {tuple(logits.shape)} and distances {np.shape(true_m)}; "
+            "allowed are (..., BINS) and (...), and not empty"
+        )
+    logits, capped_m = logits.detach(), np.minimum(true_m, RANGE_M)
+
+    def error(temperature: float) -> float:
+        probabilities = torch.softmax(logits / temperature, -1).numpy()
+        below = calibration(quantile_m(probabilities, SHARE), capped_m, RANGE_M)["short"]
+        return abs(below - SHARE) if np.isfinite(below) else np.inf
+
+    errors = [error(temperature) for temperature in TEMPERATURES]
+    if not np.isfinite(errors).any():
+        raise ValueError("distances cannot be calibrated: every quantile is free; allowed are pictures with obstacles")
+    return float(TEMPERATURES[int(np.argmin(errors))])
