@@ -148,7 +148,8 @@ def _sets(sets: dict[str, Readings]) -> list[str]:
         "",
         "Each differs from what the head was trained on in one way. Miss: of the rays with an obstacle nearer than "
         "1.5 m, those said to be beyond 2.5 m. False alarm: of those free for 3.5 m, said to be under 2 m. "
-        "Calibration: the truth under the 10% quantile, over rays whose quantile is short of the range; it should be 0.100.",
+        "Calibration: the truth under the 10% quantile, over rays whose quantile is short of the range; it should be "
+        "0.100.",
         "",
         *table(["set", *(key.replace("_", " ") for key in SET_FIGURES)], rows),
     ]
