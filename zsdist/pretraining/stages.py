@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import safetensors.torch
+import torch
 from torch import nn
 
 from zsdist.pretraining.calibrating import calibrate
@@ -22,6 +23,7 @@ from zsdist.pretraining.job import Job, replace
 from zsdist.pretraining.pictures import Pictures
 from zsdist.pretraining.progress import Watch
 from zsdist.vision.encoders.base import Encoder
+from zsdist.vision.encoders.minilm import MiniLm
 from zsdist.vision.folder import HEAD_FILE, HISTORY_FILE, PROJECTION_FILE, STUDENT_FILE, VOCABULARY_FILE
 from zsdist.vision.training import head as of_head
 from zsdist.vision.training import projection as of_words
@@ -107,9 +109,15 @@ class Stages:
         return files
 
     def words(self) -> tuple[nn.Module, dict[str, bytes]]:
-        """The projection to the space of words, and the files that it and the vocabulary make."""
-        words = shipped_words()
-        vocabulary = Vocabulary(words, self._encoder.embed_texts(words), self._encoder.sha256)
+        """The projection to the space of words, which an encoder may bring, and the files of it and the vocabulary."""
+        words, native = shipped_words(), self._encoder.native_projection()
+        tower_sha256 = MiniLm().sha256 if native is None else self._encoder.sha256
+        vocabulary = Vocabulary(words, self._encoder.embed_texts(words), tower_sha256)
+        if native is not None:
+            self._watch.say("words: the encoder brings its own projection, which is not trained")
+            projection = nn.Linear(*native["weight"].shape[::-1])
+            projection.load_state_dict({name: torch.from_numpy(value) for name, value in native.items()})
+            return projection, {VOCABULARY_FILE: vocabulary.to_bytes()}
         examples = self._pictures.described()
         projection = of_words.new_projection(examples, self._job.seed)
 
@@ -167,6 +175,8 @@ def strike_out(history: Path, stage: str, epoch: int) -> None:
 def best_epochs(history: Path) -> dict[str, dict[str, float]]:
     """Of each stage in a history the figures of the epoch whose weights were kept."""
     best: dict[str, dict[str, float]] = {}
+    if not history.exists():
+        return best
     for line in map(json.loads, history.read_text().splitlines()):
         stage = line.pop("stage")
         if stage not in best or line["validation_loss"] < best[stage]["validation_loss"]:

@@ -44,7 +44,8 @@ class MiniLm:
             raise WeightsError(f"tokenizer {folder / 'tokenizer.json'} is damaged: {error}") from error
         self._tokenizer.enable_truncation(MAX_TOKENS)
         self._tokenizer.enable_padding(pad_id=0)
-        self._session = cached_session(f"minilm-{file_sha256(weights)[:16]}", lambda out: _build(folder, out))
+        self.sha256 = file_sha256(weights)
+        self._session = cached_session(f"minilm-{self.sha256[:16]}", lambda out: _build(folder, out))
 
     def embed(self, texts: Sequence[str]) -> np.ndarray:
         """Embeddings `(N, 384)` float32 of unit length; raises `ValueError` where `texts` are no list of texts."""
