@@ -127,18 +127,18 @@ class Pictures:
 
     def examples(self) -> "Examples":
         """What head and student learn from."""
-        return self._examples(self._rows("act", "act-tiny"))
+        return self._examples(self._rows("act"))
 
     def validation(self) -> "Examples":
         """By which is decided when to stop; pictures of scenes that are trained on as well are left out."""
-        kept = self._new_scenes("validation", "act", "act-tiny")
+        kept = self._new_scenes("validation", "act")
         return self._examples({name: rows[kept] for name, rows in self._rows("validation").items()})
 
     def counts(self) -> dict[str, int]:
         """Of what was trained on: pictures and different scenes for the head, masked and described pictures."""
         found = {}
-        if self._of("act", "act-tiny"):
-            scene = self._rows("act", "act-tiny")["scene"]
+        if self._of("act"):
+            scene = self._rows("act")["scene"]
             found |= {"images": len(scene), "scenes": len(np.unique(scene))}
         for source, name in (("masked", "original"), ("described", "scene")):
             if self._of(source):

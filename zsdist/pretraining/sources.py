@@ -1,6 +1,6 @@
 """The kinds of pictures that a pretraining needs, and how a shard of each is rendered and encoded.
 
-* `act`, `act-tiny`: what the head and the student learn from, drawn by the caster and some by the slow reference;
+* `act`: what the head and the student learn from;
 * `validation`: the same from other scenes, by which is decided when to stop;
 * `masked`: pictures and their masked versions, for the contrast;
 * `described`, `described-validation`: pictures with words, for the projection alone; the head never sees such scenes.
@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from zsdist.config import CameraConfig
 from zsdist.pretraining.batches import BATCH, batched
 from zsdist.pretraining.job import PURPOSE, Job
 from zsdist.sim.described import DescribedView, described_views
@@ -29,7 +28,6 @@ from zsdist.vision.encoders.base import Encoder, resample
 from zsdist.vision.masks import MaskedView, hide
 
 STUDENT_PX = 128  # side of the pictures that are kept for the student
-TINY_SHARE = 0.1  # of the pictures to train on, from the other renderer
 VALIDATION_SHARE = 0.08
 CITY_VALIDATION_SHARE = 0.17  # there are 2,975 photographs to train on, and 500 others
 MASKED_SHARE = 0.07
@@ -88,10 +86,8 @@ def sources(job: Job) -> dict[str, Source]:
 
 
 def _rendered(job: Job) -> dict[str, Source]:
-    tiny = round(TINY_SHARE * job.images)
     return {
-        "act": Source(job.images - tiny, SHARD, _act),
-        "act-tiny": Source(tiny, SHARD // 4, _act_tiny),
+        "act": Source(job.images, SHARD, _act),
         "validation": Source(_share(VALIDATION_SHARE, job.images), SHARD, _act),
         "masked": Source(_share(MASKED_SHARE, job.images), MASKED_SHARD, _masked),
     }
@@ -130,15 +126,9 @@ def make(job: Job, shard: Shard, encoder: Encoder) -> Arrays:
 
 
 def _act(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
-    return _encode_act(_views(job, shard, seed, job.config.camera), encoder)
-
-
-def _act_tiny(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
-    return _encode_act(_views(job, shard, seed, job.config.camera.model_copy(update={"back_end": "pybullet"})), encoder)
-
-
-def _views(job: Job, shard: Shard, seed: int, camera: CameraConfig) -> Iterator[LabelledView]:
-    return labelled_views(list(job.families), PURPOSE.split, shard.count, seed, camera, varied=True)
+    camera = job.config.camera
+    views = labelled_views(list(job.families), PURPOSE.split, shard.count, seed, camera, varied=True)
+    return _encode_act(views, encoder)
 
 
 def _city_act(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
