@@ -131,8 +131,11 @@ class Pictures:
 
     def validation(self) -> "Examples":
         """By which is decided when to stop; pictures of scenes that are trained on as well are left out."""
-        kept = self._new_scenes("validation", "act")
-        return self._examples({name: rows[kept] for name, rows in self._rows("validation").items()})
+        return self._untrained("validation")
+
+    def calibration(self) -> "Examples":
+        """To which the widths of distributions are fitted; no scene is trained on."""
+        return self._untrained("calibration")
 
     def counts(self) -> dict[str, int]:
         """Of what was trained on: pictures and different scenes for the head, masked and described pictures."""
@@ -188,6 +191,10 @@ class Pictures:
         if not kept.any():
             raise RunError(f"no picture of {source!r} is of a scene that is not trained on; allowed are more --images")
         return kept
+
+    def _untrained(self, source: str) -> "Examples":
+        kept = self._new_scenes(source, "act")
+        return self._examples({name: rows[kept] for name, rows in self._rows(source).items()})
 
     def _examples(self, rows: "dict[str, Rows] | dict[str, np.ndarray]") -> "Examples":
         from zsdist.vision.training.examples import Examples

@@ -2,6 +2,7 @@
 
 * `act`: what the head and the student learn from;
 * `validation`: the same from other scenes, by which is decided when to stop;
+* `calibration`: the same as it looks when driven through, by both renderers, to which the distributions are fitted;
 * `masked`: pictures and their masked versions, for the contrast;
 * `described`, `described-validation`: pictures with words, for the projection alone; the head never sees such scenes.
 """
@@ -26,12 +27,14 @@ from zsdist.vision.cityscapes.files import frames
 from zsdist.vision.cityscapes.views import CityView, cityscapes_masked_views, cityscapes_views
 from zsdist.vision.encoders.base import Encoder, resample
 from zsdist.vision.masks import MaskedView, hide
+from zsdist.vision.models import STUDENT_PX
 
-STUDENT_PX = 128  # side of the pictures that are kept for the student
 VALIDATION_SHARE = 0.08
+CALIBRATION_SHARE = 0.04
 CITY_VALIDATION_SHARE = 0.17  # there are 2,975 photographs to train on, and 500 others
 MASKED_SHARE = 0.07
 DESCRIBED_SHARE = 0.2
+BACK_ENDS = ("caster", "pybullet")
 SHARD = 512  # pictures; the scenes of two families come out even
 MASKED_SHARD = 64  # each with about nine masks
 _MASKS = 9  # of a picture, about: for what is said before the start
@@ -89,6 +92,7 @@ def _rendered(job: Job) -> dict[str, Source]:
     return {
         "act": Source(job.images, SHARD, _act),
         "validation": Source(_share(VALIDATION_SHARE, job.images), SHARD, _act),
+        "calibration": Source(_share(CALIBRATION_SHARE, job.images), SHARD // 4, _calibration),
         "masked": Source(_share(MASKED_SHARE, job.images), MASKED_SHARD, _masked),
     }
 
@@ -99,6 +103,7 @@ def _photographs(job: Job) -> dict[str, Source]:
     return {
         "act": Source(min(job.images, there), SHARD // 4, _city_act),
         "validation": Source(min(_share(CITY_VALIDATION_SHARE, job.images), others), SHARD // 4, _city_validation),
+        "calibration": Source(min(_share(CITY_VALIDATION_SHARE, job.images), others), SHARD // 4, _city_validation),
         "masked": Source(min(_share(MASKED_SHARE, job.images), there), MASKED_SHARD, _city_masked),
     }
 
@@ -129,6 +134,11 @@ def _act(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
     camera = job.config.camera
     views = labelled_views(list(job.families), PURPOSE.split, shard.count, seed, camera, varied=True)
     return _encode_act(views, encoder)
+
+
+def _calibration(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
+    camera = job.config.camera.model_copy(update={"back_end": BACK_ENDS[shard.index % len(BACK_ENDS)]})
+    return _encode_act(labelled_views(list(job.families), PURPOSE.split, shard.count, seed, camera), encoder)
 
 
 def _city_act(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:

@@ -32,8 +32,8 @@ from zsdist.vision.training.contrast import Contrast
 from zsdist.vision.training.trainer import Recipe, Trainer
 from zsdist.vision.words.vocabulary import Vocabulary, shipped_words
 
-TIME_SHARES = {"pictures": 0.5, "words": 0.05, "head": 0.25, "student": 0.2}
-RECIPES = {"words": of_words.WordRecipe(), "head": Recipe(epochs=24), "student": Recipe(epochs=24)}
+TIME_SHARES = {"pictures": 0.4, "words": 0.05, "head": 0.25, "student": 0.3}
+RECIPES = {"words": of_words.WordRecipe(), "head": Recipe(epochs=12), "student": Recipe(epochs=20, batch=32)}
 
 
 class Budget:
@@ -93,7 +93,7 @@ class Stages:
                 contrast = None if projection is None else Contrast(projection, *self._pictures.masked())
                 return of_head.train(head, examples, validation, recipe, rng, time_used, contrast)
 
-            self._train("head", head, train_head, lambda: calibrate(head, validation))
+            self._train("head", head, train_head, lambda: calibrate(head, self._pictures.calibration()))
             files[HEAD_FILE] = safetensors.torch.save(head.state_dict())
         if "student" in self._job.stages:
             student = of_student.new_student(self._field_of_view_rad, self._job.seed)
@@ -102,9 +102,8 @@ class Stages:
                 lesson = of_student.teach(head, examples)
                 return of_student.train(student, examples, validation, recipe, rng, time_used, lesson)
 
-            self._train(
-                "student", student, train_student, lambda: calibrate(student, of_student.of_pictures(validation))
-            )
+            pictures = of_student.of_pictures(self._pictures.calibration())
+            self._train("student", student, train_student, lambda: calibrate(student, pictures))
             files[STUDENT_FILE] = safetensors.torch.save(student.state_dict())
         return files
 
