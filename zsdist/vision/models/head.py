@@ -20,7 +20,7 @@ class Reading(NamedTuple):
         clearance: `(B, 3, BINS)` logits of the distance to the nearest obstacle.
         dynamic: `(B, 3)` logits of that obstacle being of a kind that moves.
         rays: `(B, RAYS, BINS)` logits of the distance along each ray.
-        attention: `(B, 3, side * side)` where each action looked, the mean over the heads; each sums to 1.
+        attention: `(B, 3, side * side)` where each action looked, the gaze of `ActionAttention`; each sums to 1.
     """
 
     clearance: Tensor
@@ -51,6 +51,9 @@ class ActionAttention(nn.Module):
 
     A query is masked to the token columns of its action's direction and a margin, so that what stands on the left
     cannot be taken for what stands on the right.
+
+    One head more, the gaze, has queries and keys of the whole width. It alone is trained by the contrast and the
+    attention error, and its weights make I_1 to I_3; the others may look at the ground, by which distance is told.
     """
 
     def __init__(self, features: int, side: int, heads: int, field_of_view_rad: float) -> None:
@@ -59,21 +62,25 @@ class ActionAttention(nn.Module):
         self.positions = nn.Parameter(0.02 * torch.randn(side * side, features))
         self.queries = nn.Parameter(features**-0.5 * torch.randn(ACTIONS, features))
         self.keys_values = nn.Linear(features, 2 * features)
+        self.gaze = nn.Parameter(features**-0.5 * torch.randn(ACTIONS, features))
+        self.gaze_keys = nn.Linear(features, features)
         self.register_buffer("allowed", _allowed(side, field_of_view_rad), persistent=False)
 
     def forward(self, tokens: Tensor) -> tuple[Tensor, Tensor]:
-        """Features of each action `(B, 3, features)` and where it looked `(B, 3, side * side)`, the mean of the heads.
+        """Features of each action `(B, 3, 2 * features)` and where it gazed `(B, 3, side * side)`.
 
         Args:
             tokens: `(B, side * side, features)`.
         """
         batch, count, features = tokens.shape
-        keys, values = self.keys_values(tokens + self.positions).chunk(2, -1)
+        placed = tokens + self.positions
+        keys, values = self.keys_values(placed).chunk(2, -1)
+        gazed, gaze = attention(self.gaze, self.gaze_keys(placed), values, self.allowed)
         keys = keys.reshape(batch, count, self.heads, -1).transpose(1, 2)
         values = values.reshape(batch, count, self.heads, -1).transpose(1, 2)
         queries = self.queries.reshape(ACTIONS, self.heads, -1).transpose(0, 1)
-        mixed, weights = attention(queries, keys, values, self.allowed)
-        return mixed.transpose(1, 2).reshape(batch, ACTIONS, features), weights.mean(1)
+        mixed, _ = attention(queries, keys, values, self.allowed)
+        return torch.cat([mixed.transpose(1, 2).reshape(batch, ACTIONS, features), gazed], -1), gaze
 
 
 class Residual1d(nn.Module):
@@ -121,7 +128,7 @@ class VisualActHead(nn.Module):
         self.attention = ActionAttention(width, side, heads, field_of_view_rad)
         # the action-specific networks O_a: clearance over the distance bins, and one more for "dynamic"
         self.action_networks = nn.ModuleList(
-            nn.Sequential(nn.Linear(2 * width, width), nn.ReLU(), nn.Linear(width, BINS + 1)) for _ in range(ACTIONS)
+            nn.Sequential(nn.Linear(3 * width, width), nn.ReLU(), nn.Linear(width, BINS + 1)) for _ in range(ACTIONS)
         )
         # a column keeps its width: its tokens, top to bottom, become its features
         self.fold = nn.Linear(side * width, column_width)

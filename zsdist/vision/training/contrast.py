@@ -12,10 +12,12 @@ from zsdist.vision.masks import BACKGROUND_WEIGHT, MaskedExamples, MaskedView, c
 from zsdist.vision.models.head import ACTIONS, VisualActHead
 from zsdist.vision.models.projection import Projection, attended_embeddings
 from zsdist.vision.training.examples import Examples
-from zsdist.vision.training.losses import Form, contrastive_loss
+from zsdist.vision.training.losses import Form, attention_error, contrastive_loss
 
 BATCH = 32  # originals a step, each with all its masked pictures
-EMPTY_WEIGHT = 1.0  # of actions in whose way nothing stands, `losses.contrastive_loss`
+ATTENTION_WEIGHT = 5.0  # of the attention error beside L_c
+_SKY_SHARE = 0.3  # of the uppermost row that a background must cover to be the sky
+_UNTOUCHED, _TOUCHED = 0.27, 0.93  # of the greatest change of a token: not hidden, and hidden
 _AT_ONCE = 256  # pictures projected at a time
 
 
@@ -42,6 +44,7 @@ class Contrast:
         self._form, self._batch = form, batch
         self._whole = self._embed(originals.tokens)
         self._parts = self._embed(masked.tokens)
+        self._covers = covers(originals.tokens, masked)
         self._with_masks, counts = np.unique(masked.image, return_counts=True)
         # row k: the masked pictures of the k-th original that has some, filled up with -1
         self._rows = np.full((len(counts), counts.max(initial=0)), -1)
@@ -50,7 +53,7 @@ class Contrast:
             row[:count] = order[start : start + count]
 
     def loss(self, head: VisualActHead, rng: np.random.Generator) -> torch.Tensor:
-        """L_c of a batch of originals, drawn with new goals; a half of them mirrored. A scalar with a gradient."""
+        """L_c and the attention error of a batch of originals with new goals; a half of them mirrored. A scalar."""
         chosen = rng.choice(len(self._rows), min(self._batch, len(self._rows)), replace=False)
         images, rows = self._with_masks[chosen], self._rows[chosen]
         positive, present = self.samples(images, rows, *random_goals(len(images), rng))
@@ -61,10 +64,16 @@ class Contrast:
         tokens, positive = torch.from_numpy(tokens), torch.from_numpy(positive)
         with torch.no_grad():
             projected = self._projection(tokens)
-        anchors = attended_embeddings(projected, head(tokens).attention)
+        attention = head(tokens).attention
+        anchors = attended_embeddings(projected, attention)
         negative = ~positive & torch.from_numpy(present)[:, None]
         weight = np.where(self._masked.background[rows], BACKGROUND_WEIGHT, 1.0).astype(np.float32)
-        return contrastive_loss(
+        cover = self._covers[rows].astype(np.float32) * present[..., None]
+        cover = cover.reshape(*cover.shape[:2], *tokens.shape[1:3])
+        cover[mirrored] = cover[mirrored][..., ::-1]
+        wanted, unwanted = where_to_look(cover, positive.numpy(), self._masked.background[rows] & present)
+        error = attention_error(attention, torch.from_numpy(wanted), torch.from_numpy(unwanted))
+        return ATTENTION_WEIGHT * error + contrastive_loss(
             anchors,
             self._whole[torch.from_numpy(images)],
             self._parts[torch.from_numpy(rows)],
@@ -72,7 +81,6 @@ class Contrast:
             negative,
             torch.from_numpy(weight),
             self._form,
-            empty_weight=EMPTY_WEIGHT,
         )
 
     def samples(
@@ -110,6 +118,50 @@ class Contrast:
                 batch = torch.from_numpy(tokens[start : start + _AT_ONCE].astype(np.float32))
                 parts.append(self._projection(batch).mean((1, 2)))
         return torch.cat(parts)
+
+
+def covers(tokens: np.ndarray, masked: MaskedExamples) -> np.ndarray:
+    """How far each token shows what a mask hides, `(M, side * side)` float16 in 0 to 1: by how much hiding changes it.
+
+    Args:
+        tokens: `(N, side, side, F)` of the originals.
+        masked: of them.
+    """
+    scale = 1 / np.maximum(np.asarray(tokens[:256], np.float32).std((0, 1, 2)), 1e-6)
+    found = np.empty((len(masked.tokens), tokens.shape[1] * tokens.shape[2]), np.float16)
+    for start in range(0, len(found), _AT_ONCE):
+        rows = slice(start, start + _AT_ONCE)
+        whole = tokens[masked.image[rows]].astype(np.float32)
+        change = (((masked.tokens[rows].astype(np.float32) - whole) * scale) ** 2).mean(-1) ** 0.5
+        change = change.reshape(len(change), -1)
+        share = change / np.maximum(change.max(1, keepdims=True), 1e-6)
+        found[rows] = np.clip((share - _UNTOUCHED) / (_TOUCHED - _UNTOUCHED), 0, 1)
+    return found
+
+
+def where_to_look(cover: np.ndarray, positive: np.ndarray, background: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where each action should look, `(B, 3, T)`, and where none should, `(B, T)`, both 0 to 1.
+
+    An action looks at what changes its reward; where nothing does, at the sky, which is like no obstacle and no ground.
+    None looks at ground with nothing on it.
+
+    Args:
+        cover: `(B, M, side, side)` of each mask.
+        positive: `(B, 3, M)`, for which actions a mask is a positive sample.
+        background: `(B, M)`.
+    """
+    sky = background & (cover[:, :, 0].mean(-1) > _SKY_SHARE)
+    below = np.arange(cover.shape[2]) >= cover.shape[2] // 2
+    flat = cover.reshape(*cover.shape[:2], -1)
+
+    def together(chosen: np.ndarray) -> np.ndarray:
+        return (flat * chosen[..., None]).max(-2, initial=0.0)
+
+    objects = together(~background)
+    ground = np.clip(together(background & ~sky) - objects, 0, 1) * below.repeat(cover.shape[3])
+    things = np.stack([together(positive[:, action]) for action in range(ACTIONS)], 1)
+    nothing = ~positive.any(-1, keepdims=True)
+    return np.where(nothing, np.clip(together(sky) - objects, 0, 1)[:, None], things), ground
 
 
 def encode(

@@ -8,7 +8,8 @@ from zsdist.vision.masks import Mask, MaskedExamples, MaskedView
 from zsdist.vision.models.head import VisualActHead
 from zsdist.vision.models.projection import Projection
 from zsdist.vision.rays import RANGE_M, RAYS, ray_angles_rad
-from zsdist.vision.training.contrast import Contrast, encode
+from zsdist.vision.training import contrast as module
+from zsdist.vision.training.contrast import Contrast, covers, encode, where_to_look
 from zsdist.vision.training.examples import Examples
 
 SIDE, FEATURES = 8, 6
@@ -76,7 +77,8 @@ def trained_share(form):
     return before, share_on_things(head, originals)
 
 
-def test_the_difference_form_draws_attention_to_what_stands_in_the_way_and_the_literal_one_less():
+def test_the_difference_form_draws_attention_to_what_stands_in_the_way_and_the_literal_one_less(monkeypatch):
+    monkeypatch.setattr(module, "ATTENTION_WEIGHT", 0.0)
     before, after = trained_share("difference")
     assert after > 2 * before and after > 1.5 * trained_share("literal")[1]
 
@@ -85,7 +87,7 @@ def test_the_projection_is_not_trained():
     projection, head = Projection(FEATURES, 10), new_head()
     Contrast(projection, *world()).loss(head, np.random.default_rng(0)).backward()
     assert all(parameter.grad is None for parameter in projection.parameters())
-    assert head.attention.queries.grad.abs().sum() > 0
+    assert head.attention.gaze.grad.abs().sum() > 0
 
 
 def test_a_thing_is_a_positive_sample_for_its_direction_and_the_ground_for_none():
@@ -103,6 +105,30 @@ def test_the_loss_follows_its_random_numbers():
     contrast, head = Contrast(Projection(FEATURES, 10), *world(), batch=8), new_head()
     first, again, other = (float(contrast.loss(head, np.random.default_rng(seed)).detach()) for seed in (0, 0, 1))
     assert first == again != other
+
+
+def test_a_token_is_covered_by_the_mask_that_changed_it():
+    originals, masked = world()
+    found = covers(originals.tokens, masked).reshape(-1, SIDE, SIDE)
+    grounds = found[masked.background]
+    assert grounds[:, 5:].min() > 0.2 and grounds[:, :5].max() == 0.0
+    things = found[~masked.background]
+    assert (things[:, :2] == 0).all() and (things[:, 5:] == 0).all() and (things.max((1, 2)) == 1.0).all()
+
+
+def test_actions_look_at_what_is_in_their_way_or_else_at_the_sky_and_never_at_bare_ground():
+    side = 4
+    cover = np.zeros((1, 3, side, side), np.float32)
+    cover[0, 0, 1:3, 1] = 1.0  # a thing that stands on the ground
+    cover[0, 1, 2:] = 1.0  # the ground
+    cover[0, 2, :2] = 1.0  # the sky
+    positive = np.zeros((1, 3, 3), bool)
+    positive[0, 1, 0] = True  # the thing is in the way of the second action
+    wanted, unwanted = where_to_look(cover, positive, np.array([[False, True, True]]))
+    wanted, unwanted = wanted.reshape(3, side, side), unwanted.reshape(side, side)
+    assert (wanted[1] == cover[0, 0]).all()
+    assert wanted[0, 0].all() and wanted[0, 1, 1] == 0.0 and (wanted[0] == wanted[2]).all()
+    assert unwanted[3].all() and unwanted[2, 1] == 0.0 and not unwanted[:2].any()
 
 
 class Means:

@@ -5,7 +5,14 @@ import pytest
 import torch
 
 from zsdist.vision.rays import soft_labels
-from zsdist.vision.training.losses import action_losses, contrastive_loss, distance_loss, kind_loss, total_loss
+from zsdist.vision.training.losses import (
+    action_losses,
+    attention_error,
+    contrastive_loss,
+    distance_loss,
+    kind_loss,
+    total_loss,
+)
 
 
 def logits_of(distance):
@@ -124,3 +131,17 @@ def test_an_action_in_whose_way_nothing_stands_can_be_kept_from_what_is_hidden()
 
     assert at(5, 1.0) > at(90, 1.0) > at(180, 1.0)
     assert at(5, 0.0) == at(90, 0.0) == 0
+
+
+def test_the_attention_error_is_small_on_what_is_wanted_and_grows_with_what_is_on_the_unwanted():
+    wanted = torch.zeros(1, 3, 4)
+    wanted[0, 0, 1] = 1.0  # the two other actions want nothing
+    unwanted = torch.tensor([[0.0, 0.0, 0.0, 1.0]])
+
+    def error(first, others):
+        return float(attention_error(torch.tensor([[first, others, others]]), wanted, unwanted))
+
+    elsewhere = [1.0, 0.0, 0.0, 0.0]
+    assert error([0.0, 1.0, 0.0, 0.0], elsewhere) == pytest.approx(0.0, abs=1e-6)
+    assert error([0.5, 0.5, 0.0, 0.0], elsewhere) == pytest.approx(math.log(2), abs=1e-5)
+    assert error([0.0, 1.0, 0.0, 0.0], [0.5, 0.0, 0.0, 0.5]) == pytest.approx(2 / 3 * math.log(2), abs=1e-5)
