@@ -16,6 +16,7 @@ from zsdist.sim import collision, families, raycast
 from zsdist.sim.kinds import KINDS
 from zsdist.types import Action, Pose, View
 from zsdist.vision import labels, rays
+from zsdist.vision.visual_act import Reading
 
 CENTIMETRES = 100
 SAMPLES = 9  # poses along a move that are tested for contact
@@ -77,13 +78,20 @@ class LatticeEnv:
     def close(self):
         pass
 
+    def picture(self, pose=None):
+        return self._image(self.grid.pose(self.state) if pose is None else pose)
+
     def _touches(self, x_m, y_m, heading_rad):
         return collision.touching(
             Pose(x_m, y_m, heading_rad), self._circles, self._boxes, arena_m=self.config.grid.arena_m
         )
 
     def _observe(self):
-        pose, camera = self.grid.pose(self.state), self.config.camera
+        pose = self.grid.pose(self.state)
+        return {"image": self._image(pose), "pose": np.array(pose), "goal": np.array(self.scene.goal, float)}
+
+    def _image(self, pose):
+        camera = self.config.camera
         distances, hits = raycast.ray_distances(
             self._circles,
             self._boxes,
@@ -95,8 +103,7 @@ class LatticeEnv:
         )
         hundredths = np.round(distances * CENTIMETRES).astype(int)
         dynamic = np.where(hits >= 0, self._dynamic[hits], False)
-        image = np.stack([hundredths // 256, hundredths % 256, dynamic], axis=1).astype(np.uint8)[None]
-        return {"image": image, "pose": np.array(pose), "goal": np.array(self.scene.goal, float)}
+        return np.stack([hundredths // 256, hundredths % 256, dynamic], axis=1).astype(np.uint8)[None]
 
     def _about(self):
         ends = [successor(self.state, action) for action in Action]
@@ -120,12 +127,24 @@ class FakeVisualAct:
         self._angles = rays.ray_angles_rad(rays.RAYS, math.pi / 2)
 
     def __call__(self, images, goal_bearing_rad, goal_distance_m):
+        return self.views(self.read(images), goal_bearing_rad, goal_distance_m)
+
+    def read(self, images):
+        distances = np.array([self._distances(image[0]) for image in images])
+        clearance, dynamic = labels.nearest(distances, images[:, 0, :, 2] > 0, self._angles)
+        return Reading(rays.soft_labels(clearance), dynamic.astype(np.float32), rays.soft_labels(distances))
+
+    def views(self, reading, goal_bearing_rad, goal_distance_m):
+        clearance_m = rays.quantile_m(reading.clearance, 0.5)
+        bearing, distance = np.asarray(goal_bearing_rad, float), np.asarray(goal_distance_m, float)
+        room = labels.openness(clearance_m, reading.dynamic, distance[:, None])
+        advice = labels.reward_label(room, labels.progress(bearing, distance)).astype(np.float32)
         return [
-            self._view(image[0], float(bearing), float(distance))
-            for image, bearing, distance in zip(images, goal_bearing_rad, goal_distance_m, strict=True)
+            View(advice[i], clearance_m[i], reading.dynamic[i], reading.rays[i], self._angles, rays.BIN_EDGES_M)
+            for i in range(len(advice))
         ]
 
-    def _view(self, row, goal_bearing_rad, goal_distance_m):
+    def _distances(self, row):
         distances = (row[:, 0].astype(float) * 256 + row[:, 1]) / CENTIMETRES
         if self._noise:
             free = distances >= rays.RANGE_M
@@ -133,15 +152,4 @@ class FakeVisualAct:
             distances[free] = rays.RANGE_M
         if self._misses:
             distances[self._rng.random(len(row)) < self._misses] = rays.RANGE_M
-        clearance, dynamic = labels.nearest(distances, row[:, 2] > 0, self._angles)
-        dynamic = dynamic.astype(np.float32)
-        room = labels.openness(clearance, dynamic, np.float64(goal_distance_m))
-        ahead = labels.progress(np.float64(goal_bearing_rad), np.float64(goal_distance_m))
-        return View(
-            advice=labels.reward_label(room, ahead).astype(np.float32),
-            clearance_m=clearance,
-            dynamic=dynamic,
-            ray_probabilities=rays.soft_labels(distances),
-            ray_angles_rad=self._angles,
-            bin_edges_m=rays.BIN_EDGES_M,
-        )
+        return distances

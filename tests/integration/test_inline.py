@@ -4,6 +4,7 @@ from rehearsal import Tap, episodes, rehearse, resume, start
 from zsdist.dqn import network
 from zsdist.run.checkpoint import load_policy
 from zsdist.types import Level
+from zsdist.vision.reading_cache import SET_BYTES
 from zsdist.wire.messages import Ack, Candidate, Jobs, Orders, Push, Records, WeightsMessage
 
 pytestmark = pytest.mark.integration
@@ -23,6 +24,21 @@ def test_two_runs_with_one_seed_end_in_equal_weights(run, tmp_path):
     assert again["transitions"] == summary["transitions"]
     other = rehearse(start(tmp_path / "three", "seed=1", "run.episodes=4"))
     assert other["weights"]["sha256"] != summary["weights"]["sha256"]
+
+
+def test_what_the_cache_holds_changes_how_often_actors_look_and_nothing_else(run, tmp_path):
+    _, summary, said = run
+    tap = Tap()
+    small = rehearse(start(tmp_path / "small", f"vision.cache_bytes={SET_BYTES}"), watch=tap)
+    assert small["weights"]["sha256"] == summary["weights"]["sha256"]
+    last, last_of_small = (
+        {one["id"]: one for one in every["stats"] if one["role"] == "actor"} for every in (said, tap.by_kind())
+    )
+    for identifier, fields in last.items():
+        looks = fields["cache_hits"] + fields["cache_misses"]
+        assert looks == fields["env_steps"] + fields["started_episodes"]  # one more, of each episode's last state
+        assert fields["cache_bypasses"] == 0  # these cars stand on the lattice
+        assert fields["cache_hits"] > last_of_small[identifier]["cache_hits"] >= 0
 
 
 def test_the_books_balance_and_every_lease_is_finished_once(run):

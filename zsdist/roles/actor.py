@@ -1,6 +1,6 @@
 """The actor role: drives several cars by camera with local visual-act inference, and pushes what they lived through."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -11,11 +11,10 @@ from zsdist.errors import RunError
 from zsdist.protocol.outbox import Outbox
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.cars import Car, Errand
-from zsdist.types import Level, Parameters, View
+from zsdist.roles.sight import Sight
+from zsdist.types import Level, Parameters
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import EPISODES, EVALUATION, Ack, Candidate, Jobs, Orders, Push, Records, WeightsMessage
-
-VisualAct = Callable[[np.ndarray, np.ndarray, np.ndarray], Sequence[View]]
 
 
 class Itinerary(Protocol):
@@ -31,10 +30,10 @@ class Itinerary(Protocol):
 class Actor(Role):
     """Several cars in one process with batched inference; pictures never leave it."""
 
-    def __init__(self, context: Context, cars: Sequence[Car], visual_act: VisualAct, itinerary: Itinerary) -> None:
+    def __init__(self, context: Context, cars: Sequence[Car], sight: Sight, itinerary: Itinerary) -> None:
         super().__init__(context)
         self.cars = list(cars)
-        self.visual_act = visual_act
+        self.sight = sight
         self.itinerary = itinerary
         self.env_steps = 0
         self.waiting_credit_s = 0.0
@@ -87,18 +86,21 @@ class Actor(Role):
                 outbox.close(now)
         self._flush(now)
         self.finished = all(outbox.drained for outbox in self._outboxes.values())
+        if self.finished:
+            self.sight.close()
         if ready:
             return now
         return min([now + HEARTBEAT_S, *(wake for box in self._outboxes.values() if (wake := box.next_wake(now)))])
 
     def statistics(self) -> dict[str, float | str]:
-        """Steps driven, cars, versions acted with, and what waits in the outboxes."""
+        """Steps driven, cars, readings remembered or not, versions acted with, and what waits in the outboxes."""
         fields: dict[str, float | str] = {
             "env_steps": self.env_steps,
             "cars": len(self.cars),
             "cars_driving": sum(1 for car in self.cars if car.errand),
             "waiting_credit_s": round(self.waiting_credit_s, 3),
             "started_episodes": len(self._started),
+            **self.sight.statistics(),
         }
         fields |= {f"{level}_weight_version": message.weights.version for level, message in self._weights.items()}
         for stream, outbox in self._outboxes.items():
@@ -183,9 +185,7 @@ class Actor(Role):
         return True
 
     def _advance(self, cars: list[Car]) -> None:
-        seen = np.array([car.goal_seen_from_here() for car in cars], dtype=np.float32)
-        views = self.visual_act(np.stack([car.image for car in cars]), seen[:, 0], seen[:, 1])
-        for car, view in zip(cars, views, strict=True):
+        for car, view in zip(cars, self.sight.views(cars), strict=True):
             ended = car.over
             car.advance(view, car.candidate_q or self._online_q())
             if car.errand.trains:

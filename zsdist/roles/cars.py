@@ -2,9 +2,8 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
-import gymnasium
 import numpy as np
 
 from zsdist.agent.hierarchy import HierarchicalAgent, QFunctions
@@ -42,10 +41,23 @@ class Errand:
         return not self.candidate
 
 
+class CameraEnv(Protocol):
+    """A gymnasium environment, of which this is used, and the camera of its car."""
+
+    def reset(self, *, options: dict[str, Any]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Starts an episode in `options["scene"]`; the observation has `pose` and `goal`."""
+
+    def step(self, action: int) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """Drives one action to its end."""
+
+    def picture(self, pose: Pose | None = None) -> np.ndarray:
+        """What the camera sees at the true pose, or on a level car at `pose`."""
+
+
 class Car:
     """Drives one errand at a time; `over` once the episode has ended and its last state has been seen."""
 
-    def __init__(self, env: gymnasium.Env, agent: HierarchicalAgent) -> None:
+    def __init__(self, env: CameraEnv, agent: HierarchicalAgent) -> None:
         self.env = env
         self.agent = agent
         self.errand: Errand | None = None
@@ -53,15 +65,20 @@ class Car:
         self.credit = dict.fromkeys(Level, 0)  # reserved of the actor's credit and not yet used up, by level
         self.unoffered = dict.fromkeys(Level, 0)  # transitions lived through whose trajectory is not complete yet
         self._observation: dict[str, np.ndarray] = {}
+        self._scene_hash: str | None = None
         self._outcome: Outcome | None = None
         self._terms: list[RewardTerms] = []
         self._path: list[tuple[float, float]] = []
         self._versions: dict[str, int] = {}
 
     @property
-    def image(self) -> np.ndarray:
-        """The camera's picture at the true pose, `(px, px, 3)` uint8."""
-        return self._observation["image"]
+    def scene_hash(self) -> str | None:
+        """Of the scene, where what is seen in it may be remembered: in training, and where nobody walks."""
+        return self._scene_hash
+
+    def picture(self, pose: Pose | None = None) -> np.ndarray:
+        """The camera's picture at the true pose, or of a level car at `pose`, `(px, px, 3)` uint8."""
+        return self.env.picture(pose)
 
     @property
     def pose(self) -> Pose:
@@ -77,6 +94,8 @@ class Car:
         self.errand = errand
         self.candidate_q = candidate_q
         self._observation, _ = self.env.reset(options={"scene": errand.scene})
+        still = errand.trains and not errand.scene.walkers()
+        self._scene_hash = errand.scene.hash() if still else None
         self._outcome, self._terms = None, []
         self._path = [self.pose[:2]]
         self._versions = {f"{level}_version": version for level, version in versions.items()}

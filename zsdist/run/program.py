@@ -1,12 +1,12 @@
 """The composition root: which roles a run has, and how each is built. No role knows where it lives."""
 
 import threading
+import uuid
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
-import gymnasium
 import numpy as np
 
 from zsdist.agent import blocks, features
@@ -14,14 +14,16 @@ from zsdist.agent.hierarchy import HierarchicalAgent, q_functions
 from zsdist.config import Config
 from zsdist.dqn.learner import DqnLearner
 from zsdist.errors import ConfigError, WeightsError
+from zsdist.planning.grid import Grid
 from zsdist.replay.buffer import row_bytes
-from zsdist.roles.actor import Actor, VisualAct
+from zsdist.roles.actor import Actor
 from zsdist.roles.base import Context, Role
-from zsdist.roles.cars import Car, Errand
+from zsdist.roles.cars import CameraEnv, Car, Errand
 from zsdist.roles.hub import Hub
 from zsdist.roles.learner import Learner
 from zsdist.roles.replay import Replay, Shape
 from zsdist.roles.scheduler import Scheduler
+from zsdist.roles.sight import Sight, VisualAct
 from zsdist.run.directory import RunDirectory
 from zsdist.sim import families, scene
 from zsdist.sim.env import CarNavigation
@@ -29,6 +31,7 @@ from zsdist.sim.scene import Scene
 from zsdist.transport.base import Transport
 from zsdist.types import Level
 from zsdist.vision.identity import VisionIdentity
+from zsdist.vision.reading_cache import ReadingCache
 from zsdist.vision.visual_act import VisualAct as PretrainedVisualAct
 from zsdist.wire.messages import State
 
@@ -104,7 +107,7 @@ def _source(name: str) -> Callable[[str, int], Scene]:
 class Parts:
     """What an actor is made of besides its agent."""
 
-    make_env: Callable[[], gymnasium.Env]
+    make_env: Callable[[], CameraEnv]
     visual_act: VisualAct
     itinerary: Itinerary
 
@@ -112,7 +115,7 @@ class Parts:
 def simulation(config: Config) -> Parts:
     """The real thing: PyBullet cars, the camera, the shipped visual-act model."""
     return Parts(
-        make_env=lambda: CarNavigation(config=config),
+        make_env=lambda: CarNavigation(config=config, images=False),
         visual_act=PretrainedVisualAct.load(config.vision, config.camera),
         itinerary=Itinerary(config),
     )
@@ -147,10 +150,9 @@ def warm_up(config: Config) -> VisionIdentity:
     car = Car(parts.make_env(), HierarchicalAgent(config))
     car.begin(Errand(parts.itinerary.training(1), 1, 1.0, True, (0,)), dict.fromkeys(Level, 0))
     q = q_functions({level: make_learner(config, level).parameters() for level in Level})
+    sight = Sight(parts.visual_act, Grid.from_config(config.grid), None)
     for _ in range(2):
-        bearing_rad, distance_m = car.goal_seen_from_here()
-        (view,) = parts.visual_act(car.image[None], np.array([bearing_rad]), np.array([distance_m]))
-        car.advance(view, q)
+        car.advance(*sight.views([car]), q)
     return VisionIdentity.of(parts.visual_act, config.vision.network)
 
 
@@ -165,6 +167,7 @@ class Setting:
         states: of the checkpoint that is gone on from, by role name; empty for a new run.
         vision: by what every car sees.
         make_parts: what actors are made of; tests put a kinematic car in the place of the simulation.
+        start: a word of its own for each start of a run, which names what its actors share on a machine.
     """
 
     config: Config
@@ -173,6 +176,7 @@ class Setting:
     states: dict[str, State]
     vision: VisionIdentity
     make_parts: Callable[[Config], Parts] = simulation
+    start: str = field(default_factory=lambda: uuid.uuid4().hex)
 
     def context(self, place: Place, transport: Transport, wake: threading.Event) -> Context:
         """The context of one role."""
@@ -197,8 +201,15 @@ class Setting:
                 if seen != self.vision:
                     raise WeightsError(f"{place.name} sees by {seen}; allowed is what the run sees by, {self.vision}")
                 cars = [Car(parts.make_env(), HierarchicalAgent(config)) for _ in range(config.run.cars_per_actor)]
-                return Actor(context, cars, parts.visual_act, parts.itinerary)
+                return Actor(context, cars, self._sight(parts.visual_act), parts.itinerary)
         raise ValueError(f"no role is called {place.role!r}")
+
+    def _sight(self, visual_act: VisualAct) -> Sight:
+        size, cache = self.config.vision.cache_bytes, None
+        if size:
+            vision = f"{visual_act.encoder_sha256}/{visual_act.weights_sha256}"
+            cache = ReadingCache(self.start, size, vision)
+        return Sight(visual_act, Grid.from_config(self.config.grid), cache)
 
 
 def make_learner(config: Config, level: Level) -> DqnLearner:

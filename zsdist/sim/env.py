@@ -39,7 +39,8 @@ class CarNavigation(gymnasium.Env):
         family: from whose training scenes a reset chooses, by its seed; `reset(options={"scene": scene})` sets one.
         config: of grid, simulation, camera, rewards and number of training scenes; the defaults without it.
         camera: draws the images; the one that `config.camera` describes without it.
-        render_mode: `rgb_array`: `render` gives the camera's last image.
+        render_mode: `rgb_array`: `render` gives the camera's image.
+        images: False: observations and their space have no `image`, and the camera works only when `picture` is asked.
 
     Raises:
         ConfigError: there is no such family.
@@ -53,6 +54,7 @@ class CarNavigation(gymnasium.Env):
         config: Config | None = None,
         camera: Camera | None = None,
         render_mode: str | None = None,
+        images: bool = True,
     ) -> None:
         if family not in families.FAMILIES:
             raise ConfigError(f"scene family is {family!r}; allowed are {', '.join(families.FAMILIES)}")
@@ -65,18 +67,18 @@ class CarNavigation(gymnasium.Env):
         self.world = World(self.grid, self.config.sim.step_s)
         self._camera = make_camera(self.config.camera) if camera is None else camera
         self._image: np.ndarray | None = None
+        self._images = images
         self._steps = 0
         self._over = True
         wall, px = self.grid.arena_m / 2, self.config.camera.size_px
         farthest = np.array([wall, wall, math.pi])
         self.action_space = spaces.Discrete(len(Action))
-        self.observation_space = spaces.Dict(
-            {
-                "image": spaces.Box(0, 255, (px, px, 3), np.uint8),
-                "pose": spaces.Box(-farthest, farthest, dtype=np.float64),
-                "goal": spaces.Box(-wall, wall, (2,), np.float64),
-            }
-        )
+        places = {
+            "pose": spaces.Box(-farthest, farthest, dtype=np.float64),
+            "goal": spaces.Box(-wall, wall, (2,), np.float64),
+        }
+        image = {"image": spaces.Box(0, 255, (px, px, 3), np.uint8)}
+        self.observation_space = spaces.Dict(image | places if images else places)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -123,13 +125,28 @@ class CarNavigation(gymnasium.Env):
         info |= {"reward_terms": terms._asdict(), "success": success, "collision": driven.contact}
         return self._observe(scene, driven.pose), terms.total, terminated, truncated, info
 
-    def render(self) -> np.ndarray | None:
-        """The camera's last image, `(px, px, 3)` uint8, in mode `rgb_array`; None in the mode that renders nothing."""
-        if self.render_mode is None:
-            return None
+    def picture(self, pose: Pose | None = None) -> np.ndarray:
+        """What the camera sees, `(px, px, 3)` uint8.
+
+        Args:
+            pose: of a car that stands level; without it the car's true pose, roll and pitch included.
+
+        Raises:
+            ResetNeeded: no episode has begun.
+        """
+        scene = self.world.scene
+        if scene is None:
+            raise ResetNeeded("a picture without an episode; call reset() first")
+        if pose is not None:
+            return self._camera.render(scene, pose, 0.0, 0.0, self.world.people)
         if self._image is None:
-            raise ResetNeeded("render() without an episode; call reset() first")
-        return self._image.copy()
+            roll_rad, pitch_rad = self.world.tilt
+            self._image = self._camera.render(scene, self.world.pose, roll_rad, pitch_rad, self.world.people)
+        return self._image
+
+    def render(self) -> np.ndarray | None:
+        """The camera's image, `(px, px, 3)` uint8, in mode `rgb_array`; None in the mode that renders nothing."""
+        return None if self.render_mode is None else self.picture().copy()
 
     def close(self) -> None:
         """Ends the physics."""
@@ -143,9 +160,9 @@ class CarNavigation(gymnasium.Env):
         return families.generate(self.family, families.split_seed("train", index))
 
     def _observe(self, scene: Scene, pose: Pose) -> dict[str, np.ndarray]:
-        roll_rad, pitch_rad = self.world.tilt
-        self._image = self._camera.render(scene, pose, roll_rad, pitch_rad, self.world.people)
-        return {"image": self._image, "pose": np.array(pose), "goal": np.array(scene.goal, dtype=np.float64)}
+        self._image = None
+        places = {"pose": np.array(pose), "goal": np.array(scene.goal, dtype=np.float64)}
+        return {"image": self.picture()} | places if self._images else places
 
     def _about(self, scene: Scene, pose: Pose, sim_steps: int) -> dict[str, Any]:
         state = self.grid.lattice_state(pose)

@@ -29,6 +29,20 @@ STUDENT_NAME = "student"
 READ, LOOKED = ["clearance", "dynamic", "rays"], ["attention", "embeddings"]
 
 
+class Reading(NamedTuple):
+    """What B images show, whatever the goal.
+
+    Attributes:
+        clearance: `(B, 3, K)` distributions of the distance to the nearest obstacle forward, left and right.
+        dynamic: `(B, 3)` probabilities that this obstacle is one that moves.
+        rays: `(B, R, K)` distributions of the distance along each ray.
+    """
+
+    clearance: np.ndarray
+    dynamic: np.ndarray
+    rays: np.ndarray
+
+
 class Look(NamedTuple):
     """Where the head looked on B images, and what it found there, in the space of words.
 
@@ -93,7 +107,7 @@ class VisualAct:
         return cls(weights, encoder, config.ray_quantile)
 
     def __call__(self, images: np.ndarray, goal_bearing_rad: np.ndarray, goal_distance_m: np.ndarray) -> list[View]:
-        """What is seen on each image.
+        """What is seen on each image: `views` of `read`.
 
         Args:
             images: `(B, px, px, 3)` uint8.
@@ -104,24 +118,31 @@ class VisualAct:
             ImageError: the images are no such array.
             ValueError: the goals are not one an image.
         """
-        check_images(images)
+        return self.views(self.read(images), goal_bearing_rad, goal_distance_m)
+
+    def views(self, reading: Reading, goal_bearing_rad: np.ndarray, goal_distance_m: np.ndarray) -> list[View]:
+        """What was read, with the advice R_p for the goal at hand; arguments as above.
+
+        Raises:
+            ValueError: the goals are not one an image.
+        """
+        clearance, dynamic, rays = reading
         bearing, distance = np.asarray(goal_bearing_rad, np.float32), np.asarray(goal_distance_m, np.float32)
-        if bearing.shape != (len(images),) or distance.shape != (len(images),):
+        if bearing.shape != (len(rays),) or distance.shape != (len(rays),):
             raise ValueError(
-                f"goal bearings are {bearing.shape} and distances {distance.shape}; allowed is ({len(images)},), "
+                f"goal bearings are {bearing.shape} and distances {distance.shape}; allowed is ({len(rays)},), "
                 "one an image"
             )
-        clearance, dynamic, rays = self.read(images)
         advice = reward_label(
             expected_openness(clearance, BIN_CENTRES_M, dynamic, distance), progress(bearing, distance)
         ).astype(np.float32)
         clearance_m = quantile_m(clearance, self._quantile)
         return [
-            View(advice[i], clearance_m[i], dynamic[i], rays[i], self._angles, BIN_EDGES_M) for i in range(len(images))
+            View(advice[i], clearance_m[i], dynamic[i], rays[i], self._angles, BIN_EDGES_M) for i in range(len(rays))
         ]
 
-    def read(self, images: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Distributions of the clearance `(B, 3, K)`, probabilities of "dynamic" `(B, 3)`, of the rays `(B, R, K)`.
+    def read(self, images: np.ndarray) -> Reading:
+        """What images show, whatever the goal.
 
         Args:
             images: `(B, px, px, 3)` uint8; a network that takes another size gets them resampled.
@@ -131,10 +152,10 @@ class VisualAct:
         """
         if self._encoder is None:
             check_images(images)
-            return tuple(self._session.run(READ, {"image": resample(images, STUDENT_PX)}))
+            return Reading(*self._session.run(READ, {"image": resample(images, STUDENT_PX)}))
         return self.read_tokens(self._encoder.tokens(images))
 
-    def read_tokens(self, tokens: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def read_tokens(self, tokens: np.ndarray) -> Reading:
         """The same of the encoder's tokens `(B, side, side, features)` float32, where they are at hand; the head only.
 
         Raises:
@@ -142,7 +163,7 @@ class VisualAct:
         """
         if self._encoder is None:
             raise WeightsError("vision.network is 'student', which reads no tokens; allowed is 'head'")
-        return tuple(self._session.run(READ, {"tokens": tokens}))
+        return Reading(*self._session.run(READ, {"tokens": tokens}))
 
     def look(self, images: np.ndarray) -> Look:
         """Where the head looks on images `(B, px, px, 3)` uint8; its network is opened when first asked for.

@@ -13,7 +13,7 @@ from zsdist.errors import ConfigError
 from zsdist.sim.env import CarNavigation
 from zsdist.sim.families import FAMILIES
 from zsdist.sim.scene import Obstacle, Scene, Start
-from zsdist.types import Action
+from zsdist.types import Action, Pose
 
 CONFIG = parse({"camera": {"size_px": 32}, "sim": {"max_steps": 6}, "scenes": {"train_scenes": 3}})
 OPEN = Scene("open", "grass", Start(0.3125, 0.3125, 0.0), (2.1875, 0.3125), ())
@@ -68,6 +68,31 @@ def test_the_camera_sees_from_the_true_pose_roll_and_pitch(env):
     assert 0 < abs(pitch_rad) < math.radians(5)
     assert people.shape == (0, 2)
     assert (env.render() == observation["image"]).all()
+
+
+def test_without_images_the_camera_works_only_when_a_picture_is_asked_for_and_once_a_step():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        blind = CarNavigation(config=CONFIG, camera=Recorder(), render_mode="rgb_array", images=False)
+        check_env(blind, skip_render_check=True)
+    asked = blind._camera.asked
+    asked.clear()
+    assert set(blind.reset(options={"scene": OPEN})[0]) == set(blind.step(Action.FORWARD)[0]) == {"pose", "goal"}
+    assert asked == []
+    picture = blind.picture()
+    assert (blind.picture() == picture).all() and (blind.render() == picture).all()
+    assert len(asked) == 1 and tuple(asked[0][1]) == tuple(blind.world.pose) and asked[0][2:4] == blind.world.tilt
+    blind.step(Action.FORWARD)
+    assert not (blind.picture() == picture).all()
+    blind.close()
+
+
+def test_a_picture_from_another_place_is_that_of_a_level_car_and_does_not_replace_the_true_one(env):
+    observation = env.reset(options={"scene": OPEN})[0]
+    there = Pose(1.0, 2.0, 0.5)
+    env.picture(there)
+    assert env._camera.asked[-1][1:4] == (there, 0.0, 0.0)
+    assert (env.picture() == observation["image"]).all()
 
 
 def test_reaching_the_goal_terminates_with_the_papers_reward(env):
@@ -130,6 +155,8 @@ def test_what_cannot_be_done_is_refused_in_a_clear_line(env):
         env.step(Action.FORWARD)
     with pytest.raises(ResetNeeded, match="call reset"):
         env.render()
+    with pytest.raises(ResetNeeded, match="call reset"):
+        env.picture()
     env.reset(options={"scene": OPEN})
     with pytest.raises(InvalidAction, match=r"action is 5; allowed are the integers 0 to 4"):
         env.step(5)

@@ -98,6 +98,16 @@ def test_the_goal_changes_the_advice_and_nothing_else():
     np.testing.assert_array_equal(left.clearance_m, right.clearance_m)
 
 
+def test_views_of_what_was_read_are_those_of_the_image_whatever_the_goal():
+    model, goals = VisualAct.load(VisionConfig(), CAMERA), (np.array([0.8, -0.4]), np.array([3.0, 9.0]))
+    reading = model.read(images(2))
+    for one, other in zip(model.views(reading, *goals), model(images(2), *goals), strict=True):
+        for name in ("advice", "clearance_m", "dynamic", "ray_probabilities"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    with pytest.raises(ValueError, match=r"goal bearings are \(1,\).*allowed is \(2,\)"):
+        model.views(reading, np.zeros(1), np.ones(1))
+
+
 def test_a_lower_quantile_sees_less_room(made):
     clearances = [
         VisualAct.load(VisionConfig(weights=str(made), ray_quantile=share), CAMERA)(images(1), [0.0], [5.0])[

@@ -1,0 +1,190 @@
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from zsdist.errors import ConfigError, RunError
+from zsdist.types import LatticeState
+from zsdist.vision import reading_cache
+from zsdist.vision.reading_cache import HEAD_BYTES, SET_BYTES, SHAPES, SLOT_BYTES, WAYS, ReadingCache
+from zsdist.vision.visual_act import Reading
+
+HERE = LatticeState(3, 4, 5)
+WRITER = """
+import sys
+
+sys.path.insert(0, sys.argv[3])
+from test_reading_cache import numbered
+from zsdist.types import LatticeState
+from zsdist.vision.rays import BINS
+from zsdist.vision.reading_cache import ReadingCache
+cache = ReadingCache(sys.argv[1], int(sys.argv[2]), "vision")
+print("ready", flush=True)
+number = 0
+while True:
+    number += 1
+    cache.keep("scene", LatticeState(number % 7, 0, 0), numbered(number % BINS))
+"""
+
+
+@pytest.fixture(autouse=True)
+def temporary_folder(tmp_path, monkeypatch):
+    """The machine's folder for temporary files, here and in processes that are started."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    return tmp_path
+
+
+def opened(size_bytes=64 * SET_BYTES, name="run", vision="vision"):
+    return ReadingCache(name, size_bytes, vision)
+
+
+def reading(seed=0):
+    rng = np.random.default_rng(seed)
+    clearance, dynamic, rays = (rng.random(shape, np.float32) for shape in SHAPES)
+    return Reading(clearance / clearance.sum(-1, keepdims=True), dynamic, rays / rays.sum(-1, keepdims=True))
+
+
+def numbered(number):
+    """A reading in every part of which one finds the number, up to `BINS`."""
+    clearance, dynamic, rays = (np.zeros(shape, np.float32) for shape in SHAPES)
+    clearance[:, number] = rays[:, number] = 1
+    return Reading(clearance, dynamic + number, rays)
+
+
+def assert_equal(one, other):
+    for left, right in zip(one, other, strict=True):
+        np.testing.assert_array_equal(left, right)
+
+
+def kill(process):
+    """By SIGKILL."""
+    process.kill()
+    process.wait()
+    process.stdout.close()
+
+
+def files_in(folder):
+    return list(folder.glob(f"{reading_cache.PREFIX}*"))
+
+
+def writer(size_bytes):
+    process = subprocess.Popen(
+        [sys.executable, "-c", WRITER, "run", str(size_bytes), str(Path(__file__).parent)],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout.readline() == "ready\n"
+    return process
+
+
+def test_what_is_kept_is_found_by_every_process_as_it_was_returned_and_nearly_as_it_was():
+    one, other = opened(), opened()
+    assert one.find("scene", HERE) is None
+    kept = one.keep("scene", HERE, reading())
+    assert_equal(kept, other.find("scene", HERE))
+    for found, given, shape in zip(kept, reading(), SHAPES, strict=True):
+        assert found.dtype == np.float32 and found.shape == shape
+        np.testing.assert_allclose(found, given, atol=1e-3)
+    np.testing.assert_allclose(kept.rays.sum(-1), 1, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("vision", "scene", "state"),
+    [("other", "scene", HERE), ("vision", "other", HERE)]
+    + [("vision", "scene", HERE._replace(**{name: 1})) for name in HERE._fields],
+)
+def test_a_reading_belongs_to_its_vision_scene_cell_and_heading(vision, scene, state):
+    opened().keep("scene", HERE, reading())
+    assert opened(vision=vision).find(scene, state) is None
+
+
+def test_a_torn_reading_is_none_whichever_byte_is_wrong():
+    cache = opened(SET_BYTES)
+    cache.keep("scene", HERE, reading())
+    (begin,) = (at for at in range(0, SET_BYTES, SLOT_BYTES) if any(cache._memory[at : at + SLOT_BYTES]))
+    for at in (0, 20, HEAD_BYTES, HEAD_BYTES + 900, SLOT_BYTES - 1):
+        byte = cache._memory[begin + at]
+        cache._memory[begin + at] = byte ^ 1
+        assert cache.find("scene", HERE) is None
+        cache._memory[begin + at] = byte
+    assert cache.find("scene", HERE) is not None
+
+
+def test_a_half_written_slot_is_written_anew():
+    cache = opened(SET_BYTES)
+    cache.keep("scene", HERE, reading(1))
+    (begin,) = (at for at in range(0, SET_BYTES, SLOT_BYTES) if any(cache._memory[at : at + SLOT_BYTES]))
+    cache._memory[begin + HEAD_BYTES : begin + 500] = bytes(500 - HEAD_BYTES)
+    assert cache.find("scene", HERE) is None
+    assert_equal(cache.keep("scene", HERE, reading(2)), cache.find("scene", HERE))
+    assert sum(any(cache._memory[at : at + SLOT_BYTES]) for at in range(0, SET_BYTES, SLOT_BYTES)) == 1
+
+
+def test_the_file_never_grows_and_what_is_new_replaces_what_is_old(temporary_folder):
+    size = 2 * SET_BYTES + 5
+    cache = opened(size)
+    for number in range(100):
+        cache.keep(f"scene {number}", HERE, reading(number))
+        assert cache.find(f"scene {number}", HERE) is not None
+    assert sum(cache.find(f"scene {number}", HERE) is not None for number in range(100)) == 2 * WAYS
+    (file,) = files_in(temporary_folder)
+    assert file.stat().st_size == 2 * SET_BYTES <= size and file.stat().st_blocks * 512 >= 2 * SET_BYTES
+    assert file.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_writer_that_is_killed_at_any_moment_leaves_whole_readings_or_none():
+    cache = opened(SET_BYTES)
+    for _ in range(2):
+        process = writer(SET_BYTES)
+        seen = 0
+        while seen < 300:  # readings of another process, while it overwrites them
+            for ix in range(7):
+                found = cache.find("scene", LatticeState(ix, 0, 0))
+                if found is not None:
+                    seen += 1
+                    assert_equal(found, numbered(int(found.dynamic[0])))
+        kill(process)
+        for ix in range(7):
+            place = LatticeState(ix, 1, 0)
+            assert_equal(cache.keep("scene", place, reading(ix)), cache.find("scene", place))
+
+
+def test_the_file_goes_with_its_last_user_and_that_of_a_killed_run_with_the_next_start(temporary_folder):
+    process = writer(SET_BYTES)
+    one, other = opened(SET_BYTES), opened(name="another run")
+    kill(process)
+    one.close()
+    assert [path.name for path in files_in(temporary_folder)] == [other.path.name]
+    process = writer(SET_BYTES)
+    kill(process)
+    assert len(files_in(temporary_folder)) == 2
+    last = opened(name="the next run")
+    assert {path.name for path in files_in(temporary_folder)} == {other.path.name, last.path.name}
+    other.close()
+    last.close()
+    assert files_in(temporary_folder) == []
+
+
+def test_what_there_is_no_room_for_is_refused_in_one_line(monkeypatch):
+    with pytest.raises(ConfigError, match=rf"vision\.cache_bytes is 100; allowed are 0 .* {SET_BYTES} or more"):
+        opened(100)
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(reading_cache.os, "posix_fallocate", full)
+    with pytest.raises(RunError, match=r"vision\.cache_bytes is .* cannot be made \(No space left on device\)"):
+        opened()
+
+
+def test_a_link_in_the_place_of_the_file_is_not_followed(temporary_folder, tmp_path_factory):
+    target = tmp_path_factory.mktemp("else") / "file"
+    target.write_bytes(b"precious")
+    os.symlink(target, temporary_folder / f"{reading_cache.PREFIX}run")
+    with pytest.raises(RunError, match="cannot be made"):
+        opened()
+    assert target.read_bytes() == b"precious"

@@ -1,0 +1,130 @@
+"""What was read from pictures, remembered by where they were taken and shared by the processes of a machine.
+
+One file of fixed size, mapped into memory, in sets of a few slots. Nobody locks a slot: each carries a checksum, and
+one that was torn, by two writers at once or by a death in the middle of a write, is a reading that is not there.
+"""
+
+import fcntl
+import mmap
+import os
+import tempfile
+from hashlib import blake2b
+from pathlib import Path
+
+import numpy as np
+
+from zsdist.errors import ConfigError, RunError
+from zsdist.types import LatticeState
+from zsdist.vision.rays import BINS, RAYS
+from zsdist.vision.visual_act import Reading
+
+SHAPES = ((3, BINS), (3,), (RAYS, BINS))  # of the parts of one picture's `Reading`
+LENGTHS = tuple(int(np.prod(shape)) for shape in SHAPES)
+KEY_BYTES, CHECK_BYTES = 16, 8
+HEAD_BYTES = KEY_BYTES + CHECK_BYTES
+SLOT_BYTES = HEAD_BYTES + 2 * sum(LENGTHS)
+WAYS = 4  # slots of a set
+SET_BYTES = WAYS * SLOT_BYTES
+PREFIX = f"zsdist-readings-{os.getuid()}-"
+
+
+class ReadingCache:
+    """Readings by (vision, scene, cell, heading), in float16, the file never larger than `size_bytes`.
+
+    The file lies in the machine's folder for temporary files: a run's folder may be shared by several machines, whose
+    mapped pages do not agree. It is reserved when it is made, since a mapped file on a full disk kills its writer. Each
+    process that uses it holds a shared lock that dies with it, so that files which nobody uses are known and removed.
+
+    Args:
+        name: of the file; processes that give the same one share their readings.
+        size_bytes: of the file.
+        vision: by what is seen, such as the hashes of encoder and head; readings of another vision are never found.
+
+    Raises:
+        ConfigError: there is no room for even one set of slots.
+        RunError: the file cannot be made.
+    """
+
+    def __init__(self, name: str, size_bytes: int, vision: str) -> None:
+        self._sets = size_bytes // SET_BYTES
+        if self._sets < 1:
+            raise ConfigError(f"vision.cache_bytes is {size_bytes}; allowed are 0 (no cache) and {SET_BYTES} or more")
+        remove_unused()
+        path = Path(tempfile.gettempdir(), PREFIX + name)
+        size = self._sets * SET_BYTES
+        try:
+            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+            fcntl.flock(self._file, fcntl.LOCK_SH)
+            os.posix_fallocate(self._file, 0, size)
+            self._memory = mmap.mmap(self._file, size)
+        except OSError as error:
+            raise RunError(
+                f"vision.cache_bytes is {size_bytes}: {path} cannot be made ({error.strerror or error}); "
+                "allowed is what there is room for, or 0 (no cache)"
+            ) from error
+        self.path = path
+        self._vision = vision
+        self._kept = 0
+
+    def find(self, scene: str, state: LatticeState) -> Reading | None:
+        """What was read in a scene, by its hash, at a lattice state; None where that is not known, or is torn."""
+        key = self._key(scene, state)
+        for begin in self._slots(key):
+            slot = self._memory[begin : begin + SLOT_BYTES]  # a copy: what is checked is what is used
+            if slot[:KEY_BYTES] == key and slot[KEY_BYTES:HEAD_BYTES] == _check(key, slot[HEAD_BYTES:]):
+                return _unpacked(slot[HEAD_BYTES:])
+        return None
+
+    def keep(self, scene: str, state: LatticeState, reading: Reading) -> Reading:
+        """Remembers one picture's reading, parts of `SHAPES`, and returns it as `find` will."""
+        key = self._key(scene, state)
+        content = np.concatenate([np.ravel(part) for part in reading]).astype(np.float16).tobytes()
+        begins = self._slots(key)
+        held = [self._memory[begin : begin + KEY_BYTES] for begin in begins]
+        self._kept += 1
+        wanted = next((one for one in (key, bytes(KEY_BYTES)) if one in held), held[self._kept % WAYS])
+        begin = begins[held.index(wanted)]
+        self._memory[begin : begin + SLOT_BYTES] = key + _check(key, content) + content
+        return _unpacked(content)
+
+    def close(self) -> None:
+        """Lets go of the file, and removes it where no other process uses it."""
+        self._memory.close()
+        os.close(self._file)
+        remove_unused()
+
+    def _key(self, scene: str, state: LatticeState) -> bytes:
+        place = f"{self._vision}/{scene}/{state.ix}/{state.iy}/{state.heading}"
+        return blake2b(place.encode(), digest_size=KEY_BYTES).digest()
+
+    def _slots(self, key: bytes) -> range:
+        begin = int.from_bytes(key[:8], "little") % self._sets * SET_BYTES
+        return range(begin, begin + SET_BYTES, SLOT_BYTES)
+
+
+def remove_unused() -> None:
+    """Removes this user's files that no living process uses, such as those of runs that were killed."""
+    for path in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
+        try:
+            file = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+        except OSError:  # another process was faster, or it is nothing that we made
+            continue
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.unlink(missing_ok=True)
+        except OSError:  # in use, or nothing that we made
+            pass
+        finally:
+            os.close(file)
+
+
+def _check(key: bytes, content: bytes) -> bytes:
+    return blake2b(content, digest_size=CHECK_BYTES, key=key).digest()
+
+
+def _unpacked(content: bytes) -> Reading:
+    """The reading in a slot's content, float32, its distributions of sum 1 again."""
+    flat = np.frombuffer(content, np.float16).astype(np.float32)
+    parts = np.split(flat, np.cumsum(LENGTHS)[:-1])
+    clearance, dynamic, rays = (part.reshape(shape) for part, shape in zip(parts, SHAPES, strict=True))
+    return Reading(clearance / clearance.sum(-1, keepdims=True), dynamic, rays / rays.sum(-1, keepdims=True))
