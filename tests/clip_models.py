@@ -2,6 +2,7 @@
 
 import json
 
+import declared_operators  # noqa: F401 (before open_clip, which imports torchvision)
 import numpy as np
 import open_clip
 import torch

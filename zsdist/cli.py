@@ -1,8 +1,10 @@
-"""What all commands share: one-line errors, exit statuses, Ctrl-C."""
+"""What all commands share: one-line errors, exit statuses, Ctrl-C and what means the same, whole numbers."""
 
 import argparse
+import signal
 import sys
 from collections.abc import Callable, Sequence
+from types import FrameType
 from typing import NoReturn
 
 from zsdist.errors import ZsdistError
@@ -27,7 +29,8 @@ def execute(
     """Run a command and leave with its status; a `--debug` option is added to the parser.
 
     A `ZsdistError` is one line on the standard error stream and status 2 (`--debug`: the traceback, status 1); Ctrl-C
-    is status 130. Any other exception is a defect and keeps its traceback.
+    is status 130, and so is SIGTERM, by which a service manager asks for the same. Any other exception is a defect and
+    keeps its traceback.
 
     Args:
         main: the command; returns its exit status.
@@ -36,6 +39,7 @@ def execute(
     """
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     options = parser.parse_args(arguments)
+    before = signal.signal(signal.SIGTERM, _interrupt)
     try:
         status = main(options)
     except ZsdistError as error:
@@ -46,4 +50,26 @@ def execute(
     except KeyboardInterrupt:
         print(f"{parser.prog}: interrupted", file=sys.stderr)
         status = INTERRUPTED
+    finally:
+        signal.signal(signal.SIGTERM, before)
     sys.exit(status)
+
+
+def count(text: str) -> int:
+    """The type of an option that is a whole number of 1 or more."""
+    return _whole(text, 1)
+
+
+def natural(text: str) -> int:
+    """The type of an option that is a whole number of 0 or more."""
+    return _whole(text, 0)
+
+
+def _whole(text: str, least: int) -> int:
+    if not text.isdecimal() or int(text) < least:
+        raise argparse.ArgumentTypeError(f"value is {text!r}; allowed is a whole number of {least} or more")
+    return int(text)
+
+
+def _interrupt(signal_number: int, frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt

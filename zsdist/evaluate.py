@@ -24,11 +24,11 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--scenes", default="test", help="a folder of scene files, a family, or train, validation, test (default: test)"
     )
-    parser.add_argument("--episodes", type=_count, help="default: every file of a folder, else 50")
-    parser.add_argument("--seed", type=_seed, default=0, help="which scenes of a family (default: 0)")
+    parser.add_argument("--episodes", type=cli.count, help="default: every file of a folder, else 50")
+    parser.add_argument("--seed", type=cli.natural, default=0, help="which scenes of a family (default: 0)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the result there")
     parser.add_argument("--config", type=Path, metavar="FILE", help="world of a baseline; a run brings its own")
-    parser.add_argument("--workers", type=_count, default=os.cpu_count() or 1, help="processes (default: all cores)")
+    parser.add_argument("--workers", type=cli.count, default=os.cpu_count() or 1, help="processes (default: all cores)")
     return parser
 
 
@@ -77,18 +77,6 @@ def find_policy(name: str, config_file: Path | None = None) -> tuple[Entrant, st
     if note := check_vision(policy):
         print(note, file=sys.stderr)
     return Entrant(policy.config, policy.parameters), policy.sha256
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"value is {text!r}; allowed is a whole number of 1 or more")
-    return int(text)
-
-
-def _seed(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"value is {text!r}; allowed is a whole number of 0 or more")
-    return int(text)
 
 
 if __name__ == "__main__":

@@ -32,8 +32,9 @@ def make_parser() -> argparse.ArgumentParser:
     """The command's options."""
     parser = cli.Parser(prog="zsdist.pretrain", description=__doc__)
     add = parser.add_argument
-    add("--images", type=_count, metavar="N", help=f"to train the head on ({IMAGES}), or to check on ({CHECK_IMAGES})")
-    add("--epochs", type=_count, metavar="N", help="passes over them, in every stage (default: each stage's own)")
+    images = f"to train the head on ({IMAGES}), or to check on ({CHECK_IMAGES})"
+    add("--images", type=cli.count, metavar="N", help=images)
+    add("--epochs", type=cli.count, metavar="N", help="passes over them, in every stage (default: each stage's own)")
     add("--minutes", type=_minutes, default=math.inf, metavar="M", help="hurry so as to be done by then")
     add("--out", type=Path, metavar="DIR", help="where weights go (default: runs/visual-act)")
     add("--resume", type=Path, metavar="DIR", help="go on with the pretraining in DIR")
@@ -41,14 +42,14 @@ def make_parser() -> argparse.ArgumentParser:
     add("--cityscapes", type=Path, metavar="DIR", help="train on the photographs in DIR instead of on scenes")
     add("--stages", metavar="A,B", help=f"what to train (default: {','.join(STAGES)})")
     add("--encoder", metavar="NAME|DIR", help="as vision.encoder: efficientnet-lite0, or a folder with a CLIP model")
-    add("--workers", type=_count, default=os.cpu_count() or 1, metavar="N", help="processes (default: one a core)")
+    add("--workers", type=cli.count, default=os.cpu_count() or 1, metavar="N", help="processes (default: one a core)")
     add("--keep-pictures", action="store_true", help="do not remove the pictures at the end")
     add("--check", action="store_true", help="check trained weights instead of training")
     add("--json", type=Path, metavar="FILE", help="write the figures of the check there")
-    add("--objects", type=_natural, default=OBJECTS, metavar="N", help=f"to drive up to in a check ({OBJECTS})")
+    add("--objects", type=cli.natural, default=OBJECTS, metavar="N", help=f"to drive up to in a check ({OBJECTS})")
     add("--objects-file", type=Path, metavar="FILE", help="where each of them is noted, and from where a check goes on")
     add("--unseen-kinds", action="store_true", help="check words for kinds that a projection was not trained on, too")
-    add("--seed", type=_natural, metavar="S", help="of scenes, places, looks and weights (default: 0)")
+    add("--seed", type=cli.natural, metavar="S", help="of scenes, places, looks and weights (default: 0)")
     add("--config", type=Path, metavar="FILE", help="camera and encoder, and weights to check")
     add("--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change a setting")
     add("--plain", action="store_true", help="progress as lines, also on a terminal")
@@ -132,20 +133,6 @@ def _config(options: argparse.Namespace) -> Config:
 
 def _names(text: str | None, default: tuple[str, ...]) -> tuple[str, ...]:
     return default if text is None else tuple(name.strip() for name in text.split(","))
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value} is not 1 or more")
-    return value
-
-
-def _natural(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{value} is not 0 or more")
-    return value
 
 
 def _minutes(text: str) -> float:

@@ -17,8 +17,8 @@ def make_parser() -> argparse.ArgumentParser:
     vision = parser.add_argument_group("vision")
     vision.add_argument("--vision", action="store_true", help="report on the visual-act model")
     vision.add_argument("--weights", metavar="DIR", help="folder of weights (default: vision.weights)")
-    vision.add_argument("--seed", type=_seed, default=0, help="of the pictures (default: 0)")
-    vision.add_argument("--images", type=_count, default=200, help="pictures of each set (default: 200)")
+    vision.add_argument("--seed", type=cli.natural, default=0, help="of the pictures (default: 0)")
+    vision.add_argument("--images", type=cli.count, default=200, help="pictures of each set (default: 200)")
     return parser
 
 
@@ -32,18 +32,6 @@ def main(options: argparse.Namespace) -> int:
     config = configuration.load(options.config, overrides)
     print(f"the page is {vision_report.write(config, options.images, options.seed, options.out)}")
     return 0
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"value is {text!r}; allowed is a whole number of 1 or more")
-    return int(text)
-
-
-def _seed(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"value is {text!r}; allowed is a whole number of 0 or more")
-    return int(text)
 
 
 if __name__ == "__main__":

@@ -1,14 +1,23 @@
 import json
+import os
+import signal
 import sys
 
+import clip_models
+import numpy as np
 import pytest
 import torch
 
 from zsdist import cli, pretrain
+from zsdist.config import CameraConfig, VisionConfig
+from zsdist.errors import RunError, WeightsError
 from zsdist.pretraining import pictures
 from zsdist.pretraining.progress import Watch
 from zsdist.vision import folder
-from zsdist.vision.words.vocabulary import Vocabulary
+from zsdist.vision.encoders import DEFAULT, open_encoder
+from zsdist.vision.training import head as of_head
+from zsdist.vision.visual_act import VisualAct
+from zsdist.vision.words.vocabulary import KIND_WORDS, Vocabulary
 
 
 @pytest.fixture(autouse=True)
@@ -46,14 +55,61 @@ def test_a_pretraining_that_was_broken_off_twice_ends_with_the_weights_of_one_th
         assert command("--resume", broken, "--workers", 2) == cli.INTERRUPTED
     assert command("--resume", broken) == 0
     whole, again = folder.read(tmp_path / "whole"), folder.read(broken)
-    for name in (folder.HEAD_FILE, folder.PROJECTION_FILE, folder.STUDENT_FILE):
+    for name in (folder.HEAD_FILE, folder.PROJECTION_FILE, folder.STUDENT_FILE, folder.VOCABULARY_FILE):
         assert whole.content(name) == again.content(name)
-    first, second = (Vocabulary.from_bytes(made.content(folder.VOCABULARY_FILE)) for made in (whole, again))
-    assert first.words == second.words and (first.embeddings == second.embeddings).all()
     assert whole.history() == again.history()
     assert [(line["stage"], line["epoch"]) for line in again.history()] == [
         (stage, epoch) for stage in ("words", "head", "student") for epoch in (1, 2)
     ]
     assert not (broken / "pictures").exists() and not (broken / "stages").exists()
     metadata = json.loads((broken / folder.METADATA_FILE).read_text())
+    vocabulary = Vocabulary.from_bytes(again.content(folder.VOCABULARY_FILE))
+    assert metadata["encoder"]["text_sha256"] == vocabulary.text_sha256 == open_encoder(DEFAULT).text_sha256
     assert metadata["seed"] == 5 and metadata["images"] == 32 and metadata["families"] == ["street", "varied"]
+
+
+@pytest.mark.integration
+def test_sigterm_leaves_what_is_finished_and_says_how_to_go_on_and_a_loss_of_nan_names_stage_and_epoch(
+    tmp_path, monkeypatch, capsys
+):
+    out = tmp_path / "new"
+    arguments = ["--images", "16", "--stages", "head", "--workers", "1", "--plain", "--out", str(out)]
+    with monkeypatch.context() as patched:
+        patched.setattr(Watch, "epoch", lambda *figures: os.kill(os.getpid(), signal.SIGTERM))
+        with pytest.raises(SystemExit) as left:
+            cli.execute(pretrain.main, pretrain.make_parser(), arguments)
+    assert left.value.code == cli.INTERRUPTED == 130
+    assert f"  python -m zsdist.pretrain --resume {out}\n" in capsys.readouterr().out
+    real = of_head.loss
+    monkeypatch.setattr(of_head, "loss", lambda *batch: (real(*batch)[0] * float("nan"), real(*batch)[1]))
+    with pytest.raises(RunError, match=r"^stage 'head': loss is nan \(actions .* in epoch 2; allowed is a finite one"):
+        command("--resume", out)
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("layout", [clip_models.of_open_clip, clip_models.hugging_face])
+def test_a_clip_folder_is_trained_on_from_pictures_to_a_look_in_its_own_words(layout, tmp_path, monkeypatch):
+    monkeypatch.setenv("ZSDIST_CACHE", str(tmp_path / "cache"))
+    clip, out = tmp_path / "tiny-clip", tmp_path / "weights"
+    clip.mkdir()
+    layout(clip)
+    assert command("--encoder", clip, "--images", 16, "--epochs", 1, "--workers", 1, "--out", out) == 0
+    encoder, made = open_encoder(str(clip)), folder.read(out)
+    about = {"name": "clip/tiny-clip", "sha256": encoder.sha256, "text_sha256": encoder.text_sha256}
+    assert made.metadata["encoder"] == about
+    assert set(made.metadata["files"]) == {folder.HEAD_FILE, folder.STUDENT_FILE, folder.VOCABULARY_FILE}
+    assert {line["stage"] for line in made.history()} == {"head", "student"}
+    vocabulary = Vocabulary.from_bytes(made.content(folder.VOCABULARY_FILE))
+    words = KIND_WORDS["tree"].training
+    assert np.abs(vocabulary.rows(words) - encoder.embed_texts(words)).max() < 1e-5
+
+    model = VisualAct.load(VisionConfig(encoder=str(clip), weights=str(out)), CameraConfig())
+    images = np.random.default_rng(0).integers(0, 256, (2, 64, 64, 3), np.uint8)
+    look, native = model.look(images), encoder.native_projection()
+    whole = encoder.tokens(images).mean((1, 2)) @ native["weight"].T
+    assert look.embeddings.shape == (2, 4, clip_models.DIMENSIONS) and look.attention.shape == (2, 3, encoder.side**2)
+    assert np.abs(look.embeddings[:, 0] - whole / np.linalg.norm(whole, axis=1, keepdims=True)).max() < 1e-4
+    assert np.abs(np.linalg.norm(look.embeddings, axis=-1) - 1).max() < 1e-4
+    assert len(model(images, np.zeros(2), np.full(2, 5.0))) == 2
+    with pytest.raises(WeightsError, match="for an encoder of name 'clip/tiny-clip'"):
+        VisualAct.load(VisionConfig(encoder=DEFAULT, weights=str(out)), CameraConfig())

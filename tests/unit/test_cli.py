@@ -1,3 +1,7 @@
+import argparse
+import os
+import signal
+
 import pytest
 
 from zsdist import cli
@@ -42,6 +46,20 @@ def test_a_wrong_option_is_one_line_and_status_2(capsys):
 
 def test_ctrl_c_is_status_130():
     assert leave(interrupt) == 130
+
+
+def test_sigterm_means_what_ctrl_c_means_and_only_while_the_command_runs():
+    before = signal.getsignal(signal.SIGTERM)
+    assert leave(lambda options: os.kill(os.getpid(), signal.SIGTERM)) == 130
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+@pytest.mark.parametrize(("kind", "least"), [(cli.count, 1), (cli.natural, 0)])
+def test_whole_numbers_below_the_least_are_refused_with_it(kind, least):
+    assert kind(str(least)) == least
+    for wrong in (str(least - 1), "many", "1.5", ""):
+        with pytest.raises(argparse.ArgumentTypeError, match=f"allowed is a whole number of {least} or more"):
+            kind(wrong)
 
 
 def test_a_defect_keeps_its_traceback():

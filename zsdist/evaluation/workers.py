@@ -1,21 +1,15 @@
 """Drives an evaluation's episodes, in this process or in several."""
 
-import multiprocessing
-import multiprocessing.connection
-import os
-import signal
-import threading
+import contextlib
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 
 import gymnasium
 import numpy as np
 
+from zsdist import workers as pool
 from zsdist.config import Config
-from zsdist.errors import RunError
 from zsdist.evaluation.baselines import BASELINES
 from zsdist.evaluation.drivers import Driver, LearnedDriver, Sees, VisualAct
 from zsdist.evaluation.episodes import Examiner
@@ -80,32 +74,14 @@ def drive_all(
         ZsdistError: as the episodes do.
         RunError: a worker died.
     """
-    workers = min(workers, len(scenes))
-    if workers <= 1:
-        examiner = make_examiner(entrant)
-        records = []
-        for index, scene in enumerate(scenes):
-            records.append(examiner.drive(scene, _rng(seed, index)))
-            on_record(records[-1])
-        return records
-    environment = {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")}
-    os.environ.update(dict.fromkeys(environment, "1"))
-    others = set(multiprocessing.active_children())
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=(entrant,))
-    try:
-        futures = _submit(pool, scenes, seed)
-        for future in as_completed(futures):
-            on_record(future.result())
-        return [future.result() for future in futures]
-    except BrokenProcessPool as error:
-        raise RunError("a worker of the evaluation died; with --workers 1 its own message is seen") from error
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for child in set(multiprocessing.active_children()) - others:
-            child.terminate()
-        for name, value in environment.items():
-            os.environ.pop(name) if value is None else os.environ.update({name: value})
+    drives = list(enumerate(scenes))
+    records: list[EpisodeRecord | None] = [None] * len(drives)
+    driven = pool.each(_drive, drives, min(workers, len(drives)), _begin, (entrant, seed))
+    with contextlib.closing(driven):
+        for index, record in driven:
+            records[index] = record
+            on_record(record)
+    return records
 
 
 def make_examiner(entrant: Entrant, simulation: Simulation | None = None) -> Examiner:
@@ -116,39 +92,20 @@ def make_examiner(entrant: Entrant, simulation: Simulation | None = None) -> Exa
     return Examiner(env, entrant.config, entrant.driver(visual_act), entrant.sees, time.perf_counter)
 
 
-def _submit(pool: ProcessPoolExecutor, scenes: Sequence[Scene], seed: int) -> list[Future[EpisodeRecord]]:
-    """Starts the workers deaf to Ctrl-C, which is the parent's to answer: what is ignored here stays so in them."""
-    if threading.current_thread() is not threading.main_thread():
-        return [pool.submit(_drive, scene, seed, index) for index, scene in enumerate(scenes)]
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        return [pool.submit(_drive, scene, seed, index) for index, scene in enumerate(scenes)]
-    finally:
-        signal.signal(signal.SIGINT, handler)
-
-
 class _Worker:
-    """What a worker process holds: the examiner is made with the first episode, where its errors can be answered."""
+    """What a process that drives holds; the examiner is made with the first episode, where its errors are answered."""
 
-    entrant: Entrant | None = None
+    entrant: Entrant
+    seed: int
     examiner: Examiner | None = None
 
 
-def _begin_worker(entrant: Entrant) -> None:
-    _Worker.entrant = entrant
-    threading.Thread(target=_die_with_parent, daemon=True).start()
+def _begin(entrant: Entrant, seed: int) -> None:
+    _Worker.entrant, _Worker.seed, _Worker.examiner = entrant, seed, None
 
 
-def _die_with_parent() -> None:
-    multiprocessing.connection.wait([multiprocessing.parent_process().sentinel])
-    os._exit(1)
-
-
-def _drive(scene: Scene, seed: int, index: int) -> EpisodeRecord:
+def _drive(drive: tuple[int, Scene]) -> tuple[int, EpisodeRecord]:
+    index, scene = drive
     if _Worker.examiner is None:
         _Worker.examiner = make_examiner(_Worker.entrant)
-    return _Worker.examiner.drive(scene, _rng(seed, index))
-
-
-def _rng(seed: int, index: int) -> np.random.Generator:
-    return np.random.default_rng([seed, index])
+    return index, _Worker.examiner.drive(scene, np.random.default_rng([_Worker.seed, index]))

@@ -22,14 +22,13 @@ from zsdist.errors import RunError
 from zsdist.evaluation.statistics import wilson_95
 from zsdist.planning.belief import BeliefMap
 from zsdist.planning.grid import Grid
-from zsdist.pretraining.sets import objects_met
 from zsdist.sim.camera import make_camera
 from zsdist.sim.camera.primitives import ARENA_HALF_M
 from zsdist.sim.collision import touching
 from zsdist.sim.families import generate
 from zsdist.sim.manifest import OOD_FAMILIES, SPLITS, split_seed
 from zsdist.sim.scene import Obstacle, Scene
-from zsdist.sim.views import label
+from zsdist.sim.views import rays_met
 from zsdist.types import Pose
 from zsdist.vision.rays import RAYS, ray_angles_rad
 from zsdist.vision.visual_act import VisualAct
@@ -63,7 +62,7 @@ def approach(number: int, seed: int, camera: CameraConfig) -> Approach:
             poses = _poses(scene.obstacles[index], camera.forward_m, rng)
             if any(touching(pose, circles, boxes, arena_m=2 * ARENA_HALF_M) for pose in poses):
                 continue
-            if (objects_met(scene, poses[-1], camera) == ray_index(scene, index)).sum() >= 2:
+            if (rays_met(scene, poses[-1], camera)[1] == ray_index(scene, index)).sum() >= 2:
                 return Approach(scene, index, poses)
     raise AssertionError("families never end")
 
@@ -85,8 +84,9 @@ def visible_side(drive: Approach, grid: Grid, camera: CameraConfig) -> np.ndarra
     wanted, (xs, ys) = ray_index(drive.scene, drive.index), grid.fine_centres()
     side = np.zeros((grid.fine_size, grid.fine_size), bool)
     for pose in drive.poses:
-        met = objects_met(drive.scene, pose, camera) == wanted
-        distance = label(drive.scene, pose, camera)["ray_clearance_m"][met]
+        distance, hit = rays_met(drive.scene, pose, camera)
+        met = hit == wanted
+        distance = distance[met]
         heading = pose.heading_rad + angles[met]
         points_x = pose.x_m + camera.forward_m * math.cos(pose.heading_rad) + distance * np.cos(heading)
         points_y = pose.y_m + camera.forward_m * math.sin(pose.heading_rad) + distance * np.sin(heading)

@@ -4,6 +4,7 @@ Each shard is a folder of arrays that appears under its name when it is whole, a
 what is there is never made again, and the number of processes changes nothing.
 """
 
+import contextlib
 import json
 import math
 import os
@@ -14,8 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from zsdist import workers as pool
 from zsdist.errors import RunError
-from zsdist.pretraining import workers as pool
 from zsdist.pretraining.job import Job, replace
 from zsdist.pretraining.rows import Rows
 from zsdist.pretraining.sources import Arrays, Shard, make, shards, sources
@@ -78,9 +79,11 @@ def make_all(
     planned = sum(shard.count for shard in wanted)
     made = planned - sum(shard.count for shard in missing)
     on_made(made, planned)
-    for count in pool.each(_make, missing, min(workers, len(missing)), _begin, (job, folder), go_on):
-        made += count
-        on_made(made, planned)
+    counts = pool.each(_make, missing, min(workers, len(missing)), _begin, (job, folder), go_on)
+    with contextlib.closing(counts):
+        for count in counts:
+            made += count
+            on_made(made, planned)
     there = [shard.name for shard in wanted if (folder / shard.name).exists()]
     for source in sources(job):
         if not any(_source_of(name) == source for name in there):
@@ -130,12 +133,9 @@ class Pictures:
         return self._examples(self._rows("act"))
 
     def validation(self) -> "Examples":
-        """By which is decided when to stop; pictures of scenes that are trained on as well are left out."""
-        return self._untrained("validation")
-
-    def calibration(self) -> "Examples":
-        """To which the widths of distributions are fitted; no scene is trained on."""
-        return self._untrained("calibration")
+        """By which is decided when to stop, and how wide the distributions should be; no scene is trained on."""
+        kept = self._new_scenes("validation", "act", "masked")
+        return self._examples({name: rows[kept] for name, rows in self._rows("validation").items()})
 
     def counts(self) -> dict[str, int]:
         """Of what was trained on: pictures and different scenes for the head, masked and described pictures."""
@@ -187,14 +187,12 @@ class Pictures:
         return {field: Rows.read([self._folder / name / f"{field}.npy" for name in names]) for field in fields}
 
     def _new_scenes(self, source: str, *trained: str) -> np.ndarray:
-        kept = ~np.isin(np.asarray(self._rows(source)["scene"]), np.asarray(self._rows(*trained)["scene"]))
+        """Which pictures of a source `(N,)` bool are of scenes that none of `trained` has."""
+        learned = [self._rows(name).get("scene", ()) for name in trained if self._of(name)]
+        kept = ~np.isin(np.asarray(self._rows(source)["scene"]), np.concatenate(learned))
         if not kept.any():
             raise RunError(f"no picture of {source!r} is of a scene that is not trained on; allowed are more --images")
         return kept
-
-    def _untrained(self, source: str) -> "Examples":
-        kept = self._new_scenes(source, "act")
-        return self._examples({name: rows[kept] for name, rows in self._rows(source).items()})
 
     def _examples(self, rows: "dict[str, Rows] | dict[str, np.ndarray]") -> "Examples":
         from zsdist.vision.training.examples import Examples

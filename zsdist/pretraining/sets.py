@@ -6,7 +6,6 @@ All scenes are of the test split, so that no choice was made on them.
 import contextlib
 import dataclasses
 import itertools
-import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -14,15 +13,12 @@ import numpy as np
 
 from zsdist.config import CameraConfig
 from zsdist.sim.camera import Camera, make_camera
-from zsdist.sim.camera.primitives import ARENA_HALF_M
 from zsdist.sim.camera.variation import worn
 from zsdist.sim.families import generate
 from zsdist.sim.manifest import OOD_FAMILIES, SPLITS, TRAINED_GROUNDS, WITHHELD_GROUNDS, split_seed
-from zsdist.sim.raycast import ray_distances
 from zsdist.sim.scene import Scene
-from zsdist.sim.views import POSES_PER_SCENE, free_pose, label, people_on_paths, varied_camera
+from zsdist.sim.views import POSES_PER_SCENE, free_pose, label, people_on_paths, rays_met, varied_camera
 from zsdist.types import Pose
-from zsdist.vision.rays import RAYS, ray_angles_rad
 
 _TILT_RAD = 0.05  # of the car in pictures that are varied as in training
 
@@ -115,18 +111,8 @@ def shots(pictures: PictureSet, count: int, rng: np.random.Generator, camera: Ca
 def shot_at(eye: Camera, scene: Scene, family: str, pose: Pose, people: np.ndarray | None = None) -> Shot:
     """What a level camera sees from a pose of the car."""
     image, depth_m, _ = eye.render_labelled(scene, pose, people=people)
-    truth, objects = label(scene, pose, eye.config, people), objects_met(scene, pose, eye.config, people)
+    truth, (_, objects) = label(scene, pose, eye.config, people), rays_met(scene, pose, eye.config, people)
     return Shot(image, depth_m, scene, family, pose, truth, objects)
-
-
-def objects_met(scene: Scene, pose: Pose, camera: CameraConfig, people: np.ndarray | None = None) -> np.ndarray:
-    """A number of the obstacle that each of the camera's rays meets, `(R,)`, as `raycast.ray_distances` counts."""
-    angles = ray_angles_rad(RAYS, math.radians(camera.field_of_view_deg))
-    x_m = pose.x_m + camera.forward_m * math.cos(pose.heading_rad)
-    y_m = pose.y_m + camera.forward_m * math.sin(pose.heading_rad)
-    return ray_distances(
-        scene.circles(people), scene.boxes(), ARENA_HALF_M, x_m, y_m, pose.heading_rad + angles, camera.range_m
-    )[1]
 
 
 def _plain_shot(eye: Camera, scene: Scene, family: str, rng: np.random.Generator) -> Shot:
@@ -137,5 +123,5 @@ def _varied_shot(eye: Camera, scene: Scene, family: str, rng: np.random.Generato
     people = people_on_paths(scene, rng)
     pose = free_pose(scene, rng, people)
     image, depth_m, _ = eye.render_labelled(scene, pose, *rng.uniform(-_TILT_RAD, _TILT_RAD, 2), people)
-    truth, objects = label(scene, pose, eye.config, people), objects_met(scene, pose, eye.config, people)
+    truth, (_, objects) = label(scene, pose, eye.config, people), rays_met(scene, pose, eye.config, people)
     return Shot(worn(image, rng), depth_m, scene, family, pose, truth, objects)

@@ -1,8 +1,7 @@
 """The kinds of pictures that a pretraining needs, and how a shard of each is rendered and encoded.
 
 * `act`: what the head and the student learn from;
-* `validation`: the same from other scenes, by which is decided when to stop;
-* `calibration`: the same as it looks when driven through, by both renderers, to which the distributions are fitted;
+* `validation`: the same from other scenes, by which is decided when to stop and how wide the distributions should be;
 * `masked`: pictures and their masked versions, for the contrast;
 * `described`, `described-validation`: pictures with words, for the projection alone; the head never sees such scenes.
 """
@@ -30,11 +29,9 @@ from zsdist.vision.masks import MaskedView, hide
 from zsdist.vision.models import STUDENT_PX
 
 VALIDATION_SHARE = 0.08
-CALIBRATION_SHARE = 0.04
 CITY_VALIDATION_SHARE = 0.17  # there are 2,975 photographs to train on, and 500 others
 MASKED_SHARE = 0.07
 DESCRIBED_SHARE = 0.2
-BACK_ENDS = ("caster", "pybullet")
 SHARD = 512  # pictures; the scenes of two families come out even
 MASKED_SHARD = 64  # each with about nine masks
 _MASKS = 9  # of a picture, about: for what is said before the start
@@ -92,7 +89,6 @@ def _rendered(job: Job) -> dict[str, Source]:
     return {
         "act": Source(job.images, SHARD, _act),
         "validation": Source(_share(VALIDATION_SHARE, job.images), SHARD, _act),
-        "calibration": Source(_share(CALIBRATION_SHARE, job.images), SHARD // 4, _calibration),
         "masked": Source(_share(MASKED_SHARE, job.images), MASKED_SHARD, _masked),
     }
 
@@ -103,7 +99,6 @@ def _photographs(job: Job) -> dict[str, Source]:
     return {
         "act": Source(min(job.images, there), SHARD // 4, _city_act),
         "validation": Source(min(_share(CITY_VALIDATION_SHARE, job.images), others), SHARD // 4, _city_validation),
-        "calibration": Source(min(_share(CITY_VALIDATION_SHARE, job.images), others), SHARD // 4, _city_validation),
         "masked": Source(min(_share(MASKED_SHARE, job.images), there), MASKED_SHARD, _city_masked),
     }
 
@@ -134,11 +129,6 @@ def _act(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
     camera = job.config.camera
     views = labelled_views(list(job.families), PURPOSE.split, shard.count, seed, camera, varied=True)
     return _encode_act(views, encoder)
-
-
-def _calibration(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
-    camera = job.config.camera.model_copy(update={"back_end": BACK_ENDS[shard.index % len(BACK_ENDS)]})
-    return _encode_act(labelled_views(list(job.families), PURPOSE.split, shard.count, seed, camera), encoder)
 
 
 def _city_act(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
@@ -192,6 +182,7 @@ def _encode_masked(views: Iterable[MaskedView], encoder: Encoder) -> Arrays:
             "background": [False] + [mask.background for mask in view.masks],
             "ray_distance_m": [truth.ray_distance_m for truth in truths],
             "ray_dynamic": [truth.ray_dynamic for truth in truths],
+            "scene": scene_numbers([view.scene_hash] * len(truths)),
         }
 
     return _join(itertools.starmap(fields, enumerate(views)))

@@ -18,12 +18,12 @@ import safetensors.torch
 import torch
 from torch import nn
 
+from zsdist.errors import RunError
 from zsdist.pretraining.calibrating import calibrate
 from zsdist.pretraining.job import Job, replace
 from zsdist.pretraining.pictures import Pictures
 from zsdist.pretraining.progress import Watch
 from zsdist.vision.encoders.base import Encoder
-from zsdist.vision.encoders.minilm import MiniLm
 from zsdist.vision.folder import HEAD_FILE, HISTORY_FILE, PROJECTION_FILE, STUDENT_FILE, VOCABULARY_FILE
 from zsdist.vision.training import head as of_head
 from zsdist.vision.training import projection as of_words
@@ -93,7 +93,7 @@ class Stages:
                 contrast = None if projection is None else Contrast(projection, *self._pictures.masked())
                 return of_head.train(head, examples, validation, recipe, rng, time_used, contrast)
 
-            self._train("head", head, train_head, lambda: calibrate(head, self._pictures.calibration()))
+            self._train("head", head, train_head, lambda: calibrate(head, validation))
             files[HEAD_FILE] = safetensors.torch.save(head.state_dict())
         if "student" in self._job.stages:
             student = of_student.new_student(self._field_of_view_rad, self._job.seed)
@@ -102,7 +102,7 @@ class Stages:
                 lesson = of_student.teach(head, examples)
                 return of_student.train(student, examples, validation, recipe, rng, time_used, lesson)
 
-            pictures = of_student.of_pictures(self._pictures.calibration())
+            pictures = of_student.of_pictures(validation)
             self._train("student", student, train_student, lambda: calibrate(student, pictures))
             files[STUDENT_FILE] = safetensors.torch.save(student.state_dict())
         return files
@@ -110,8 +110,7 @@ class Stages:
     def words(self) -> tuple[nn.Module, dict[str, bytes]]:
         """The projection to the space of words, which an encoder may bring, and the files of it and the vocabulary."""
         words, native = shipped_words(), self._encoder.native_projection()
-        tower_sha256 = MiniLm().sha256 if native is None else self._encoder.sha256
-        vocabulary = Vocabulary(words, self._encoder.embed_texts(words), tower_sha256)
+        vocabulary = Vocabulary(words, self._encoder.embed_texts(words), self._encoder.text_sha256)
         if native is not None:
             self._watch.say("words: the encoder brings its own projection, which is not trained")
             projection = nn.Linear(*native["weight"].shape[::-1])
@@ -152,11 +151,14 @@ class Stages:
             trainer.restore(stands.read_bytes())
             self._watch.say(f"{stage}: going on after epoch {trainer.epoch}")
         strike_out(self._history, stage, trainer.epoch)
-        for figures in trainer:
-            with self._history.open("a") as file:
-                file.write(json.dumps({"stage": stage, **figures}) + "\n")
-            replace(stands, trainer.state())
-            self._watch.epoch(stage, figures, recipe.epochs)
+        try:
+            for figures in trainer:
+                with self._history.open("a") as file:
+                    file.write(json.dumps({"stage": stage, **figures}) + "\n")
+                replace(stands, trainer.state())
+                self._watch.epoch(stage, figures, recipe.epochs)
+        except RunError as error:
+            raise RunError(f"stage {stage!r}: {error}") from error
         finish()
         replace(ended, safetensors.torch.save(network.state_dict()))
         stands.unlink(missing_ok=True)

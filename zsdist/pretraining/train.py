@@ -51,8 +51,9 @@ def train(
 
 
 def _metadata(job: Job, folder: Path, pictures: Pictures, encoder: Encoder) -> dict[str, Any]:
+    tower = {"text_sha256": encoder.text_sha256} if "words" in job.stages else {}
     return {
-        "encoder": {"name": encoder.name, "sha256": encoder.sha256},
+        "encoder": {"name": encoder.name, "sha256": encoder.sha256, **tower},
         "camera": {key: getattr(job.config.camera, key) for key in CAMERA_KEYS},
         "command": job.command,
         "zsdist": __version__,

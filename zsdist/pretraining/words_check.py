@@ -191,7 +191,7 @@ def _unseen_kinds(
     from zsdist.vision.training.projection import WordRecipe, new_projection, train
 
     texts = shipped_words()
-    vocabulary = Vocabulary(texts, encoder.embed_texts(texts), encoder.sha256)
+    vocabulary = Vocabulary(texts, encoder.embed_texts(texts), encoder.text_sha256)
     examples = _word_examples(encoder, UNSEEN_IMAGES, seed, config.camera)
     held_out = _word_examples(encoder, _HELD_OUT, seed + 1, config.camera)
     parts = []

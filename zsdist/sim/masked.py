@@ -64,7 +64,7 @@ def masked_view(eye: CasterCamera, scene: Scene, pose: Pose, people: np.ndarray 
     whole = truth(scene, people)
     masks = [Mask(hidden, False, *truth(*without(scene, index, people))) for index, hidden in objects.items()]
     masks += [Mask(hidden, True, *whole) for hidden in background]
-    return MaskedView(image, *whole, tuple(masks))
+    return MaskedView(image, *whole, tuple(masks), scene.hash())
 
 
 def without(scene: Scene, index: int, people: np.ndarray | None) -> tuple[Scene, np.ndarray | None]:

@@ -100,11 +100,7 @@ def label(scene: Scene, pose: Pose, camera: CameraConfig, people: np.ndarray | N
         people: `(W, 2)` places of the walking obstacles; None: where they start.
     """
     angles = ray_angles_rad(RAYS, math.radians(camera.field_of_view_deg))
-    x_m = pose.x_m + camera.forward_m * math.cos(pose.heading_rad)
-    y_m = pose.y_m + camera.forward_m * math.sin(pose.heading_rad)
-    distance, hit = ray_distances(
-        scene.circles(people), scene.boxes(), ARENA_HALF_M, x_m, y_m, pose.heading_rad + angles, camera.range_m
-    )
+    distance, hit = rays_met(scene, pose, camera, people)
     kinds = [KINDS[kind] for kind in _kinds_by_hit(scene)]
     moves = np.array([kind.dynamic for kind in kinds] + [False])
     ray_dynamic = moves[np.maximum(hit, -1)]  # the last entry is of what no obstacle is hit by
@@ -120,6 +116,19 @@ def label(scene: Scene, pose: Pose, camera: CameraConfig, people: np.ndarray | N
         "goal_bearing_rad": bearing,
         "goal_distance_m": goal_m,
     }
+
+
+def rays_met(
+    scene: Scene, pose: Pose, camera: CameraConfig, people: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far each of the camera's rays goes, and what it meets, both `(R,)`, as of `raycast.ray_distances`.
+
+    Arguments as of `label`.
+    """
+    x_m = pose.x_m + camera.forward_m * math.cos(pose.heading_rad)
+    y_m = pose.y_m + camera.forward_m * math.sin(pose.heading_rad)
+    headings = pose.heading_rad + ray_angles_rad(RAYS, math.radians(camera.field_of_view_deg))
+    return ray_distances(scene.circles(people), scene.boxes(), ARENA_HALF_M, x_m, y_m, headings, camera.range_m)
 
 
 def free_pose(scene: Scene, rng: np.random.Generator, people: np.ndarray | None = None) -> Pose:

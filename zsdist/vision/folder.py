@@ -35,8 +35,8 @@ class Folder:
 
     Attributes:
         path: of the folder.
-        metadata: "version", "encoder" (name and sha256), "camera" (`CAMERA_KEYS`), "files" (SHA-256 of each), and
-            whatever tells how they were made.
+        metadata: "version", "encoder" (name, sha256, and text_sha256 where words were learned), "camera"
+            (`CAMERA_KEYS`), "files" (SHA-256 of each), and whatever tells how they were made.
     """
 
     path: Path

@@ -44,12 +44,14 @@ class MaskedView:
         ray_distance_m: `(R,)` float32.
         ray_dynamic: `(R,)` bool.
         masks: of this picture.
+        scene_hash: as of the views without masks, by which pictures of one scene can be kept together.
     """
 
     image: np.ndarray
     ray_distance_m: np.ndarray
     ray_dynamic: np.ndarray
     masks: tuple[Mask, ...]
+    scene_hash: str
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,9 @@ from zsdist.errors import RunError
 from zsdist.planning.grid import Grid
 from zsdist.pretraining import objects
 from zsdist.pretraining.objects import Approach, approach, drive_up, measure, ray_index, summary, visible_side
-from zsdist.pretraining.sets import objects_met
 from zsdist.sim.collision import touching
 from zsdist.sim.scene import Obstacle, Scene, Start
-from zsdist.sim.views import label
+from zsdist.sim.views import label, rays_met
 from zsdist.types import Pose, View
 from zsdist.vision.rays import BIN_EDGES_M, BINS, RAYS, ray_angles_rad
 
@@ -76,7 +75,7 @@ def crowded_squares(obstacle):
 
 def test_the_number_of_a_ray_is_that_of_the_obstacle_it_meets():
     assert [ray_index(SCENE, index) for index in range(3)] == [2, 0, 1]
-    assert (objects_met(SCENE, DRIVE.poses[-1], CONFIG.camera) == ray_index(SCENE, 1)).any()
+    assert (rays_met(SCENE, DRIVE.poses[-1], CONFIG.camera)[1] == ray_index(SCENE, 1)).any()
 
 
 def test_approaches_come_near_touch_nothing_and_follow_from_their_number():
@@ -86,7 +85,7 @@ def test_approaches_come_near_touch_nothing_and_follow_from_their_number():
         assert len(drive.poses) == objects.LOOKS
         assert not any(touching(pose, circles, boxes, arena_m=25.0) for pose in drive.poses)
         assert approach(number, 7, CONFIG.camera) == drive
-        met = objects_met(drive.scene, drive.poses[-1], CONFIG.camera) == ray_index(drive.scene, drive.index)
+        met = rays_met(drive.scene, drive.poses[-1], CONFIG.camera)[1] == ray_index(drive.scene, drive.index)
         assert label(drive.scene, drive.poses[-1], CONFIG.camera)["ray_clearance_m"][met].min() < 2.5
 
 

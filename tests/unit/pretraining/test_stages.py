@@ -1,6 +1,8 @@
 import json
 
-from zsdist.pretraining.stages import Budget, strike_out
+import pytest
+
+from zsdist.pretraining.stages import TIME_SHARES, Budget, strike_out
 
 
 def test_what_a_stage_leaves_of_its_time_is_for_those_after_it():
@@ -8,13 +10,15 @@ def test_what_a_stage_leaves_of_its_time_is_for_those_after_it():
     budget = Budget(100.0, ["pictures", "head", "student"], lambda: now[0])
     used = budget.begin("pictures")
     now[0] = 10.0
-    assert 0.18 < used() < 0.20
+    share = TIME_SHARES["pictures"] / (1.0 - TIME_SHARES["words"])
+    assert used() == pytest.approx(0.1 / share)
     used = budget.begin("head")
-    now[0] = 60.0  # head has 0.25 of 0.45 of the 90 seconds that are left
-    assert abs(used() - 1.0) < 1e-9
+    head, student = TIME_SHARES["head"], TIME_SHARES["student"]
+    now[0] = 10.0 + 90.0 * head / (head + student)  # of the 90 seconds that are left
+    assert used() == pytest.approx(1.0)
     used = budget.begin("student")
     now[0] = 100.0
-    assert abs(used() - 1.0) < 1e-9
+    assert used() == pytest.approx(1.0)
 
 
 def test_epochs_that_were_broken_off_before_they_were_saved_are_struck_out(tmp_path):

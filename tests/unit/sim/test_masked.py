@@ -45,6 +45,7 @@ def test_the_truth_of_a_mask_is_that_of_the_scene_without_its_object():
         assert (match.ray_dynamic == left["ray_dynamic"]).all()
         assert match.hidden.any()
     assert view.ray_dynamic.any() and not objects[0].ray_dynamic.all()
+    assert view.scene_hash == scene(behind, near).hash()
 
 
 def test_background_masks_leave_the_truth_as_it_is():

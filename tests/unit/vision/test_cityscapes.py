@@ -146,7 +146,7 @@ def test_the_picture_is_level_at_its_true_angles_and_grey_where_the_frame_shows_
 def test_a_hidden_object_leaves_what_is_seen_beside_it_and_background_changes_nothing(tmp_path):
     root = write(tmp_path, [HOUSE, A_POLE, A_CAR])
     (view,) = cityscapes_masked_views(root, "train", 1, 0, CAMERA)
-    assert (view.image == only(root).image).all()
+    assert (view.image == only(root).image).all() and view.scene_hash == only(root).scene_hash
     assert 5 <= len(view.masks) <= MOST_MASKS
     objects = [mask for mask in view.masks if not mask.background]
     shown = {int(np.median(view.image[mask.hidden][:, 2])): mask for mask in objects}

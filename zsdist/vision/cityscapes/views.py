@@ -75,9 +75,7 @@ def cityscapes_views(
         ConfigError: the field of view is wider than the pictures.
     """
     for level in _levels(folder, split, range(first, first + count), seed, camera, scale):
-        city_and_sequence = level.name.rpartition("_")[0]
-        digest = hashlib.sha256(city_and_sequence.encode()).hexdigest()[:16]
-        yield CityView(level.image, *level.truth(), level.name, digest)
+        yield CityView(level.image, *level.truth(), level.name, level.scene_hash)
 
 
 def cityscapes_masked_views(
@@ -96,7 +94,7 @@ def cityscapes_masked_views(
         objects, background = choose(level.objects[coarse], distance_m, ground, sky, camera.range_m)
         masks = [Mask(hidden, False, *level.truth(without=number)) for number, hidden in objects.items()]
         masks += [Mask(hidden, True, *whole) for hidden in background]
-        yield MaskedView(level.image, *whole, tuple(masks))
+        yield MaskedView(level.image, *whole, tuple(masks), level.scene_hash)
 
 
 @dataclass(frozen=True)
@@ -120,6 +118,11 @@ class _Level:
     distance_m: np.ndarray
     in_the_way: np.ndarray
     range_m: float
+
+    @property
+    def scene_hash(self) -> str:
+        """Of its city and sequence."""
+        return hashlib.sha256(self.name.rpartition("_")[0].encode()).hexdigest()[:16]
 
     def truth(self, without: int | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Distance `(R,)` float32 and "dynamic" `(R,)` of each ray; `without` an object, if one is named."""

@@ -17,6 +17,7 @@ class Encoder(Protocol):
     Attributes:
         name: such as "efficientnet-lite0/block10" or "clip/vit-b-32".
         sha256: of the image tower's weights file, 64 hexadecimal digits.
+        text_sha256: likewise of the text tower, which is loaded at first use; both may be in one file.
         input_px: side of the square images that it takes without resampling.
         side: tokens in a row and in a column.
         features: width of a token.
@@ -27,6 +28,10 @@ class Encoder(Protocol):
     input_px: int
     side: int
     features: int
+
+    @property
+    def text_sha256(self) -> str:
+        """As above; raises as `embed_texts`."""
 
     def tokens(self, images: np.ndarray) -> np.ndarray:
         """Tokens `(B, side, side, features)` float32 of images `(B, px, px, 3)` uint8, from the top left."""

@@ -33,7 +33,7 @@ class ClipFolder:
         self._clip, self._weights = read_folder(folder)
         self._folder = folder
         self.name = f"clip/{folder.resolve().name}"
-        self.sha256 = file_sha256(self._weights)
+        self.sha256 = self.text_sha256 = file_sha256(self._weights)  # one file holds both towers
         self.input_px = self._clip.image_px
         self.side = self._clip.image_px // self._clip.patch_px
         self.features = self._clip.vision.width

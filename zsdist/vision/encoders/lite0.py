@@ -57,13 +57,21 @@ class EfficientNetLite0:
         Raises:
             WeightsError: a package that it needs is not installed, or its weights are damaged.
         """
-        if self._texts is None:
-            self._texts = MiniLm()
-        return self._texts.embed(texts)
+        return self._text_tower().embed(texts)
+
+    @property
+    def text_sha256(self) -> str:
+        """SHA-256 of MiniLM's weights file, hexadecimal; raises as `embed_texts`."""
+        return self._text_tower().sha256
 
     def native_projection(self) -> None:
         """None: the two towers were trained apart, so that the map between them is trained by us."""
         return
+
+    def _text_tower(self) -> MiniLm:
+        if self._texts is None:
+            self._texts = MiniLm()
+        return self._texts
 
 
 def weights_file() -> Path:

@@ -1,14 +1,10 @@
 """The contrast of Algorithm 1, lines 10 to 18: masked pictures, and the rewards that change by what is hidden."""
 
-import itertools
-from collections.abc import Iterable
-
 import numpy as np
 import torch
 
-from zsdist.vision.encoders.base import Encoder
 from zsdist.vision.labels import progress, random_goals
-from zsdist.vision.masks import BACKGROUND_WEIGHT, MaskedExamples, MaskedView, changed, hide, rewards
+from zsdist.vision.masks import BACKGROUND_WEIGHT, MaskedExamples, changed, rewards
 from zsdist.vision.models.head import ACTIONS, VisualActHead
 from zsdist.vision.models.projection import Projection, attended_embeddings
 from zsdist.vision.training.examples import Examples
@@ -162,32 +158,3 @@ def where_to_look(cover: np.ndarray, positive: np.ndarray, background: np.ndarra
     things = np.stack([together(positive[:, action]) for action in range(ACTIONS)], 1)
     nothing = ~positive.any(-1, keepdims=True)
     return np.where(nothing, np.clip(together(sky) - objects, 0, 1)[:, None], things), ground
-
-
-def encode(
-    views: Iterable[MaskedView], encoder: Encoder, ray_angles_rad: np.ndarray, at_once: int = 4
-) -> tuple[Examples, MaskedExamples]:
-    """Encodes pictures and their masked versions, `at_once` pictures with all their masks at a time; none are kept."""
-    tokens, truth, masked_tokens, masked_truth, image, background = [], [], [], [], [], []
-    views = iter(views)
-    while batch := list(itertools.islice(views, at_once)):
-        pictures = [view.image for view in batch]
-        for view in batch:
-            pictures += [hide(view.image, mask.hidden) for mask in view.masks]
-            image += [len(truth)] * len(view.masks)
-            background += [mask.background for mask in view.masks]
-            masked_truth += [(mask.ray_distance_m, mask.ray_dynamic) for mask in view.masks]
-            truth.append((view.ray_distance_m, view.ray_dynamic))
-        found = encoder.tokens(np.stack(pictures)).astype(np.float16)
-        tokens.append(found[: len(batch)])
-        masked_tokens.append(found[len(batch) :])
-    if not background:
-        raise ValueError("there is no masked picture among the views; allowed is one or more")
-    distance, dynamic = (np.stack(part) for part in zip(*truth, strict=True))
-    masked_distance, masked_dynamic = (np.stack(part) for part in zip(*masked_truth, strict=True))
-    return (
-        Examples(np.concatenate(tokens), distance, dynamic, ray_angles_rad),
-        MaskedExamples(
-            np.concatenate(masked_tokens), np.array(image), masked_distance, masked_dynamic, np.array(background)
-        ),
-    )

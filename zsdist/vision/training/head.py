@@ -6,14 +6,11 @@ obstacle with the goal given (`labels.reward_label`), and rays are learned besid
 
 import math
 from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import safetensors.torch
 import torch
 
-from zsdist.vision import folder
 from zsdist.vision.labels import expected_openness, reward_label
 from zsdist.vision.models.head import VisualActHead
 from zsdist.vision.rays import BIN_CENTRES_M
@@ -103,10 +100,3 @@ def validate(head: VisualActHead, examples: Examples, batch: int) -> dict[str, f
             for name, part in parts.items():
                 sums[name] = sums.get(name, 0.0) + part * len(index)
     return {name: value / len(examples) for name, value in sums.items()}
-
-
-def save(head: VisualActHead, path: Path, metadata: dict[str, Any]) -> str:
-    """Writes a folder of weights with the head alone, which `VisualAct.load` reads; returns their SHA-256."""
-    return folder.write(path, {folder.HEAD_FILE: safetensors.torch.save(head.state_dict())}, metadata).sha256(
-        folder.HEAD_FILE
-    )

@@ -12,7 +12,7 @@ import safetensors.torch
 import torch
 from torch import Tensor, nn
 
-from zsdist.errors import WeightsError
+from zsdist.errors import RunError, WeightsError
 
 LARGEST_GRADIENT = 5.0  # norm to which longer gradients are cut
 
@@ -46,6 +46,9 @@ class Trainer(Iterator[dict[str, float]]):
         validate: gives the parts of the validation loss, of which the sum is to be small.
         rng: decides whatever is random.
         time_used: share of the time allowed that is gone; the cycle hurries so as to end when it reaches 1.
+
+    Raises:
+        RunError: a loss is not finite; the epoch is named, and the weights are those before the step.
 
     Yields:
         `{"epoch", "learning_rate", "loss", "validation_loss"}`, with the parts as `loss_<part>` and
@@ -87,8 +90,9 @@ class Trainer(Iterator[dict[str, float]]):
             torch.manual_seed(int(self._rng.integers(2**63)))
             means, rate = self._train()
         parts = self._validate()
-        self.epoch += 1
         found = sum(parts.values())
+        self._check("validation loss", found, parts)
+        self.epoch += 1
         if found < self._best_loss:
             self._best_loss, self._best_epoch = found, self.epoch
             self._best = {name: value.clone() for name, value in self._network.state_dict().items()}
@@ -108,12 +112,21 @@ class Trainer(Iterator[dict[str, float]]):
             or self.epoch - self._best_epoch >= self._recipe.patience
         )
 
+    def _check(self, name: str, value: float, parts: dict[str, float]) -> None:
+        if not math.isfinite(value):
+            said = ", ".join(f"{part} {number:g}" for part, number in parts.items())
+            raise RunError(
+                f"{name} is {value:g} ({said}) in epoch {self.epoch + 1}; allowed is a finite one, to which another "
+                "seed or more pictures may lead"
+            )
+
     def _train(self) -> tuple[dict[str, float], float]:
         """An epoch; the means of the loss and its parts, and the last learning rate."""
         self._network.train()
         step, total_steps, sums, rate = self.epoch * self._steps, self._recipe.epochs * self._steps, {}, 0.0
         batches = 0
         for total, parts in self._losses(self._rng):
+            self._check("loss", float(total.detach()), parts)
             rate = self._recipe.learning_rate * one_cycle(max(step / total_steps, min(self._time_used(), 1.0)))
             for group in self._optimiser.param_groups:
                 group["lr"] = rate

@@ -165,9 +165,15 @@ class Vocabulary:
         return np.stack([self[word] for word in words])
 
     def to_bytes(self) -> bytes:
-        """In the format of safetensors, the words in its metadata."""
-        about = {"words": json.dumps(self.words), "text_sha256": self.text_sha256}
-        return safetensors.numpy.save({"embeddings": self.embeddings}, about)
+        """In the format of safetensors, the words in its metadata; the same bytes for the same content."""
+        rows = np.ascontiguousarray(self.embeddings, "<f4")
+        about = {
+            "__metadata__": {"words": json.dumps(self.words), "text_sha256": self.text_sha256},
+            "embeddings": {"dtype": "F32", "shape": rows.shape, "data_offsets": (0, rows.nbytes)},
+        }
+        header = json.dumps(about, sort_keys=True).encode()  # safetensors' own writer has no order of its metadata
+        header += b" " * (-len(header) % 8)
+        return len(header).to_bytes(8, "little") + header + rows.tobytes()
 
     @classmethod
     def from_bytes(cls, content: bytes) -> "Vocabulary":

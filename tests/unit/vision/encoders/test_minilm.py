@@ -2,6 +2,7 @@ import subprocess
 import sys
 from functools import cache
 
+import declared_operators  # noqa: F401 (before transformers, which imports torchvision)
 import numpy as np
 import pytest
 import torch

@@ -1,15 +1,14 @@
 import math
 
 import numpy as np
-import pytest
 import torch
 
-from zsdist.vision.masks import Mask, MaskedExamples, MaskedView
+from zsdist.vision.masks import MaskedExamples
 from zsdist.vision.models.head import VisualActHead
 from zsdist.vision.models.projection import Projection
 from zsdist.vision.rays import RANGE_M, RAYS, ray_angles_rad
 from zsdist.vision.training import contrast as module
-from zsdist.vision.training.contrast import Contrast, covers, encode, where_to_look
+from zsdist.vision.training.contrast import Contrast, covers, where_to_look
 from zsdist.vision.training.examples import Examples
 
 SIDE, FEATURES = 8, 6
@@ -129,39 +128,3 @@ def test_actions_look_at_what_is_in_their_way_or_else_at_the_sky_and_never_at_ba
     assert (wanted[1] == cover[0, 0]).all()
     assert wanted[0, 0].all() and wanted[0, 1, 1] == 0.0 and (wanted[0] == wanted[2]).all()
     assert unwanted[3].all() and unwanted[2, 1] == 0.0 and not unwanted[:2].any()
-
-
-class Means:
-    """An encoder whose tokens are mean colours."""
-
-    def tokens(self, images):
-        return images.reshape(-1, 2, 4, 2, 4, 3).mean((2, 4), dtype=np.float32)
-
-
-def test_encoding_keeps_each_masked_picture_with_its_original_and_its_truth():
-    rng = np.random.default_rng(0)
-
-    def mask(number, background):
-        hidden = np.zeros((8, 8), bool)
-        hidden[:4, :4] = True
-        return Mask(hidden, background, np.full(RAYS, number, np.float32), np.zeros(RAYS, bool))
-
-    def view(number, count):
-        image = rng.integers(0, 256, (8, 8, 3), np.uint8)
-        masks = tuple(mask(number + 0.1 * k, k == 0) for k in range(count))
-        return MaskedView(image, np.full(RAYS, number, np.float32), np.ones(RAYS, bool), masks)
-
-    views = [view(k, count) for k, count in enumerate((2, 0, 3))]
-    originals, masked = encode(views, Means(), ANGLES, at_once=2)
-    assert len(originals) == 3 and originals.ray_distance_m[:, 0].tolist() == [0, 1, 2]
-    assert masked.image.tolist() == [0, 0, 2, 2, 2]
-    assert masked.background.tolist() == [True, False, True, False, False]
-    np.testing.assert_allclose(masked.ray_distance_m[:, 0], [0, 0.1, 2, 2.1, 2.2], rtol=1e-6)
-    np.testing.assert_allclose(masked.tokens[:, 1, 1], originals.tokens[masked.image][:, 1, 1])
-    assert (masked.tokens[:, 0, 0] != originals.tokens[masked.image][:, 0, 0]).any(1).all()
-
-
-def test_views_without_any_mask_are_refused_in_one_line():
-    view = MaskedView(np.zeros((8, 8, 3), np.uint8), np.zeros(RAYS, np.float32), np.zeros(RAYS, bool), ())
-    with pytest.raises(ValueError, match="no masked picture"):
-        encode([view], Means(), ANGLES)

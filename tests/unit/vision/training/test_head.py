@@ -5,11 +5,9 @@ import numpy as np
 import pytest
 import torch
 
-from zsdist.vision import folder
-from zsdist.vision.labels import nearest
-from zsdist.vision.rays import RANGE_M, RAYS, ray_angles_rad, soft_labels
-from zsdist.vision.training.examples import Examples, targets
-from zsdist.vision.training.head import new_head, save, train, validate
+from zsdist.vision.rays import RANGE_M, RAYS, ray_angles_rad
+from zsdist.vision.training.examples import Examples
+from zsdist.vision.training.head import new_head, train, validate
 from zsdist.vision.training.trainer import Recipe
 
 SIDE, FEATURES = 8, 6
@@ -69,31 +67,6 @@ def test_training_stops_when_nothing_gets_better():
     assert len(history) < 20
 
 
-def test_a_mirrored_view_has_mirrored_rays_and_its_left_and_right_exchanged():
-    data, index = examples(4, 5), np.arange(4)
-    plain = targets(data, index, np.zeros(4, bool), np.random.default_rng(0))
-    mirrored = targets(data, index, np.ones(4, bool), np.random.default_rng(0))
-    np.testing.assert_array_equal(mirrored.tokens, plain.tokens.flip(2))
-    np.testing.assert_array_equal(mirrored.rays, plain.rays.flip(1))
-    np.testing.assert_allclose(mirrored.clearance, plain.clearance[:, [0, 2, 1]], atol=1e-6)
-
-
-def test_making_targets_leaves_the_examples_as_they_are():
-    data, again = examples(4, 5), examples(4, 5)
-    targets(data, np.arange(4), np.ones(4, bool), np.random.default_rng(0))
-    np.testing.assert_array_equal(data.tokens, again.tokens)
-    np.testing.assert_array_equal(data.ray_distance_m, again.ray_distance_m)
-
-
-def test_labels_of_a_batch_are_those_of_its_rays():
-    data = examples(4, 5)
-    batch = targets(data, np.arange(4), np.zeros(4, bool), np.random.default_rng(0))
-    clearance, dynamic = nearest(data.ray_distance_m, data.ray_dynamic, ANGLES)
-    np.testing.assert_allclose(batch.clearance, soft_labels(clearance))
-    np.testing.assert_array_equal(batch.dynamic, dynamic)
-    np.testing.assert_array_equal(batch.present, clearance < RANGE_M)
-
-
 class LooksAt:
     """A contrast that asks each action to look at one token."""
 
@@ -119,16 +92,3 @@ def test_the_contrast_draws_the_attention_while_the_head_learns():
     assert looked[False] > 2 * looked[True]
     assert "loss_contrast" in history[0] and "validation_contrast" not in history[0]
     assert len(set(contrast.drawn)) == len(contrast.drawn) == 24
-
-
-def test_saved_weights_carry_their_hash_and_metadata(tmp_path):
-    head = new_head(examples(8, 0), math.pi / 2, 0)
-    metadata = {
-        "encoder": {"name": "e", "sha256": "0"},
-        "camera": {"field_of_view_deg": 90, "range_m": 5, "height_m": 1},
-        "seed": 4,
-    }
-    digest = save(head, tmp_path / "new", metadata)
-    made = folder.read(tmp_path / "new")
-    assert made.sha256(folder.HEAD_FILE) == digest and made.metadata["seed"] == 4
-    assert len(made.content(folder.HEAD_FILE)) < 3e6

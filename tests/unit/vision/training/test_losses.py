@@ -118,21 +118,6 @@ def test_an_action_without_either_kind_of_sample_is_skipped():
     assert (torch.autograd.grad(nothing, anchors)[0] == 0).all()
 
 
-def test_an_action_in_whose_way_nothing_stands_can_be_kept_from_what_is_hidden():
-    samples, weight = directions(0, 10)[None], torch.ones(1, 2)
-    positive, negative = marks([0, 0], [0, 0], [0, 0]), marks([1, 1], [0, 0], [0, 0])
-
-    def at(degrees, empty_weight):
-        anchors = directions(degrees, 0, 0)[None].requires_grad_()
-        args = (anchors, torch.zeros(1, 2), samples, positive, negative, weight, "literal")
-        loss = contrastive_loss(*args, empty_weight=empty_weight)
-        assert torch.isfinite(torch.autograd.grad(loss, anchors)[0]).all()
-        return float(loss.detach())
-
-    assert at(5, 1.0) > at(90, 1.0) > at(180, 1.0)
-    assert at(5, 0.0) == at(90, 0.0) == 0
-
-
 def test_the_attention_error_is_small_on_what_is_wanted_and_grows_with_what_is_on_the_unwanted():
     wanted = torch.zeros(1, 3, 4)
     wanted[0, 0, 1] = 1.0  # the two other actions want nothing

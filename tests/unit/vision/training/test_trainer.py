@@ -1,11 +1,12 @@
 import itertools
+import math
 
 import numpy as np
 import pytest
 import torch
 from torch import nn
 
-from zsdist.errors import WeightsError
+from zsdist.errors import RunError, WeightsError
 from zsdist.vision.training.trainer import Recipe, Trainer, one_cycle
 
 BATCHES = 4
@@ -104,6 +105,24 @@ def test_a_state_of_another_network_is_refused():
     next(training)
     with pytest.raises(WeightsError, match="cannot be resumed"):
         trainer(Recipe(epochs=2), width=6)[1].restore(training.state())
+
+
+@pytest.mark.parametrize("spoiled", [math.nan, math.inf])
+def test_a_loss_that_is_not_finite_ends_the_training_in_one_line_with_its_epoch(spoiled):
+    network, training = trainer(Recipe(epochs=5), iter([1.0, spoiled]))
+    next(training)
+    with pytest.raises(RunError, match=rf"validation loss is {spoiled:g} \(error {spoiled:g}\) in epoch 2; allowed"):
+        next(training)
+    assert training.epoch == 1
+    network, training = trainer(Recipe(epochs=5))
+    next(training)
+    before = weights(network)
+    with torch.no_grad():
+        network[0].bias[:] = spoiled
+    with pytest.raises(RunError, match=r"^loss is nan .* in epoch 2; allowed is a finite one") as raised:
+        next(training)
+    assert "\n" not in str(raised.value)
+    assert torch.equal(network[3].weight, before["3.weight"])  # no step was taken
 
 
 def test_the_learning_rate_rises_once_and_falls_to_nothing():

@@ -1,7 +1,11 @@
+import hashlib
 import itertools
+import subprocess
+import sys
 
 import numpy as np
 import pytest
+import safetensors.numpy
 
 from zsdist.errors import WeightsError
 from zsdist.vision.words.vocabulary import (
@@ -54,6 +58,18 @@ def test_a_vocabulary_survives_being_written():
     back = Vocabulary.from_bytes(Vocabulary(("a tree", "sand", "ä"), rows, "ab12").to_bytes())
     assert back.words == ("a tree", "sand", "ä") and back.text_sha256 == "ab12"
     assert (back["sand"] == rows[1]).all() and (back.rows(["ä", "a tree"]) == rows[[2, 0]]).all()
+
+
+def test_the_same_content_is_the_same_bytes_in_every_process():
+    written = "Vocabulary(('a tree', 'sand'), np.eye(2, 3, dtype=np.float32), 'ab12').to_bytes()"
+    code = (
+        "import hashlib, numpy as np; from zsdist.vision.words.vocabulary import Vocabulary; "
+        f"print({{hashlib.sha256({written}).hexdigest() for _ in range(20)}})"
+    )
+    here = {Vocabulary(("a tree", "sand"), np.eye(2, 3, dtype=np.float32), "ab12").to_bytes() for _ in range(20)}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == str({hashlib.sha256(content).hexdigest() for content in here}) and len(here) == 1
+    assert (safetensors.numpy.load(here.pop())["embeddings"] == np.eye(2, 3)).all()
 
 
 def test_a_damaged_vocabulary_and_a_missing_word_are_refused_in_one_line():

@@ -1,4 +1,4 @@
-"""The libraries that the encoders are held against, importable beside a torch without CUDA.
+"""Makes the libraries that the encoders are held against importable beside a torch without CUDA; import it first.
 
 The registry's torchvision is compiled for CUDA. Beside a CPU build of torch its operators cannot be loaded, and its
 import fails on the two that it describes without asking. Nothing here calls them: they are declared, no more.

@@ -5,7 +5,7 @@ import multiprocessing.connection
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, TypeVar
@@ -23,9 +23,11 @@ def each(
     workers: int,
     begin: Callable[..., None],
     arguments: tuple[Any, ...],
-    go_on: Callable[[], bool],
-) -> Iterator[Result]:
+    go_on: Callable[[], bool] = lambda: True,
+) -> Generator[Result, None, None]:
     """What `work` makes of each item, as it is done; items are taken in order, so that those done are the first ones.
+
+    Where it may not be used up, close the generator: its processes then end at once.
 
     Args:
         work: on one item; a function of a module, as is `begin`.
