@@ -69,7 +69,7 @@ class VisionConfig(Section):
     weights: str = "pretrained"  # shipped in the package, or a folder made by `zsdist.pretrain`
     encoder: str = "efficientnet-lite0"  # or a folder with a CLIP model, in the layout of open_clip or Hugging Face
     network: Literal["head", "student"] = "head"  # the head on the encoder's tokens, or the small network without it
-    ray_quantile: Annotated[float, Field(gt=0, lt=1)] = 0.2
+    ray_quantile: Annotated[float, Field(gt=0, lt=1)] = 0.1
     cache_bytes: Annotated[int, Field(ge=0)] = 64 * 2**20  # of readings remembered in training, on a machine; 0: none
 
 
