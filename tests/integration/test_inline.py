@@ -26,11 +26,13 @@ def test_two_runs_with_one_seed_end_in_equal_weights(run, tmp_path):
     assert other["weights"]["sha256"] != summary["weights"]["sha256"]
 
 
-def test_what_the_cache_holds_changes_how_often_actors_look_and_nothing_else(run, tmp_path):
+def test_what_the_cache_holds_changes_how_often_actors_look_and_nothing_else(run, tmp_path, monkeypatch):
     _, summary, said = run
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     tap = Tap()
     small = rehearse(start(tmp_path / "small", f"vision.cache_bytes={SET_BYTES}"), watch=tap)
     assert small["weights"]["sha256"] == summary["weights"]["sha256"]
+    assert list(tmp_path.glob("zsdist-readings-*")) == []  # the last actor took it away
     last, last_of_small = (
         {one["id"]: one for one in every["stats"] if one["role"] == "actor"} for every in (said, tap.by_kind())
     )

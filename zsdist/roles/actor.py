@@ -82,12 +82,11 @@ class Actor(Role):
         if ready:
             self._advance(ready)
         if self._closing and not any(car.errand for car in self.cars):
+            self.sight.close()
             for outbox in self._outboxes.values():
                 outbox.close(now)
         self._flush(now)
         self.finished = all(outbox.drained for outbox in self._outboxes.values())
-        if self.finished:
-            self.sight.close()
         if ready:
             return now
         return min([now + HEARTBEAT_S, *(wake for box in self._outboxes.values() if (wake := box.next_wake(now)))])

@@ -76,7 +76,7 @@ class Sight:
         return {"cache_hits": self.hits, "cache_misses": self.misses, "cache_bypasses": self.bypasses}
 
     def close(self) -> None:
-        """Lets go of the memory."""
+        """Lets go of the memory, once no car drives any more."""
         if self._cache is not None:
             self._cache.close()
 

@@ -88,10 +88,11 @@ class ReadingCache:
         return _unpacked(content)
 
     def close(self) -> None:
-        """Lets go of the file, and removes it where no other process uses it."""
-        self._memory.close()
-        os.close(self._file)
-        remove_unused()
+        """Lets go of the file, and removes it where no other process uses it; closing again does nothing."""
+        if not self._memory.closed:
+            self._memory.close()
+            os.close(self._file)
+            remove_unused()
 
     def _key(self, scene: str, state: LatticeState) -> bytes:
         place = f"{self._vision}/{scene}/{state.ix}/{state.iy}/{state.heading}"
