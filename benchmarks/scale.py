@@ -1,0 +1,200 @@
+"""How many actors one replay serves, and what saturates first: synthetic actors without physics, everything else real.
+
+`python benchmarks/scale.py [--quick]` prints a table, then one JSON line. Actors push low-level trajectories as fast as
+their credit allows, through the real outbox, codec and transport, into the real replay role; a learner that learns
+nothing takes batches of the default size. It starts to count once the actors have used up what is granted ahead of the
+learner. All lives in one process, so that the CPU time of each part can be told: the actors', the replay's and the
+learner's by what the main thread spends in them, zenoh's (router and all clients) as what the other threads spend. A
+part's transitions over its own CPU time are what it could carry with a core to itself; the part with the fewest, actors
+aside (each machine brings its own), saturates first.
+"""
+
+import argparse
+import os
+import threading
+import time
+from collections.abc import Callable
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from _common import report
+from wire import make_trajectory
+
+from zsdist.agent.features import LOW_ACTIONS, LOW_STATE_SIZE
+from zsdist.config import Config, parse
+from zsdist.protocol.outbox import Outbox
+from zsdist.roles.base import Context
+from zsdist.roles.replay import Replay, Shape
+from zsdist.transport.base import Mailbox, Transport
+from zsdist.transport.memory import MemoryBroker, MemoryTransport
+from zsdist.transport.zenoh import ZenohHub, ZenohTransport
+from zsdist.types import Level
+from zsdist.wire import codec, keys
+from zsdist.wire.messages import Orders, Push, SampleReply, SampleRequest
+
+RUN = "scale"
+ENDPOINT = "tcp/127.0.0.1:7600"
+CASES = (  # transport, actors, updates an insert
+    ("memory", 16, 1 / 32),
+    ("zenoh", 1, 1 / 32),
+    ("zenoh", 4, 1 / 32),
+    ("zenoh", 16, 1 / 32),
+    ("zenoh", 64, 1 / 32),
+    ("zenoh", 256, 1 / 32),
+    ("zenoh", 4, 1.0),
+)
+TRAJECTORIES = 64  # different ones, of which all actors push
+PREFETCH = 3  # batches asked for, as a learner does
+
+
+class Actors:
+    """Synthetic actors behind one transport: an outbox each, and always more to offer."""
+
+    def __init__(self, transport: Transport, config: Config, count: int) -> None:
+        rng, settings = np.random.default_rng(0), config.transport
+        self._transport = transport
+        self._trajectories = [make_trajectory(rng, LOW_STATE_SIZE) for _ in range(TRAJECTORIES)]
+        self._next = 0
+        self.outboxes = {
+            f"actor-{index}": Outbox(
+                Level.LOW,
+                f"actor-{index}",
+                index + 1,
+                window_frames=settings.window_frames,
+                resend_after_s=settings.resend_after_s,
+                give_up_after_s=settings.give_up_after_s,
+                make_frame=Push,
+            )
+            for index in range(count)
+        }
+        self._acks = Mailbox(settings.mailbox_bytes)
+        transport.subscribe(keys.ack(RUN, keys.ANY), self._acks)
+
+    def step(self, now: float) -> None:
+        """Hears what was acknowledged, and pushes two trajectories an actor where there is credit."""
+        for message in self._acks.drain():
+            ack = codec.decode(message.payload)
+            self.outboxes[ack.actor].on_ack(ack, now)
+        for name, outbox in self.outboxes.items():
+            for _ in range(2):
+                trajectory = self._trajectories[self._next % TRAJECTORIES]
+                if outbox.waiting < 2 * len(trajectory) and outbox.reserve(len(trajectory)):
+                    outbox.offer([trajectory])
+                    self._next += 1
+            for frame in outbox.poll(now):
+                self._transport.publish(keys.push(RUN, Level.LOW, name, frame.epoch), codec.encode(frame))
+
+
+class Sampler:
+    """A learner that takes batches and learns nothing from them."""
+
+    def __init__(self, transport: Transport, mailbox_bytes: int) -> None:
+        self.batches = 0
+        self._transport = transport
+        self._asked = 0
+        self._box = Mailbox(mailbox_bytes)
+
+    def step(self) -> None:
+        """Decodes what has come, and asks for more."""
+        for message in self._box.drain():
+            reply = codec.decode(message.payload)
+            self._asked -= 1
+            self.batches += isinstance(reply, SampleReply) and reply.batch is not None
+        while self._asked < PREFETCH:
+            request = codec.encode(SampleRequest(1, Level.LOW, self.batches))
+            self._transport.request(keys.sample(RUN, Level.LOW), request, self._box, timeout_s=10.0)
+            self._asked += 1
+
+
+def main() -> None:
+    """Runs the cases and prints their figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="shorter cases; ends within 50 s on two cores")
+    warm_up_s, measured_s = (0.5, 2.5) if parser.parse_args().quick else (2.0, 10.0)
+    figures: dict[str, float] = {}
+    ratios: dict[str, float] = {}
+    print("transitions a second, and what each part could carry with a core of its own")
+    print(f"{'case':34}{'all in one':>11}{'actors':>9}{'replay':>9}{'learner':>9}{'zenoh':>9}  saturates first")
+    for kind, actors, updates_per_insert in CASES:
+        name = f"{kind}_{actors}_actors_{updates_per_insert:.2g}_updates_an_insert".replace(".", "p")
+        measured = run_case(kind, actors, updates_per_insert, warm_up_s, measured_s)
+        cores = {part: measured["transitions"] / spent_s for part, spent_s in measured["cpu_s"].items()}
+        first = min((part for part in cores if part != "actors"), key=cores.__getitem__)
+        rate = measured["transitions"] / measured["wall_s"]
+        columns = "".join(f"{cores[part]:9.0f}" if part in cores else f"{'-':>9}" for part in PARTS)
+        print(f"{name.removesuffix('_updates_an_insert'):34}{rate:11.0f}{columns}  {first}")
+        figures |= {f"{name}_transitions_per_s": rate, f"{name}_samples_per_insert": measured["samples_per_insert"]}
+        figures |= {f"{name}_resent_frames": measured["resent_frames"]}
+        figures |= {f"{name}_{part}_transitions_per_cpu_s": value for part, value in cores.items()}
+    few, many = (f"zenoh_{actors}_actors_0p031_updates_an_insert_replay_transitions_per_cpu_s" for actors in (1, 256))
+    ratios["replay_256_actors_vs_1"] = figures[many] / figures[few]
+    report("scale", figures, ratios)
+
+
+PARTS = ("actors", "replay", "learner", "zenoh")
+
+
+def run_case(kind: str, actors: int, updates_per_insert: float, warm_up_s: float, measured_s: float) -> dict:
+    """Transitions stored in `measured_s`, and the CPU seconds that each part took for them."""
+    config = parse({"run": {"actors": actors}, "low": {"updates_per_insert": updates_per_insert}})
+    hub = ZenohHub(ENDPOINT) if kind == "zenoh" else None
+    broker = MemoryBroker()
+    transports = [MemoryTransport(broker) if hub is None else ZenohTransport(hub.endpoint) for _ in range(4)]
+    try:
+        replay_side, actor_side, learner_side, scheduler_side = transports
+        context = Context(config, RUN, "replay", "0", 1, replay_side, threading.Event())
+        replay = Replay(context, {Level.LOW: Shape(LOW_STATE_SIZE, LOW_ACTIONS)})
+        crew = Actors(actor_side, config, actors)
+        sampler = Sampler(learner_side, config.transport.mailbox_bytes)
+        orders = {
+            "epochs": {name: outbox.epoch for name, outbox in crew.outboxes.items()},
+            "buffer_size": config.replay.size_initial,
+            "batch_size": config.replay.batch_initial,
+            "stop": False,
+        }
+        key = keys.control(RUN, "replay")
+        scheduler_side.publish(key, codec.encode(Orders(1, "replay", orders)), retained=True)
+        steps: dict[str, Callable[[float], object]] = {
+            "actors": crew.step,
+            "replay": replay.step,
+            "learner": lambda now: sampler.step(),
+        }
+        shelf = replay.shelves[Level.LOW]
+        granted = config.agent.option_max_steps * config.run.cars_per_actor * actors  # ahead of the learner at first
+        while shelf.stored < granted:
+            _turns(steps, warm_up_s)
+        stored, sampled, began_s = shelf.stored, shelf.sampled, time.monotonic()
+        cpu_s = _turns(steps, measured_s)
+        if hub is None:
+            del cpu_s["zenoh"]
+        return {
+            "transitions": shelf.stored - stored,
+            "samples_per_insert": (shelf.sampled - sampled) / (shelf.stored - stored),
+            "resent_frames": sum(box.statistics()["resent_frames"] for box in crew.outboxes.values()),
+            "wall_s": time.monotonic() - began_s,
+            "cpu_s": cpu_s,
+        }
+    finally:
+        for transport in transports:
+            transport.close()
+        if hub is not None:
+            hub.close()
+
+
+def _turns(steps: dict[str, Callable[[float], object]], seconds: float) -> dict[str, float]:
+    """Steps all parts in turn for so long; CPU seconds of each, and of all threads but this as `zenoh`."""
+    spent_s = dict.fromkeys(steps, 0.0)
+    process_s, thread_s = time.process_time(), time.thread_time()
+    until_s = time.monotonic() + seconds
+    while time.monotonic() < until_s:
+        for name, step in steps.items():
+            began_s = time.thread_time()
+            step(time.time())
+            spent_s[name] += time.thread_time() - began_s
+    others_s = time.process_time() - process_s - (time.thread_time() - thread_s)
+    return spent_s | {"zenoh": others_s}
+
+
+if __name__ == "__main__":
+    main()

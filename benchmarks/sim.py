@@ -1,0 +1,249 @@
+"""RL steps a CPU-second of one core, from physics alone to a whole actor; and the arithmetic of the floor.
+
+`python benchmarks/sim.py [--quick]` prints a table, then one JSON line. Every design drives the same car through the
+same scenes with the same actions, and the designs take turns, so that what else the machine does meets all of them
+alike. All times are CPU time of the process, resets aside. The obvious design is PyBullet's renderer at 512 px with the
+trunk run eagerly by torch at each step. `actor_...` are whole steps of an actor, agent included: cold without its
+memory of readings, warm with what that memory holds after the episodes driven before. The student is left out where
+the weights hold none.
+"""
+
+import argparse
+import dataclasses
+import os
+import statistics
+import time
+import uuid
+from collections.abc import Callable
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # one core, as a role has it; before numpy and torch read it
+
+import numpy as np
+import torch
+from _common import report
+
+from zsdist.agent.hierarchy import HierarchicalAgent, q_functions
+from zsdist.config import CameraConfig, Config, VisionConfig
+from zsdist.planning.footprint import FootprintTable
+from zsdist.planning.grid import Grid
+from zsdist.roles.cars import Car, Errand
+from zsdist.roles.sight import Sight
+from zsdist.run import program
+from zsdist.sim.env import CarNavigation
+from zsdist.sim.families import draw
+from zsdist.types import Level
+from zsdist.vision import folder
+from zsdist.vision.encoders import lite0
+from zsdist.vision.encoders.base import resample
+from zsdist.vision.models import STUDENT_PX
+from zsdist.vision.reading_cache import ReadingCache
+from zsdist.vision.visual_act import VisualAct
+
+CARS = (1, 4, 16)
+ENCODER_PX = 224
+EPSILON = 0.5  # of the actor's episodes: the middle of a run's decay
+
+Read = Callable[[np.ndarray], object]
+
+
+@dataclasses.dataclass
+class Design:
+    """A car, perhaps with a camera, perhaps with a network that reads its pictures `(1, px, px, 3)`.
+
+    Attributes:
+        parts_ms: CPU time of each action's physics, camera and network.
+        rates: RL steps a CPU-second, one a round.
+    """
+
+    name: str
+    env: CarNavigation
+    camera: bool = True
+    read: Read | None = None
+    parts_ms: list[tuple[float, float, float]] = dataclasses.field(default_factory=list)
+    rates: list[float] = dataclasses.field(default_factory=list)
+
+    def drive(self, scene: object, seed: int, actions: int) -> None:
+        """One round: random actions that hit nothing on the true map; a new episode where there is none left."""
+        rng, grid = np.random.default_rng(seed), self.env.grid
+        blocked = FootprintTable(grid).blocked(scene.occupancy(grid))
+        self._begin(scene)
+        spent_s = 0.0
+        for _ in range(actions):
+            state = grid.lattice_state(self.env.world.pose)
+            free = np.flatnonzero(~blocked[state.iy, state.ix, state.heading])
+            action = int(rng.choice(free)) if len(free) else int(rng.integers(5))
+            marks = [time.process_time()]
+            *_, terminated, truncated, _ = self.env.step(action)
+            marks.append(time.process_time())
+            picture = self.env.picture() if self.camera else None
+            marks.append(time.process_time())
+            if self.read is not None:
+                self.read(picture[None])
+            marks.append(time.process_time())
+            self.parts_ms.append(tuple(1e3 * np.diff(marks)))
+            spent_s += marks[-1] - marks[0]
+            if terminated or truncated:
+                self._begin(scene)
+        self.rates.append(actions / spent_s)
+
+    def _begin(self, scene: object) -> None:
+        self.env.reset(options={"scene": scene})
+        if self.camera:
+            self.env.picture()  # what a new scene costs once is not an action's
+
+
+def main() -> None:
+    """Measure, print the tables and the JSON line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="fewer rounds; ends within 50 s on two cores")
+    parser.add_argument("--weights", default="pretrained", help="as vision.weights (default: pretrained)")
+    options = parser.parse_args()
+    rounds, actions, warm_episodes, measured = (3, 10, 10, 200) if options.quick else (16, 25, 200, 4000)
+    torch.set_num_threads(1)
+    designs, head = _designs(options.weights)
+    for index in range(-1, rounds):  # the first does not count
+        for design in designs:
+            design.drive(draw("singleton", "train", max(index, 0)), index + 1, actions)
+    figures = _figures(designs, actions)
+    figures |= _actors(options.weights, warm_episodes, measured)
+    figures |= _floor(figures, head)
+    slow = figures["tiny_512px_eager_steps_per_cpu_s"]
+    ratios = {
+        "default_vs_tiny512": figures["actor_warm_steps_per_cpu_s"] / slow,
+        "cold_vs_tiny512": figures["actor_cold_4_cars_steps_per_cpu_s"] / slow,
+        "car_camera_trunk_head_vs_tiny512": figures["caster_224px_trunk_head_steps_per_cpu_s"] / slow,
+        "cost_a_step_16_cars_vs_1": figures["actor_cold_16_cars_ms"] / figures["actor_cold_1_cars_ms"],
+    }
+    report("sim", figures, ratios)
+
+
+def _designs(weights: str) -> tuple[list[Design], Read]:
+    """All designs, and the head alone, which reads any tokens in the same time."""
+
+    def env(size_px: int = ENCODER_PX, back_end: str = "caster") -> CarNavigation:
+        camera = CameraConfig(size_px=size_px, back_end=back_end)
+        return CarNavigation(config=Config(camera=camera), images=False)
+
+    model = VisualAct.load(VisionConfig(weights=weights), CameraConfig())
+    encoder, eager = lite0.EfficientNetLite0(), lite0.eager_trunk(lite0.weights_file()).eval()
+
+    def read_eagerly(image: np.ndarray) -> torch.Tensor:
+        with torch.no_grad():
+            return eager(torch.from_numpy(resample(image, ENCODER_PX)))
+
+    designs = [
+        Design("physics", env(), camera=False),
+        Design("caster_224px", env()),
+        Design("caster_128px", env(STUDENT_PX)),
+        Design("tiny_512px", env(512, "pybullet")),
+        Design("caster_224px_trunk", env(), read=encoder.tokens),
+        Design("caster_224px_trunk_head", env(), read=model.read),
+        Design("tiny_512px_eager", env(512, "pybullet"), read=read_eagerly),
+    ]
+    if folder.read(folder.locate(weights)).has(folder.STUDENT_FILE):
+        student = VisualAct.load(VisionConfig(weights=weights, network="student"), CameraConfig(size_px=STUDENT_PX))
+        designs.append(Design("caster_128px_student", env(STUDENT_PX), read=student.read))
+    tokens = np.zeros((1, encoder.side, encoder.side, encoder.features), np.float32)
+    return designs, lambda: model.read_tokens(tokens)
+
+
+def _figures(designs: list[Design], actions: int) -> dict[str, float]:
+    figures = {}
+    print(f"{'ms an action, median':26}{'physics':>9}{'camera':>9}{'network':>9}{'all':>9}{'steps/CPU-s':>13}")
+    for design in designs:
+        parts = np.median(design.parts_ms[actions:], axis=0)
+        rate = statistics.median(design.rates[1:])
+        print(f"{design.name:26}{parts[0]:9.3f}{parts[1]:9.3f}{parts[2]:9.3f}{1e3 / rate:9.3f}{rate:13.0f}")
+        figures[f"{design.name}_steps_per_cpu_s"] = rate
+        for part, value, there in zip(
+            ("physics", "camera", "network"), parts, (True, design.camera, design.read is not None), strict=True
+        ):
+            if there:
+                figures[f"{design.name}_{part}_ms"] = float(value)
+    return figures
+
+
+def _floor(figures: dict[str, float], head: Callable[[], object]) -> dict[str, float]:
+    """What an action's parts cost each by itself, their sum, and the same measured as a whole."""
+    times = []
+    for _ in range(60):
+        began = time.process_time()
+        head()
+        times.append(1e3 * (time.process_time() - began))
+    floor = {
+        "physics": figures["physics_physics_ms"],
+        "camera": figures["caster_224px_camera_ms"],
+        "trunk": figures["caster_224px_trunk_network_ms"],
+        "head": statistics.median(times),
+    }
+    whole_ms = 1e3 / figures["caster_224px_trunk_head_steps_per_cpu_s"]
+    actor_ms = figures["actor_cold_4_cars_ms"]
+    print("the floor, ms an action: " + " + ".join(f"{name} {ms:.3f}" for name, ms in floor.items()), end=" ")
+    print(f"= {sum(floor.values()):.3f}; together {whole_ms:.3f}; with the agent, four cars {actor_ms:.3f}")
+    return {f"floor_{name}_ms": ms for name, ms in floor.items()} | {
+        "floor_sum_ms": sum(floor.values()),
+        "floor_measured_together_ms": whole_ms,
+        "floor_measured_actor_ms": actor_ms,
+    }
+
+
+def _actors(weights: str, warm_episodes: int, measured: int) -> dict[str, float]:
+    """Steps of whole actors: cold with 1, 4 and 16 cars, and warm with 4, in default training episodes."""
+    config = Config(vision=VisionConfig(weights=weights))
+    parts, q = (
+        program.simulation(config),
+        q_functions({level: program.make_learner(config, level).parameters() for level in Level}),
+    )
+    grid, figures = Grid.from_config(config.grid), {}
+    for cars in CARS:
+        crew = _Crew(config, parts, cars, Sight(parts.visual_act, grid, None), q)
+        crew.drive(cars)  # a first step each, which does not count
+        ms = statistics.median(crew.drive(max(cars, measured // 10)) for _ in range(5))
+        figures |= {f"actor_cold_{cars}_cars_ms": ms, f"actor_cold_{cars}_cars_steps_per_cpu_s": 1e3 / ms}
+    sight = Sight(parts.visual_act, grid, ReadingCache(f"bench-{uuid.uuid4().hex}", config.vision.cache_bytes, "bench"))
+    crew = _Crew(config, parts, config.run.cars_per_actor, sight, q)
+    while crew.episodes < warm_episodes:
+        crew.drive(config.run.cars_per_actor)
+    hits, misses, bypasses = sight.hits, sight.misses, sight.bypasses
+    ms = crew.drive(measured)
+    hits, misses, bypasses = sight.hits - hits, sight.misses - misses, sight.bypasses - bypasses
+    sight.close()
+    return figures | {
+        "actor_warm_ms": ms,
+        "actor_warm_steps_per_cpu_s": 1e3 / ms,
+        "actor_warm_after_episodes": warm_episodes,
+        "actor_warm_remembered_share": hits / (hits + misses + bypasses),
+    }
+
+
+class _Crew:
+    """An actor's cars without its messages: training episodes by the untrained agent, one after another."""
+
+    def __init__(self, config: Config, parts: program.Parts, cars: int, sight: Sight, q: dict) -> None:
+        self.episodes = 0
+        self._parts, self._sight, self._q = parts, sight, q
+        self._cars = [Car(parts.make_env(), HierarchicalAgent(config)) for _ in range(cars)]
+
+    def drive(self, steps: int) -> float:
+        """At least so many steps; returns the CPU milliseconds of one, resets aside."""
+        driven, spent_s = 0, 0.0
+        while driven < steps:
+            for car in self._cars:
+                if car.errand is None:
+                    self.episodes += 1
+                    scene = self._parts.itinerary.training(self.episodes)
+                    car.begin(Errand(scene, self.episodes, EPSILON, True, (0, self.episodes)), dict.fromkeys(Level, 0))
+            began = time.process_time()
+            for car, view in zip(self._cars, self._sight.views(self._cars), strict=True):
+                ended = car.over
+                car.advance(view, self._q)
+                car.agent.drain()
+                driven += not ended
+                if ended:
+                    car.record()
+            spent_s += time.process_time() - began
+        return 1e3 * spent_s / driven
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,213 @@
+"""A whole run's second and an actor's second: rates, weight lag, samples per insert, and where the time goes.
+
+`python benchmarks/system.py [--quick]` prints tables, then one JSON line. First a training run by `zsdist.launch` with
+two actor processes in a temporary folder, without merges and evaluation, watched over zenoh as any monitor does:
+figures come from the statistics that roles publish, and the CPU time of each role's process from the kernel, between
+the first training step seen and the last. Then a run in one process, sampled by CPU time: `share_run_...` are shares of
+the whole run's second by package, `share_actor_...` of the actor's; a sample belongs to the innermost package of ours
+on the stack, so that numpy's or torch's time is its caller's.
+"""
+
+import argparse
+import collections
+import contextlib
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from types import FrameType
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # one core, as a role has it; before numpy and torch read it
+
+from _common import report
+
+import zsdist
+from zsdist import launch
+from zsdist.run import directory
+from zsdist.transport.base import Mailbox
+from zsdist.transport.zenoh import ZenohTransport
+from zsdist.wire import keys
+
+PACKAGE = Path(zsdist.__file__).parent
+MAILBOX_BYTES = 1 << 24
+SAMPLE_EVERY_S = 0.01  # of CPU time; longer than any call that does not look at signals
+ACTORS = 2
+LEVELS = ("high", "low")
+QUIET = ("run.final_evaluation_episodes=0", "merge.every_episodes=100000")
+
+Told = dict[str, dict]  # the last statistics of each role, by its name, with the CPU seconds of its process
+
+
+def main() -> None:
+    """Measure, print the tables and the JSON line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="fewer episodes; ends within 50 s on two cores")
+    parser.add_argument("--weights", default="pretrained", help="as vision.weights (default: pretrained)")
+    parser.add_argument("--episodes", type=int, metavar="N", help="of the run in processes; another quarter in one")
+    options = parser.parse_args()
+    episodes = options.episodes or (20 if options.quick else 300)
+    settings = [*QUIET, f"vision.weights={options.weights}"]
+    with tempfile.TemporaryDirectory() as folder:
+        figures, ratios = _distributed(Path(folder) / "system", episodes, settings)
+        figures |= _profile(Path(folder) / "inline", max(1, episodes // 4), settings)
+    report("system", figures, ratios)
+
+
+def _arguments(folder: Path, episodes: int, settings: list[str]) -> list[str]:
+    chosen = [argument for setting in settings for argument in ("--set", setting)]
+    return ["--episodes", str(episodes), "--seed", "1", "--plain", "--run-dir", str(folder), *chosen]
+
+
+def _distributed(folder: Path, episodes: int, settings: list[str]) -> tuple[dict[str, float], dict[str, float]]:
+    """Figures and ratios of a run with two actor processes."""
+    command = [sys.executable, "-m", "zsdist.launch", "--actors", str(ACTORS), *_arguments(folder, episodes, settings)]
+    began_s = time.time()
+    with open(folder.parent / "launch.log", "w+") as log:
+        run = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
+        try:
+            seen = _watch(run, folder)
+        finally:
+            if run.poll() is None:
+                run.send_signal(signal.SIGINT)
+                run.wait()
+        if run.returncode:
+            log.seek(0)
+            raise SystemExit(f"zsdist.launch ended with status {run.returncode}: {log.read()[-2000:]}")
+    rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    summary = json.loads((folder / "summary.json").read_text())
+    first, last = seen[0], seen[-1]
+    wall_s = _spread(first, last, "scheduler-0", "time_s")
+    actors = [name for name in first if name.startswith("actor-")]
+
+    def rate(name: str, field: str) -> float:
+        return _spread(first, last, name, field) / _spread(first, last, name, "time_s")
+
+    figures = {
+        "start_up_s": first["scheduler-0"]["time_s"] - began_s,
+        "measured_s": wall_s,
+        "env_steps_per_s": sum(rate(name, "env_steps") for name in actors),
+        "cpu_cores_used": sum(rate(name, "cpu_s") for name in first),
+        "max_lag_versions": summary["weights"]["max_lag_versions"],
+    }
+    print(f"{'a second of the run, by role':30}{'CPU s':>9}{'waiting s':>11}")
+    for name in sorted(first):
+        waited = [field for field in last[name] if field.startswith("waiting_") and field in first[name]]
+        waiting = {field: rate(name, field) for field in waited}
+        print(f"{name:30}{rate(name, 'cpu_s'):9.3f}" + "".join(f"{ms:11.3f} {field}" for field, ms in waiting.items()))
+        key = name.replace("-", "_")
+        figures[f"share_cpu_{key}"] = rate(name, "cpu_s") / figures["cpu_cores_used"]
+        figures |= {f"{key}_{field}_per_s": value for field, value in waiting.items()}
+    ratios = {}
+    for level in LEVELS:
+        updates = rate(f"learner-{level}", "learner_updates")
+        inserts, samples = (rate("replay-0", f"{level}_{name}") for name in ("stored", "sampled"))
+        lags = [row[f"{level}_lag_versions"] for row in rows if f"{level}_lag_versions" in row]
+        figures |= {
+            f"{level}_updates_per_s": updates,
+            f"{level}_samples_per_s": samples,
+            f"{level}_samples_per_insert": samples / inserts,
+            f"{level}_mean_lag_versions": sum(lags) / max(1, len(lags)),
+        }
+        served = last["replay-0"][f"{level}_updates_served"] / last["replay-0"][f"{level}_stored"]
+        ratios[f"{level}_updates_per_insert_vs_setting"] = served  # the setting is 1
+    hits, others = (
+        sum(_spread(first, last, name, field) for name in actors for field in fields if field in first[name])
+        for fields in (("cache_hits",), ("cache_misses", "cache_bypasses"))
+    )
+    if hits + others:
+        figures["remembered_share"] = hits / (hits + others)
+    figures["env_steps_per_actor_cpu_s"] = sum(_spread(first, last, name, "env_steps") for name in actors) / sum(
+        _spread(first, last, name, "cpu_s") for name in actors
+    )
+    return figures, ratios
+
+
+def _watch(run: subprocess.Popen, folder: Path) -> list[Told]:
+    """What all roles last told, whenever one spoke, from the first training step to the last."""
+    transport, box, told, seen = None, Mailbox(MAILBOX_BYTES), {}, []
+    steps = -1
+    try:
+        while run.poll() is None:
+            time.sleep(0.1)
+            if transport is None and (folder / "endpoint").exists():
+                transport = ZenohTransport((folder / "endpoint").read_text())
+                transport.subscribe(keys.stats(directory.key_name(folder), keys.ANY, keys.ANY), box)
+            for message in box.drain():
+                fields = json.loads(message.payload)
+                told[f"{fields['role']}-{fields['id']}"] = fields | {"cpu_s": _cpu_s(fields["pid"])}
+            now = sum(fields.get("env_steps", 0) for name, fields in told.items() if name.startswith("actor-"))
+            everyone = {f"actor-{index}" for index in range(ACTORS)} | {f"learner-{level}" for level in LEVELS}
+            complete = told.keys() >= everyone | {"scheduler-0", "replay-0"}
+            if now > max(0, steps) and complete and all(fields["cpu_s"] is not None for fields in told.values()):
+                seen.append(dict(told))
+                steps = now
+    finally:
+        if transport is not None:
+            transport.close()
+    if len(seen) < 2 and run.returncode == 0:
+        raise SystemExit("the run was over before two statistics of every role came; more --episodes are needed")
+    return seen
+
+
+def _cpu_s(pid: int) -> float | None:
+    """User and system time of a process so far; None where it is gone."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return None
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _spread(first: Told, last: Told, name: str, field: str) -> float:
+    return last[name][field] - first[name][field]
+
+
+def _profile(folder: Path, episodes: int, settings: list[str]) -> dict[str, float]:
+    """Shares of CPU time by package, of a run in one process and of the actor in it."""
+    counts = {"run": collections.Counter(), "actor": collections.Counter()}
+
+    def sample(number: int, frame: FrameType | None) -> None:
+        stack = []
+        while frame is not None:
+            path = Path(frame.f_code.co_filename)
+            if path.is_relative_to(PACKAGE):
+                stack.append((path.relative_to(PACKAGE).with_suffix("").parts, frame.f_code.co_name))
+            frame = frame.f_back
+        if not any(name == "_step_all" for _, name in stack):
+            return  # before the run, or after it
+        counts["run"][_part(stack[0][0])] += 1
+        if any(parts == ("roles", "actor") for parts, _ in stack):
+            counts["actor"][_part(stack[0][0])] += 1
+
+    options = launch.parser().parse_args(["--single-process", "--actors", "1", *_arguments(folder, episodes, settings)])
+    before = signal.signal(signal.SIGPROF, sample)
+    signal.setitimer(signal.ITIMER_PROF, SAMPLE_EVERY_S, SAMPLE_EVERY_S)
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            launch.main(options)
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
+    figures = {}
+    for whose, counted in counts.items():
+        total = counted.total()
+        print(f"\nwhere {whose}'s CPU second goes ({total} samples)")
+        for part, count in counted.most_common():
+            print(f"  {part:28}{count / total:8.1%}")
+            figures[f"share_{whose}_{part.replace('.', '_')}"] = count / total
+        figures[f"{whose}_samples"] = total
+    return figures
+
+
+def _part(parts: tuple[str, ...]) -> str:
+    """Such as `vision` or `sim.camera`; in `sim` and `planning` each module counts by itself."""
+    return ".".join(parts[:2]) if parts[0] in ("sim", "planning") else parts[0]
+
+
+if __name__ == "__main__":
+    main()
