@@ -1,8 +1,9 @@
 """`python -m zsdist.pretrain`: trains the vision of the car (Algorithm 1), or checks one that is trained.
 
 Pictures are rendered and encoded first, then the projection to words, the head and the small student network learn
-from them. What is finished is kept: Ctrl-C, and `--resume DIR` goes on. With `--check` the model that `vision.weights`
-names looks at fresh pictures of families that no training has seen, beside yardsticks that know less or more.
+from them. What is finished is kept: Ctrl-C (or SIGTERM), and `--resume DIR` goes on. With `--check` the model that
+`vision.weights` names looks at fresh pictures of families that no training has seen, beside yardsticks that know less
+or more.
 """
 
 import argparse

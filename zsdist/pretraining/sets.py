@@ -14,10 +14,9 @@ import numpy as np
 from zsdist.config import CameraConfig
 from zsdist.sim.camera import Camera, make_camera
 from zsdist.sim.camera.variation import worn
-from zsdist.sim.families import generate
-from zsdist.sim.manifest import OOD_FAMILIES, SPLITS, TRAINED_GROUNDS, WITHHELD_GROUNDS, split_seed
+from zsdist.sim.manifest import OOD_FAMILIES, TRAINED_GROUNDS, WITHHELD_GROUNDS
 from zsdist.sim.scene import Scene
-from zsdist.sim.views import POSES_PER_SCENE, free_pose, label, people_on_paths, rays_met, varied_camera
+from zsdist.sim.views import drawn_scenes, free_pose, label, people_on_paths, rays_met, varied_camera
 from zsdist.types import Pose
 
 _TILT_RAD = 0.05  # of the car in pictures that are varied as in training
@@ -93,19 +92,14 @@ def shots(pictures: PictureSet, count: int, rng: np.random.Generator, camera: Ca
     """`count` pictures of a set; the families take turns, a scene gives several."""
     if pictures.back_end is not None:
         camera = camera.model_copy(update={"back_end": pictures.back_end})
-    made, grounds = 0, itertools.cycle(pictures.grounds or (None,))
-    for family in itertools.cycle(pictures.families):
-        scene = generate(family, split_seed("test", int(rng.integers(len(SPLITS["test"])))))
+    grounds = itertools.cycle(pictures.grounds or (None,))
+    for family, scene, number in drawn_scenes(pictures.families, "test", count, rng):
         ground = next(grounds)
         if ground is not None:
             scene = dataclasses.replace(scene, ground=ground)
-        number = min(POSES_PER_SCENE, count - made)
         with contextlib.closing(varied_camera(camera, rng) if pictures.varied else make_camera(camera)) as eye:
             for _ in range(number):
                 yield (_varied_shot if pictures.varied else _plain_shot)(eye, scene, family, rng)
-        made += number
-        if made == count:
-            return
 
 
 def shot_at(eye: Camera, scene: Scene, family: str, pose: Pose, people: np.ndarray | None = None) -> Shot:

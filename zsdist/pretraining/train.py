@@ -44,10 +44,10 @@ def train(
     made = weights.write(folder, files, _metadata(job, folder, pictures, encoder))
     for name, digest in made.metadata["files"].items():
         watch.say(f"{folder / name}: SHA-256 {digest[:16]}")
+    (folder / JOB_FILE).unlink()  # first: with less than all of the rest nobody could go on
     shutil.rmtree(folder / "stages")
     if not keep_pictures:
         shutil.rmtree(kept)
-    (folder / JOB_FILE).unlink()
 
 
 def _metadata(job: Job, folder: Path, pictures: Pictures, encoder: Encoder) -> dict[str, Any]:

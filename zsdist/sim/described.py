@@ -1,7 +1,6 @@
 """Described pictures: what each of 14 x 14 cells of a picture shows, and a caption, to learn words from."""
 
 import contextlib
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -10,11 +9,10 @@ import numpy as np
 from zsdist.config import CameraConfig
 from zsdist.sim.camera import Camera, appearance, make_camera
 from zsdist.sim.camera.variation import worn
-from zsdist.sim.families import generate
 from zsdist.sim.kinds import KINDS, SEGMENT_GROUND, SEGMENT_SKY, SEGMENT_WALL
-from zsdist.sim.manifest import Split, split_seed
+from zsdist.sim.manifest import Split
 from zsdist.sim.scene import Scene
-from zsdist.sim.views import POSES_PER_SCENE, free_pose, people_on_paths
+from zsdist.sim.views import drawn_scenes, free_pose, people_on_paths
 from zsdist.types import Pose
 from zsdist.vision.words.vocabulary import CONCEPTS, SIDES, caption
 
@@ -23,7 +21,6 @@ TOLD_SHARE = 0.02  # of the picture that a kind must cover to be told of
 MOST_TOLD = 3  # kinds in a caption
 DOMINANT_SHARE = 0.06  # of the picture that the dominant kind must cover,
 DOMINANT_TIMES = 2.0  # and so many times as much as any other kind
-_SCENES = 1_000_000  # of a family and split, from which those of a call are drawn
 _NATURAL_SHARE = 0.75  # of varied pictures have the kinds' own colours: grounds are told apart by little else
 _MOUNT_JITTER_M = 0.15
 _TILT_JITTER_RAD = 0.05
@@ -66,14 +63,9 @@ def described_views(
         varied: mount, tilt and picture quality drawn, and the colours of one picture in four (for training); else
             each scene looks as it does when driven through.
     """
-    rng, made = np.random.default_rng([seed, 4, *split.encode()]), 0
-    for family in itertools.cycle(families):
-        scene = generate(family, split_seed(split, int(rng.integers(_SCENES))))
-        for view in _views_of(scene, min(POSES_PER_SCENE, count - made), rng, camera, varied):
-            made += 1
-            yield view
-        if made == count:
-            return
+    rng = np.random.default_rng([seed, 4, *split.encode()])
+    for _, scene, number in drawn_scenes(families, split, count, rng):
+        yield from _views_of(scene, number, rng, camera, varied)
 
 
 def describe(segments: np.ndarray, ground: str, rng: np.random.Generator) -> tuple[np.ndarray, str, int]:

@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import itertools
 import math
 from collections.abc import Iterator
 
@@ -12,14 +11,11 @@ from zsdist.config import CameraConfig
 from zsdist.errors import SceneError
 from zsdist.sim.camera.caster import INSTANCE_GROUND, INSTANCE_SKY, CasterCamera
 from zsdist.sim.camera.variation import worn
-from zsdist.sim.families import generate
-from zsdist.sim.manifest import Split, split_seed
+from zsdist.sim.manifest import Split
 from zsdist.sim.scene import Scene
-from zsdist.sim.views import POSES_PER_SCENE, free_pose, label, people_on_paths, varied_camera
+from zsdist.sim.views import drawn_scenes, free_pose, label, people_on_paths, varied_camera
 from zsdist.types import Pose
 from zsdist.vision.masks import Mask, MaskedView, choose, pixel_distance_m
-
-_SCENES = 1_000_000  # of a family and split, from which those of a call are drawn
 
 
 def masked_views(
@@ -36,16 +32,11 @@ def masked_views(
     if camera.back_end != "caster":
         raise SceneError(f"pictures with masks come from the camera 'caster'; camera.back_end is {camera.back_end!r}")
     rng = np.random.default_rng([seed, 4, *split.encode()])
-    made = 0
-    for family in itertools.cycle(families):
-        if made == count:
-            return
-        scene = generate(family, split_seed(split, int(rng.integers(_SCENES))))
+    for _, scene, number in drawn_scenes(families, split, count, rng):
         with contextlib.closing(varied_camera(camera, rng) if varied else CasterCamera(camera)) as eye:
-            for _ in range(min(POSES_PER_SCENE, count - made)):
+            for _ in range(number):
                 people = people_on_paths(scene, rng)
                 view = masked_view(eye, scene, free_pose(scene, rng, people), people)
-                made += 1
                 yield dataclasses.replace(view, image=worn(view.image, rng)) if varied else view
 
 

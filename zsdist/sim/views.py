@@ -3,7 +3,7 @@
 import contextlib
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -80,14 +80,29 @@ def labelled_views(
             else each scene looks as it does when driven through, drawn by the camera's own back end.
     """
     rng = np.random.default_rng([seed, *split.encode()])
-    made = 0
-    for family in itertools.cycle(families):
-        scene = generate(family, split_seed(split, int(rng.integers(_SCENES))))
-        for view in _views_of(scene, min(POSES_PER_SCENE, count - made), rng, camera, varied):
-            made += 1
-            yield view
-        if made == count:
-            return
+    for _, scene, number in drawn_scenes(families, split, count, rng):
+        yield from _views_of(scene, number, rng, camera, varied)
+
+
+def drawn_scenes(
+    families: Sequence[str], split: Split, count: int, rng: np.random.Generator
+) -> Iterator[tuple[str, Scene, int]]:
+    """Scenes for `count` pictures, each with its family and how many of them are to be taken in it.
+
+    Each scene is drawn when it is asked for, so that `rng` can serve for its pictures as well.
+
+    Args:
+        families: which take turns.
+        split: which range of the families' seeds the scenes come from; an unknown one raises `SceneError`.
+        count: of pictures.
+        rng: draws the scenes.
+    """
+    left, turns = count, itertools.cycle(families)
+    while left > 0:
+        family = next(turns)
+        number = min(POSES_PER_SCENE, left)
+        yield family, generate(family, split_seed(split, int(rng.integers(_SCENES)))), number
+        left -= number
 
 
 def label(scene: Scene, pose: Pose, camera: CameraConfig, people: np.ndarray | None = None) -> dict[str, Any]:

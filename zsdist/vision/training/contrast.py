@@ -1,12 +1,16 @@
-"""The contrast of Algorithm 1, lines 10 to 18: masked pictures, and the rewards that change by what is hidden."""
+"""The contrast of Algorithm 1, lines 10 to 18: masked pictures, and the rewards that change by what is hidden.
+
+Beside it stands the attention error: hiding also tells where in the picture each action should look.
+"""
 
 import numpy as np
 import torch
+from torch import nn
 
 from zsdist.vision.labels import progress, random_goals
 from zsdist.vision.masks import BACKGROUND_WEIGHT, MaskedExamples, changed, rewards
 from zsdist.vision.models.head import ACTIONS, VisualActHead
-from zsdist.vision.models.projection import Projection, attended_embeddings
+from zsdist.vision.models.projection import attended_embeddings
 from zsdist.vision.training.examples import Examples
 from zsdist.vision.training.losses import Form, attention_error, contrastive_loss
 
@@ -18,10 +22,10 @@ _AT_ONCE = 256  # pictures projected at a time
 
 
 class Contrast:
-    """Originals and their masked pictures under a frozen projection; gives L_c of a random batch of them.
+    """Originals and their masked pictures under a frozen projection; gives the loss of a random batch of them.
 
     Args:
-        projection: from tokens to text space; it is not trained.
+        projection: of each token to text space, ours or an encoder's own; it is not trained.
         originals: the pictures as they are, with their truth.
         masked: their masked versions.
         form: of the samples of `losses.contrastive_loss`.
@@ -30,7 +34,7 @@ class Contrast:
 
     def __init__(
         self,
-        projection: Projection,
+        projection: nn.Module,
         originals: Examples,
         masked: MaskedExamples,
         form: Form = "difference",
@@ -49,7 +53,7 @@ class Contrast:
             row[:count] = order[start : start + count]
 
     def loss(self, head: VisualActHead, rng: np.random.Generator) -> torch.Tensor:
-        """L_c and the attention error of a batch of originals with new goals; a half of them mirrored. A scalar."""
+        """L_c plus the weighted attention error, a scalar, of originals with new goals, a half of them mirrored."""
         chosen = rng.choice(len(self._rows), min(self._batch, len(self._rows)), replace=False)
         images, rows = self._with_masks[chosen], self._rows[chosen]
         positive, present = self.samples(images, rows, *random_goals(len(images), rng))

