@@ -23,7 +23,7 @@ def test_several_processes_drive_what_one_drives():
 
 
 def begin_and_wait_for_progress():
-    command = [sys.executable, "-m", "zsdist.evaluate", "random", "--scenes", "iid", "--episodes", "150"]
+    command = [sys.executable, "-m", "zsdist.evaluate", "random", "--scenes", "iid", "--episodes", "3000"]
     process = subprocess.Popen(
         [*command, "--workers", "2"], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
     )
