@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import resource_tracker
 from typing import Any, TypeVar
 
 from zsdist.errors import RunError
@@ -74,14 +75,18 @@ def each(
 
 
 def _submit(pool: ProcessPoolExecutor, work: Callable[[Item], Result], item: Item) -> Future[Result]:
-    """Starts workers deaf to Ctrl-C, which is the parent's to answer: what is ignored here stays so in them."""
+    """Starts workers deaf to Ctrl-C, which is the parent's to answer: what is blocked here stays so in them.
+
+    Blocked and not ignored, so that a Ctrl-C at this very moment is answered right after it.
+    """
     if threading.current_thread() is not threading.main_thread():
         return pool.submit(work, item)
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    resource_tracker.ensure_running()  # when it starts, it unblocks what is blocked here
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         return pool.submit(work, item)
     finally:
-        signal.signal(signal.SIGINT, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin(begin: Callable[..., None], arguments: tuple[Any, ...]) -> None:

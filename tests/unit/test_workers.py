@@ -9,6 +9,7 @@ import sys
 
 import pytest
 
+from zsdist import workers
 from zsdist.errors import ConfigError, RunError
 from zsdist.workers import each
 
@@ -26,23 +27,32 @@ def work(item):
         os._exit(3)
     if item == "refuse":
         raise ConfigError("the item is wrong")
-    deaf = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    deaf = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
     return item * Begun.number, os.getpid(), deaf, os.environ.get("OMP_NUM_THREADS")
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_every_item_is_worked_on_by_processes_that_have_begun(workers):
-    made = list(each(work, [1, 2, 3, 4, 5], workers, begin, (10,)))
+@pytest.mark.parametrize("count", [1, 2])
+def test_every_item_is_worked_on_by_processes_that_have_begun(count):
+    made = list(each(work, [1, 2, 3, 4, 5], count, begin, (10,)))
     assert sorted(value for value, *_ in made) == [10, 20, 30, 40, 50]
-    assert (os.getpid() in {process for _, process, *_ in made}) == (workers == 1)
+    assert (os.getpid() in {process for _, process, *_ in made}) == (count == 1)
 
 
 def test_workers_are_deaf_to_ctrl_c_and_take_one_thread_each_and_nothing_of_it_stays_here(monkeypatch):
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    before = signal.getsignal(signal.SIGINT)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [])
     made = list(each(work, [1, 2, 3], 2, begin, (1,)))
     assert {(deaf, threads) for *_, deaf, threads in made} == {(True, "1")}
-    assert signal.getsignal(signal.SIGINT) is before and "OMP_NUM_THREADS" not in os.environ
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == before and "OMP_NUM_THREADS" not in os.environ
+
+
+def test_a_ctrl_c_at_the_moment_in_which_work_is_handed_out_is_not_lost():
+    class Pool:
+        def submit(self, work, item):
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        workers._submit(Pool(), work, 1)
 
 
 def test_where_no_more_are_to_be_taken_the_first_ones_are_done():
