@@ -1,4 +1,4 @@
-"""What the scripts of whole systems share: their last lines."""
+"""What several scripts share: their last lines."""
 
 import json
 import os

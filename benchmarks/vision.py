@@ -7,9 +7,7 @@ is left out where the weights hold none.
 """
 
 import argparse
-import json
 import os
-import platform
 import statistics
 import time
 from collections.abc import Callable
@@ -17,8 +15,8 @@ from collections.abc import Callable
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # one core, as a role has it; before numpy and torch read it
 
 import numpy as np
-import onnxruntime
 import torch
+from _common import report
 
 from zsdist.config import CameraConfig, VisionConfig
 from zsdist.sim.views import labelled_views
@@ -55,17 +53,7 @@ def main() -> None:
     print(f"{'ms a picture, median':24}{'cold':>10}{'cached':>10}")
     for name, by_state in times.items():
         print(f"{name:24}{by_state['cold']:10.3f}{by_state['cached']:10.3f}")
-    for name, value in ratios.items():
-        print(f"{name:24}{value:10.2f}")
-    machine = {
-        "machine": platform.machine(),
-        "cpus": os.cpu_count(),
-        "python": platform.python_version(),
-        "onnxruntime": onnxruntime.__version__,
-        "torch": torch.__version__,
-    }
-    figures, ratios = ({name: round(value, 3) for name, value in part.items()} for part in (figures, ratios))
-    print(json.dumps({"subject": "vision", "machine": machine, "figures": figures, "ratios": ratios}))
+    report("vision", figures, ratios)
 
 
 def _readers(model: VisualAct, weights: str, camera: CameraConfig) -> dict[str, Reader]:

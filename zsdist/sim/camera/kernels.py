@@ -200,6 +200,21 @@ def cast(
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
+def row_directions(
+    forward: np.ndarray, left: np.ndarray, up: np.ndarray, b: float
+) -> tuple[float, float, float, float, float, float]:
+    """Direction of the ray in the middle of a row of pixels, `b` up, and what it gains per unit to the left."""
+    return (
+        np.float32(forward[0] + b * up[0]),
+        np.float32(forward[1] + b * up[1]),
+        np.float32(forward[2] + b * up[2]),
+        np.float32(left[0]),
+        np.float32(left[1]),
+        np.float32(left[2]),
+    )
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def _cast_ground(
     origin: np.ndarray, axes: np.ndarray, b: float, a: np.ndarray, depth: np.ndarray, index: np.ndarray
 ) -> None:
@@ -228,8 +243,7 @@ def _cast_frustum(
     height, bottom, top = np.float32(row[3]), np.float32(row[4]), np.float32(row[5])
     k = (top - bottom) / height
     ox, oy, oz = np.float32(o[0]), np.float32(o[1]), np.float32(o[2])
-    bx, by, bz = np.float32(f[0] + b * up[0]), np.float32(f[1] + b * up[1]), np.float32(f[2] + b * up[2])
-    lx, ly, lz = np.float32(left[0]), np.float32(left[1]), np.float32(left[2])
+    bx, by, bz, lx, ly, lz = row_directions(f, left, up, b)
     at = bottom + k * oz
     c = ox * ox + oy * oy - at * at
     above = height - oz if oz > height else _NEVER  # the lid is seen from above only
@@ -266,8 +280,7 @@ def _cast_ball(
     p: int,
 ) -> None:
     ox, oy, oz = np.float32(o[0]), np.float32(o[1]), np.float32(o[2])
-    bx, by, bz = np.float32(f[0] + b * up[0]), np.float32(f[1] + b * up[1]), np.float32(f[2] + b * up[2])
-    lx, ly, lz = np.float32(left[0]), np.float32(left[1]), np.float32(left[2])
+    bx, by, bz, lx, ly, lz = row_directions(f, left, up, b)
     c = np.float32(o[0] * o[0] + o[1] * o[1] + o[2] * o[2] - 1.0)
     for j in range(len(a)):
         dx, dy, dz = bx + a[j] * lx, by + a[j] * ly, bz + a[j] * lz
@@ -295,8 +308,7 @@ def _cast_box(
 ) -> None:
     height, length, width = np.float32(row[3]), np.float32(row[4]), np.float32(row[5])
     ox, oy, oz = np.float32(o[0]), np.float32(o[1]), np.float32(o[2])
-    bx, by, bz = np.float32(f[0] + b * up[0]), np.float32(f[1] + b * up[1]), np.float32(f[2] + b * up[2])
-    lx, ly, lz = np.float32(left[0]), np.float32(left[1]), np.float32(left[2])
+    bx, by, bz, lx, ly, lz = row_directions(f, left, up, b)
     for j in range(len(a)):
         dx, dy, dz = bx + a[j] * lx, by + a[j] * ly, bz + a[j] * lz
         # A direction along a face is bent a little: no division by zero, and no pixel sees the difference.

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from zsdist.sim.camera.appearance import Pattern, Texture
-from zsdist.sim.camera.kernels import FAST, GROUND, SKY
+from zsdist.sim.camera.kernels import FAST, GROUND, SKY, row_directions
 from zsdist.sim.camera.primitives import Form
 from zsdist.sim.camera.textures import CLOUDS, GRAIN, ground_figure, noise, road_figure, surface_figure
 
@@ -42,7 +42,7 @@ def _sky(pyramid, sky, gain, axes, b, a, work, line):  # noqa: ANN001, ANN202
     """Colours a stretch of a row as sky: clear overhead, pale at the horizon, clouds on a plane far up."""
     n = len(a)
     up, u, v, footprint, cloud = work[0, :n], work[1, :n], work[2, :n], work[3, :n], work[4, :n]
-    x0, y0, z0, x1, y1, z1 = _directions(axes, b)
+    x0, y0, z0, x1, y1, z1 = row_directions(axes[0], axes[1], axes[2], b)
     for j in range(n):
         dx, dy, dz = x0 + a[j] * x1, y0 + a[j] * y1, z0 + a[j] * z1
         up[j] = max(dz, _LOWEST) / np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -58,25 +58,12 @@ def _sky(pyramid, sky, gain, axes, b, a, work, line):  # noqa: ANN001, ANN202
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _directions(axes: np.ndarray, b: float) -> tuple[float, float, float, float, float, float]:
-    """World direction of a row's ray in the middle, and what it gains per unit to the left."""
-    return (
-        np.float32(axes[0, 0] + b * axes[2, 0]),
-        np.float32(axes[0, 1] + b * axes[2, 1]),
-        np.float32(axes[0, 2] + b * axes[2, 2]),
-        np.float32(axes[1, 0]),
-        np.float32(axes[1, 1]),
-        np.float32(axes[1, 2]),
-    )
-
-
-@njit(cache=True, fastmath=FAST, error_model="numpy")
 def _ground(pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axes, b, a, step, work, line):  # noqa: ANN001, ANN202
     """Colours a stretch of a row as ground: shadows, patches, a pattern, grain."""
     n = len(a)
     x, y, u, v = work[0, :n], work[1, :n], work[2, :n], work[3, :n]
     footprint, lit, patch, grain, figure = work[4, :n], work[5, :n], work[6, :n], work[7, :n], work[8, :n]
-    x0, y0, z0, x1, y1, z1 = _directions(axes, b)
+    x0, y0, z0, x1, y1, z1 = row_directions(axes[0], axes[1], axes[2], b)
     ox, oy, oz, pixel = np.float32(origin[0]), np.float32(origin[1]), np.float32(origin[2]), np.float32(step)
     cos, sin = np.float32(ground[10]), np.float32(ground[11])
     for j in range(n):
@@ -171,7 +158,7 @@ def _surface(pyramid, form, row, material, light, frame, height, axes, b, a, ste
     n = len(a)
     x, y, u, v, footprint = work[0, :n], work[1, :n], work[2, :n], work[3, :n], work[4, :n]
     lit, z, grain, figure, upright = work[5, :n], work[6, :n], work[7, :n], work[8, :n], work[9, :n]
-    x0, y0, z0, x1, y1, z1 = _directions(axes, b)
+    x0, y0, z0, x1, y1, z1 = row_directions(axes[0], axes[1], axes[2], b)
     co, si, ox, oy, sun_x, sun_y = frame
     oz, base, pixel = np.float32(height), np.float32(row[2]), np.float32(step)
     for j in range(n):

@@ -31,6 +31,16 @@ class Examples:
         return len(self.tokens)
 
 
+def token_spread(tokens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation of each feature, both `(features,)` float32, over about 500 pictures of many.
+
+    Args:
+        tokens: `(N, side, side, features)`, which may lie on the disk.
+    """
+    some = tokens[:: max(1, len(tokens) // 500)].astype(np.float32)
+    return some.mean((0, 1, 2)), some.std((0, 1, 2))
+
+
 @dataclass(frozen=True)
 class Targets:
     """A batch with its labels, as tensors; shapes as in `VisualActHead.forward`."""

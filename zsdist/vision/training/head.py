@@ -14,7 +14,7 @@ import torch
 from zsdist.vision.labels import expected_openness, reward_label
 from zsdist.vision.models.head import VisualActHead
 from zsdist.vision.rays import BIN_CENTRES_M
-from zsdist.vision.training.examples import Examples, Targets, targets
+from zsdist.vision.training.examples import Examples, Targets, targets, token_spread
 from zsdist.vision.training.losses import action_losses, distance_loss, kind_loss, total_loss
 from zsdist.vision.training.trainer import Losses, Recipe, Trainer
 
@@ -51,8 +51,7 @@ def new_head(examples: Examples, field_of_view_rad: float, seed: int) -> VisualA
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         head = VisualActHead(examples.tokens.shape[-1], examples.tokens.shape[1], field_of_view_rad)
-    tokens = examples.tokens[:: max(1, len(examples) // 500)].astype(np.float32)
-    head.normalise_to(tokens.mean((0, 1, 2)), tokens.std((0, 1, 2)))
+    head.normalise_to(*token_spread(examples.tokens))
     return head
 
 

@@ -19,6 +19,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from zsdist.vision.models.projection import Projection, image_embedding
+from zsdist.vision.training.examples import token_spread
 from zsdist.vision.training.trainer import Losses, Recipe, Trainer
 from zsdist.vision.words.vocabulary import CONCEPTS, KIND_WORDS, WORDS, Vocabulary
 
@@ -81,8 +82,7 @@ def new_projection(examples: WordExamples, seed: int) -> Projection:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         projection = Projection(examples.tokens.shape[-1], examples.captions.shape[-1])
-    tokens = examples.tokens[:: max(1, len(examples) // 500)].astype(np.float32)
-    projection.normalise_to(tokens.mean((0, 1, 2)), tokens.std((0, 1, 2)))
+    projection.normalise_to(*token_spread(examples.tokens))
     return projection
 
 
