@@ -33,7 +33,7 @@ def begin_and_wait_for_progress():
     return process, children
 
 
-def test_ctrl_c_ends_the_command_in_one_line_and_its_workers_too():
+def test_ctrl_c_ends_the_command_in_one_line_and_its_workers_too(hears_ctrl_c):
     process, children = begin_and_wait_for_progress()
     process.send_signal(signal.SIGINT)
     _, complaint = process.communicate(timeout=30)

@@ -46,7 +46,7 @@ def test_workers_are_deaf_to_ctrl_c_and_take_one_thread_each_and_nothing_of_it_s
     assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == before and "OMP_NUM_THREADS" not in os.environ
 
 
-def test_a_ctrl_c_at_the_moment_in_which_work_is_handed_out_is_not_lost():
+def test_a_ctrl_c_at_the_moment_in_which_work_is_handed_out_is_not_lost(hears_ctrl_c):
     class Pool:
         def submit(self, work, item):
             os.kill(os.getpid(), signal.SIGINT)
