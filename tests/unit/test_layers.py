@@ -14,6 +14,7 @@ ROWS = (  # a unit may import from rows above its own in this list; within a row
     {"agent"},
     {"roles", "sim"},
     {"evaluation", "run"},
+    {"reporting"},
     {"pretraining", "closing"},
     {"launch", "evaluate", "pretrain", "monitor", "report", "doctor"},
 )

@@ -112,6 +112,11 @@ class HierarchicalAgent:
         self._finished = []
         self._counts: Counter[str] = Counter()
 
+    @property
+    def situation(self) -> Situation | None:
+        """What the car knew at the last `observe`; None before the first of an episode."""
+        return self._situation
+
     def observe(self, pose: Pose, view: View) -> None:
         """Takes in where the car is and what it sees (lines 6 and 13), and completes the step that led here."""
         before = self._situation

@@ -8,7 +8,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from zsdist.agent.hierarchy import HierarchicalAgent, q_functions
+from zsdist.agent.hierarchy import Decision, HierarchicalAgent, q_functions
+from zsdist.agent.situation import Situation
 from zsdist.config import Config
 from zsdist.planning.rewards import RewardTerms
 from zsdist.sim.scene import Scene
@@ -47,14 +48,24 @@ class Observed:
     ranges_m: np.ndarray | None = None
 
 
+@dataclass(frozen=True)
+class Thought:
+    """What a hierarchical driver decided, and what it knew when it did."""
+
+    situation: Situation
+    decision: Decision
+
+
 class Driver(ABC):
     """Chooses the actions of one car, an episode at a time.
 
     Attributes:
         shield_changes: decisions of this episode in which the shield masked what would have been chosen.
+        thought: behind the last action; None where the driver has none to show.
     """
 
     shield_changes = 0
+    thought: Thought | None = None
 
     @abstractmethod
     def begin(self, pose: Pose, goal: tuple[float, float], truth: Scene | None, rng: np.random.Generator) -> None:
@@ -86,6 +97,7 @@ class LearnedDriver(Driver):
         """Looks, then takes the best action of Q_low under the best subgoal of Q_high."""
         self._agent.observe(observed.pose, look(self._visual_act, observed))
         decision = self._agent.act(self._q)
+        self.thought = Thought(self._agent.situation, decision)
         self.shield_changes += bool(decision.shield_changed)
         return int(decision.action)
 

@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import gymnasium
 import numpy as np
 
 from zsdist.config import Config
-from zsdist.evaluation.drivers import RANGE_ANGLES_RAD, Driver, Observed, Sees
+from zsdist.evaluation.drivers import RANGE_ANGLES_RAD, Driver, Observed, Sees, Thought
 from zsdist.evaluation.metrics import EpisodeRecord, path_length_m
 from zsdist.planning import shortest_path
 from zsdist.planning.footprint import FootprintTable
@@ -18,6 +19,30 @@ from zsdist.sim.raycast import ray_distances
 from zsdist.sim.scene import Scene
 from zsdist.sim.solvability import footprints
 from zsdist.types import Outcome, Pose
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One decision, or the end of an episode, as a watcher of it sees it.
+
+    Attributes:
+        scene: that is driven.
+        observed: what the driver was shown.
+        people: `(W, 2)` places of the walking obstacles; None where nobody walks.
+        action: chosen; None at the end.
+        thought: behind it, of drivers that have one to show.
+        outcome: of the episode; None before its end.
+    """
+
+    scene: Scene
+    observed: Observed
+    people: np.ndarray | None
+    action: int | None
+    thought: Thought | None
+    outcome: Outcome | None
+
+
+Watch = Callable[[Moment], None]
 
 
 class Course:
@@ -67,8 +92,14 @@ class Examiner:
         self._clock = clock
         self._table = footprints(Grid.from_config(config.grid))
 
-    def drive(self, scene: Scene, rng: np.random.Generator) -> EpisodeRecord:
-        """One episode; `rng` is the driver's."""
+    def drive(self, scene: Scene, rng: np.random.Generator, watch: Watch | None = None) -> EpisodeRecord:
+        """One episode.
+
+        Args:
+            scene: driven.
+            rng: the driver's.
+            watch: shown every decision as it is made, and the end.
+        """
         driver = self._driver
         observation, info = self._env.reset(options={"scene": scene})
         poses = [_pose(observation)]
@@ -80,6 +111,8 @@ class Examiner:
             began_s = self._clock()
             action = driver.act(observed)
             decision_ms.append(1000 * (self._clock() - began_s))
+            if watch is not None:
+                watch(Moment(scene, observed, self._people(scene), action, driver.thought, None))
             observation, _, terminated, truncated, info = self._env.step(action)
             driver.result(RewardTerms(**info["reward_terms"]), terminated, truncated)
             poses.append(_pose(observation))
@@ -87,6 +120,9 @@ class Examiner:
         outcome = Outcome.TIMEOUT
         if terminated:
             outcome = Outcome.SUCCESS if info["success"] else Outcome.COLLISION
+        if watch is not None:
+            observed = self._observed(observation, info, scene)
+            watch(Moment(scene, observed, self._people(scene), None, driver.thought, outcome))
         course = Course(scene, self._table, self._config.sim.success_radius_m)
         return EpisodeRecord(
             scene=scene.name,

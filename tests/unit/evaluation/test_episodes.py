@@ -130,3 +130,22 @@ def test_the_learned_driver_counts_what_the_shield_changed_for_each_episode_anew
     examiner = Examiner(LatticeEnv(config=config), config, learned(config), Sees.CAMERA, lambda: 0.0)
     first, second = (examiner.drive(POLE, np.random.default_rng(0)) for _ in range(2))
     assert first.shield_changes == second.shield_changes <= first.steps
+
+
+def test_a_watcher_sees_every_decision_with_what_was_known_and_then_the_end():
+    config = load(overrides=("sim.max_steps=5",))
+    moments = []
+    examiner = Examiner(LatticeEnv(config=config), config, learned(config), Sees.CAMERA, lambda: 0.0)
+    record = examiner.drive(POLE, np.random.default_rng(0), moments.append)
+    assert [moment.observed.pose for moment in moments] == list(record.poses)
+    assert [int(moment.thought.decision.action) for moment in moments[:-1]] == [m.action for m in moments[:-1]]
+    grid = Grid.from_config(config.grid)
+    assert [m.thought.situation.state for m in moments[:-1]] == [grid.lattice_state(p) for p in record.poses[:-1]]
+    assert [moment.outcome for moment in moments] == [None] * record.steps + [record.outcome]
+
+
+def test_watching_changes_nothing_of_an_episode():
+    config = load(overrides=("sim.max_steps=25",))
+    examiner = Examiner(LatticeEnv(config=config), config, learned(config), Sees.CAMERA, lambda: 0.0)
+    first = examiner.drive(POLE, np.random.default_rng(0))
+    assert examiner.drive(POLE, np.random.default_rng(0), lambda moment: None) == first
