@@ -127,7 +127,8 @@ class HierarchicalAgent:
         self._low_mask = self._allowed()
         self._low_state = self._high_state = None
         if self._learning:
-            self._cost_to_goal = cost_to_go(self._situation.blocked, self._goals, self._costs)
+            on_the_way = {self._situation.state, (before or self._situation).state}
+            self._cost_to_goal = cost_to_go(self._situation.blocked, self._goals, self._costs, on_the_way)
         if self._outcome is not None:
             self._complete(before)
 
@@ -305,7 +306,9 @@ class HierarchicalAgent:
                 subgoals = np.zeros_like(self._goals)
                 ix, iy = self._grid.cell_at(*option.subgoal)
                 subgoals[iy, ix] = True
-                to_subgoal = learning.progress_m(cost_to_go(now.blocked, subgoals, self._costs), here, there)
+                to_subgoal = learning.progress_m(
+                    cost_to_go(now.blocked, subgoals, self._costs, (before.state, now.state)), here, there
+                )
             step = learning.Step(
                 revisits=int(self._visits[there]) - 1,
                 reentries=int(self._block_visits[now.block[::-1]]) - 1 if now.block != before.block else 0,

@@ -3,72 +3,63 @@
 import numba
 import numpy as np
 
-from zsdist.planning.footprint import ADVANCES, TURNS
-from zsdist.planning.grid import STEPS
+from zsdist.planning.grid import HEADINGS
+from zsdist.planning.lattice import flat_state, predecessors, successors
 from zsdist.types import LatticeState
-
-_TURNS = np.array(TURNS)
-_ADVANCES = np.array(ADVANCES)
-_STEPS = np.asarray(STEPS)
 
 
 def cells_from(blocked: np.ndarray, state: LatticeState) -> np.ndarray:
     """Cells `(cells, cells)` bool to which a free way leads from a state, its own included."""
-    return _forwards(blocked, state.ix, state.iy, state.heading)
+    cells = len(blocked)
+    return _forwards(blocked.ravel(), successors(cells), flat_state(state, cells)).reshape(cells, cells)
 
 
 def states_to(blocked: np.ndarray, goals: np.ndarray) -> np.ndarray:
     """States `(cells, cells, 8)` bool from which a free way leads to one of the cells `goals` `(cells, cells)` bool."""
-    return _backwards(blocked, goals)
+    cells = len(blocked)
+    return _backwards(blocked.ravel(), goals.ravel(), predecessors(cells)).reshape(cells, cells, HEADINGS)
 
 
 @numba.njit(cache=True)
-def _forwards(blocked, ix, iy, heading):  # noqa: ANN001, ANN202
-    cells = blocked.shape[0]
-    found = np.zeros((cells, cells, 8), np.bool_)
-    queue = np.empty((cells * cells * 8, 3), np.int16)
-    queue[0, 0], queue[0, 1], queue[0, 2] = ix, iy, heading
-    found[iy, ix, heading] = True
-    reached = np.zeros((cells, cells), np.bool_)
+def _forwards(blocked, after, start):  # noqa: ANN001, ANN202
+    states, actions = after.shape
+    found, reached = np.zeros(states, np.bool_), np.zeros(states >> 3, np.bool_)
+    queue = np.empty(states, np.int32)
+    queue[0] = start
+    found[start] = True
     read, written = 0, 1
     while read < written:
-        x, y, h = queue[read]
+        state = queue[read]
         read += 1
-        reached[y, x] = True
-        for action in range(5):
-            if blocked[y, x, h, action]:
-                continue
-            k = (h + _TURNS[action]) % 8
-            nx, ny = x + _STEPS[k, 0] * _ADVANCES[action], y + _STEPS[k, 1] * _ADVANCES[action]
-            if not found[ny, nx, k]:
-                found[ny, nx, k] = True
-                queue[written, 0], queue[written, 1], queue[written, 2] = nx, ny, k
-                written += 1
+        reached[state >> 3] = True
+        for action in range(actions):
+            if not blocked[state * actions + action]:
+                end = after[state, action]
+                if not found[end]:
+                    found[end] = True
+                    queue[written] = end
+                    written += 1
     return reached
 
 
 @numba.njit(cache=True)
-def _backwards(blocked, goals):  # noqa: ANN001, ANN202
-    cells = blocked.shape[0]
-    found = np.zeros((cells, cells, 8), np.bool_)
-    queue = np.empty((cells * cells * 8, 3), np.int16)
+def _backwards(blocked, goals, before):  # noqa: ANN001, ANN202
+    states, actions = before.shape
+    found = np.zeros(states, np.bool_)
+    queue = np.empty(states, np.int32)
     read, written = 0, 0
-    for y in range(cells):
-        for x in range(cells):
-            if goals[y, x]:
-                for h in range(8):
-                    found[y, x, h] = True
-                    queue[written, 0], queue[written, 1], queue[written, 2] = x, y, h
-                    written += 1
-    while read < written:
-        x, y, h = queue[read]
-        read += 1
-        for action in range(5):
-            k = (h - _TURNS[action]) % 8
-            px, py = x - _STEPS[h, 0] * _ADVANCES[action], y - _STEPS[h, 1] * _ADVANCES[action]
-            if px < 0 or py < 0 or px >= cells or py >= cells or found[py, px, k] or blocked[py, px, k, action]:
-                continue
-            found[py, px, k] = True
-            queue[written, 0], queue[written, 1], queue[written, 2] = px, py, k
+    for state in range(states):
+        if goals[state >> 3]:
+            found[state] = True
+            queue[written] = state
             written += 1
+    while read < written:
+        state = queue[read]
+        read += 1
+        for action in range(actions):
+            previous = before[state, action]
+            if previous >= 0 and not found[previous] and not blocked[previous * actions + action]:
+                found[previous] = True
+                queue[written] = previous
+                written += 1
     return found

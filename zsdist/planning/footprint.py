@@ -15,7 +15,8 @@ ACTIONS = len(Action)
 TURNS = (0, 1, -1, 2, -2)  # eighths of a turn, counter-clockwise, of each action
 ADVANCES = (1, 1, 1, 0, 0)  # cells moved after the turn
 
-_HALF_WINDOW = 32  # squares on each side of the car that fit into the bits of a row's window
+_AT_ONCE = 32  # cells of a row whose surroundings share a word of 64 bits
+_FARTHEST = FINE_PER_CELL * (64 - _AT_ONCE) // 2  # squares on each side that fit into it
 _TURN_SAMPLE_RAD = math.radians(0.5)  # the arc of a corner between samples leaves its chord by 0.01 mm
 
 
@@ -49,14 +50,12 @@ class FootprintTable:
         half = (length_m / 2 + margin_m, width_m / 2 + margin_m)
         reach_m = math.hypot(*half) + math.sqrt(2) * grid.cell_size_m
         self._reach = math.ceil(reach_m / grid.fine_m)
-        if self._reach > _HALF_WINDOW:
-            most_m = _HALF_WINDOW * grid.fine_m
+        if self._reach > _FARTHEST:
+            most_m = _FARTHEST * grid.fine_m
             raise ValueError(f"the car with one step reaches {reach_m:.2f} m; allowed is {most_m:.2f} m")
         headings = range(HEADINGS)
         self._swept = [[self._sweep(heading, action, *half) for action in range(ACTIONS)] for heading in headings]
-        self._standing = [self._touched([(0.0, 0.0, heading * math.tau / HEADINGS, *half)]) for heading in headings]
-        self._swept_masks = self._masks([offsets for row in self._swept for offsets in row])
-        self._standing_masks = self._masks(self._standing)
+        self._runs = _runs([offsets for row in self._swept for offsets in row])
         self._off_grid = self._ends_off_grid()
 
     def end(self, state: LatticeState, action: int) -> LatticeState:
@@ -66,10 +65,6 @@ class FootprintTable:
     def swept(self, heading: int, action: int) -> np.ndarray:
         """Squares swept by an action, `(M, 2)` int: (dx, dy) from the square north-east of the start cell's centre."""
         return self._swept[heading][action]
-
-    def standing(self, heading: int) -> np.ndarray:
-        """Squares covered by the car at rest, `(M, 2)` int, offsets as in `swept`."""
-        return self._standing[heading]
 
     def blocked(self, occupancy: np.ndarray) -> np.ndarray:
         """Which action from which state is not to be taken.
@@ -81,20 +76,12 @@ class FootprintTable:
             `[iy, ix, heading, action]` `(cells, cells, 8, 5)` bool: true where the swept squares touch occupied ones
             or leave the arena, or where the action ends off the grid.
         """
-        cells = self.grid.cells
-        hits = self._hits(occupancy, self._swept_masks).reshape(cells, cells, HEADINGS, ACTIONS)
-        return np.logical_or(hits, self._off_grid, out=hits)
-
-    def state_blocked(self, occupancy: np.ndarray) -> np.ndarray:
-        """In which states the car cannot stand, `[iy, ix, heading]` `(cells, cells, 8)` bool; margin included."""
-        return self._hits(occupancy, self._standing_masks)
-
-    def _hits(self, occupancy: np.ndarray, masks: np.ndarray) -> np.ndarray:
-        size = self.grid.fine_size
+        size, cells = self.grid.fine_size, self.grid.cells
         if occupancy.shape != (size, size):
             raise ValueError(f"occupancy has the shape {occupancy.shape}; allowed is {(size, size)}")
         occupied = np.ascontiguousarray(occupancy, dtype=np.bool_)
-        return _hits(occupied, masks, self.grid.cells, self.grid.fine_border, self._reach)
+        hits = _hits(occupied, self._runs, self._off_grid, cells, self.grid.fine_border, self._reach)
+        return hits.reshape(cells, cells, HEADINGS, ACTIONS)
 
     def _sweep(self, heading: int, action: int, half_l: float, half_w: float) -> np.ndarray:
         """The turn as a fan of boxes, the advance as one box as long as the way and the car."""
@@ -127,14 +114,6 @@ class FootprintTable:
         rows, columns = np.nonzero(touched)
         return np.stack([offsets[columns], offsets[rows]], axis=1)
 
-    def _masks(self, footprints: list[np.ndarray]) -> np.ndarray:
-        """Footprints as bits, `(footprints, 2 reach)` uint64: bit `dx + 32` of row `dy + reach`."""
-        masks = np.zeros((len(footprints), 2 * self._reach), dtype=np.uint64)
-        for row, offsets in zip(masks, footprints, strict=True):
-            bits = np.left_shift(np.uint64(1), (offsets[:, 0] + _HALF_WINDOW).astype(np.uint64))
-            np.bitwise_or.at(row, offsets[:, 1] + self._reach, bits)
-        return masks
-
     def _ends_off_grid(self) -> np.ndarray:
         cells = self.grid.cells
         off = np.zeros((cells, cells, HEADINGS, ACTIONS), dtype=bool)
@@ -144,43 +123,67 @@ class FootprintTable:
                 dx, dy, _ = successor(LatticeState(0, 0, heading), action)
                 inside = (ix + dx >= 0) & (ix + dx < cells) & (iy + dy >= 0) & (iy + dy < cells)
                 off[:, :, heading, action] = ~inside
-        return off
+        return off.reshape(cells, cells, -1)
+
+
+def _runs(footprints: list[np.ndarray]) -> np.ndarray:
+    """Footprints as runs of squares along x, `(runs, 5)` int32.
+
+    Columns: which footprint; dy; dx where the run's first and its last window of `2**k` squares begin, which together
+    are the run; k.
+    """
+    runs = []
+    for footprint, offsets in enumerate(footprints):
+        for dy in np.unique(offsets[:, 1]):
+            dxs = np.sort(offsets[offsets[:, 1] == dy, 0])
+            for run in np.split(dxs, np.flatnonzero(np.diff(dxs) > 1) + 1):
+                doublings = len(run).bit_length() - 1
+                runs.append((footprint, dy, run[0], run[-1] + 1 - 2**doublings, doublings))
+    return np.array(runs, np.int32)
 
 
 @njit(cache=True)
-def _hits(occupied: np.ndarray, masks: np.ndarray, cells: int, border: int, reach: int) -> np.ndarray:
-    """Which footprint at which cell meets an occupied square, `(cells, cells, footprints)` bool.
+def _hits(occupied: np.ndarray, runs: np.ndarray, off: np.ndarray, cells: int, border: int, reach: int) -> np.ndarray:
+    """Which footprint at which cell meets an occupied square or is `off` anyway, `(cells, cells, footprints)` bool.
 
-    A row of the surroundings of a cell is 64 bits wide, so a footprint is compared a row at a time.
+    Works on `_AT_ONCE` cells of a row together. Bit j of a word (row, phase) is column 4 j + phase of their
+    surroundings, so that moving on by a cell is a shift by one bit. A run of squares is the union of two of the windows
+    of 1, 2, 4, ... squares that the words of each doubling hold.
     """
-    size = occupied.shape[0]
-    footprints, rows = masks.shape
-    windows = np.empty((size, cells), dtype=np.uint64)
-    for fy in range(size):
-        for ix in range(cells):
-            first = border + FINE_PER_CELL * ix + FINE_PER_CELL // 2 - reach
-            bits = np.uint64(0)
-            for step in range(2 * reach):
-                fx = first + step
-                if fx < 0 or fx >= size or occupied[fy, fx]:
-                    bits |= np.uint64(1) << np.uint64(step + _HALF_WINDOW - reach)
-            windows[fy, ix] = bits
-    every = ~np.uint64(0)
-    hits = np.zeros((cells, cells, footprints), dtype=np.bool_)
-    near = np.empty(rows, dtype=np.uint64)
-    for iy in range(cells):
-        first = border + FINE_PER_CELL * iy + FINE_PER_CELL // 2 - reach
-        for ix in range(cells):
-            some = np.uint64(0)
-            for row in range(rows):
-                fy = first + row
-                near[row] = windows[fy, ix] if 0 <= fy < size else every
-                some |= near[row]
-            if some == 0:
-                continue
-            for footprint in range(footprints):
-                for row in range(rows):
-                    if near[row] & masks[footprint, row]:
-                        hits[iy, ix, footprint] = True
-                        break
+    size, footprints = occupied.shape[0], off.shape[2]
+    origin = border + FINE_PER_CELL // 2 - reach  # of the surroundings of cell 0, in the frame
+    tall, wide = FINE_PER_CELL * cells + 2 * reach, FINE_PER_CELL * _AT_ONCE + 2 * reach
+    doublings = runs[:, 4].max() + 1
+    # rows that are a cell apart lie together: one of them is under each cell of a column
+    words = np.empty((doublings, FINE_PER_CELL, FINE_PER_CELL, (tall - 1) // FINE_PER_CELL + 1), np.uint64)
+    hits = np.empty(off.shape, np.bool_)
+    for left in range(0, cells, _AT_ONCE):
+        words[0] = 0
+        for y in range(tall):
+            fy = origin + y
+            for x in range(wide):
+                fx = origin + FINE_PER_CELL * left + x
+                if fy < 0 or fy >= size or fx < 0 or fx >= size or occupied[fy, fx]:
+                    bit = np.uint64(1) << np.uint64(x // FINE_PER_CELL)
+                    words[0, x % FINE_PER_CELL, y % FINE_PER_CELL, y // FINE_PER_CELL] |= bit
+        for k in range(1, doublings):
+            step = 1 << (k - 1)
+            for phase in range(FINE_PER_CELL):
+                other, shift = (phase + step) % FINE_PER_CELL, np.uint64((phase + step) // FINE_PER_CELL)
+                words[k, phase] = words[k - 1, phase] | (words[k - 1, other] >> shift)
+        met = np.zeros((footprints, cells), np.uint64)
+        for run in range(len(runs)):
+            y, k = reach + runs[run, 1], runs[run, 4]
+            row = met[runs[run, 0]]
+            for end in range(2, 4):
+                x = reach + runs[run, end]
+                source = words[k, x % FINE_PER_CELL, y % FINE_PER_CELL, y // FINE_PER_CELL :]
+                shift = np.uint64(x // FINE_PER_CELL)
+                for iy in range(cells):
+                    row[iy] |= source[iy] >> shift
+        for iy in range(cells):
+            for ix in range(left, min(left + _AT_ONCE, cells)):
+                for footprint in range(footprints):
+                    bit = (met[footprint, iy] >> np.uint64(ix - left)) & np.uint64(1)
+                    hits[iy, ix, footprint] = off[iy, ix, footprint] | (bit != 0)
     return hits

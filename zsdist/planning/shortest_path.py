@@ -5,21 +5,23 @@ car has no reverse gear, so the graph is directed: costs to go are found from th
 """
 
 import math
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from zsdist.planning.footprint import ACTIONS, ADVANCES, TURNS, successor
+from zsdist.planning.footprint import ACTIONS, ADVANCES, TURNS
 from zsdist.planning.grid import HEADINGS, STEPS, Grid
+from zsdist.planning.lattice import flat_state, lattice_state, predecessors, successors
 from zsdist.types import Action, LatticeState
 
 STEPS_COST = np.ones((HEADINGS, ACTIONS))  # cost of each action from each heading, counted in actions
 _ACTION_TIE_M = 1e-3  # an action's cost on top of its metres: of equally long ways the one of fewer actions wins,
 _TURN_TIE_M = 2e-4  # and of those the one that turns through fewer eighths
 
-_TURNS = np.array(TURNS)
-_ADVANCES = np.array(ADVANCES)
+_ENDS = (np.arange(HEADINGS)[:, None] + np.array(TURNS)) % HEADINGS
+_ADVANCED = np.hypot(STEPS[_ENDS, 0], STEPS[_ENDS, 1]) * ADVANCES  # by heading before the action, in sides of a cell
 
 
 class Path(NamedTuple):
@@ -35,9 +37,7 @@ def metres_cost(grid: Grid) -> np.ndarray:
     The millimetre prefers fewer actions and fewer turns among ways of equal length and keeps turns in place from being
     free; `length_m` gives a way's length without it.
     """
-    ends = (np.arange(HEADINGS)[:, None] + _TURNS) % HEADINGS
-    tie_m = _ACTION_TIE_M + _TURN_TIE_M * np.abs(_TURNS)
-    return np.hypot(STEPS[ends, 0], STEPS[ends, 1]) * _ADVANCES * grid.cell_size_m + tie_m
+    return _ADVANCED * grid.cell_size_m + _ACTION_TIE_M + _TURN_TIE_M * np.abs(TURNS)
 
 
 METRES = metres_cost(Grid())  # of the default grid
@@ -49,23 +49,31 @@ def goal_mask(grid: Grid, goal_xy: tuple[float, float], radius_m: float) -> np.n
     return np.hypot(xs[None, :] - goal_xy[0], ys[:, None] - goal_xy[1]) <= radius_m
 
 
-def cost_to_go(blocked: np.ndarray, goals: np.ndarray, action_costs: np.ndarray) -> np.ndarray:
-    """Least cost from every state to a goal cell, whatever the heading there (Dijkstra).
+def cost_to_go(
+    blocked: np.ndarray, goals: np.ndarray, action_costs: np.ndarray, until: Collection[LatticeState] = ()
+) -> np.ndarray:
+    """Least cost from every state to a goal cell, whatever the heading there.
 
     Args:
         blocked: `(cells, cells, 8, 5)` bool.
         goals: `[iy, ix]` `(cells, cells)` bool.
         action_costs: `(8, 5)`, by heading before the action, above 0; `METRES` or `STEPS_COST`.
+        until: where the costs of these states, and along the ways from them, are enough; none: of all states.
 
     Returns:
-        `[iy, ix, heading]` `(cells, cells, 8)` float32; infinite where no goal cell can be reached.
+        `[iy, ix, heading]` `(cells, cells, 8)` float32; infinite where no goal cell can be reached, and where it was
+        not needed for `until`.
 
     Raises:
         ValueError: an action costs nothing or less.
     """
     if not np.min(action_costs) > 0:
         raise ValueError(f"the least action cost is {np.min(action_costs)}; allowed is above 0")
-    return _dijkstra(blocked, goals, np.asarray(action_costs, dtype=np.float64), _TURNS, _ADVANCES, STEPS)
+    cells = len(blocked)
+    enough = np.array([flat_state(state, cells) for state in until], np.int32)
+    costs = np.asarray(action_costs, dtype=np.float64)
+    field = _search(blocked.ravel(), goals.ravel(), costs, predecessors(cells), enough)
+    return field.reshape(cells, cells, HEADINGS)
 
 
 def path(cost: np.ndarray, blocked: np.ndarray, start: LatticeState, action_costs: np.ndarray) -> Path:
@@ -82,23 +90,14 @@ def path(cost: np.ndarray, blocked: np.ndarray, start: LatticeState, action_cost
     """
     if not math.isfinite(cost[start.iy, start.ix, start.heading]):
         raise ValueError(f"no way leads from {start} to the goal")
-    states, actions = [start], []
-    state = start
-    while cost[state.iy, state.ix, state.heading] > 0:
-        best, choice, following = math.inf, Action.FORWARD, state
-        for action in Action:
-            if blocked[state.iy, state.ix, state.heading, action]:
-                continue
-            end = successor(state, action)
-            total = float(cost[end.iy, end.ix, end.heading]) + float(action_costs[state.heading, action])
-            if total < best:
-                best, choice, following = total, action, end
-        if math.isinf(best):
-            raise ValueError(f"every action from {state} is blocked; the costs belong to another map")
-        state = following
-        states.append(state)
-        actions.append(choice)
-    return Path(states, actions)
+    cells = len(blocked)
+    flat, actions, arrived = _follow(
+        cost.ravel(), blocked.ravel(), action_costs, successors(cells), flat_state(start, cells)
+    )
+    states = [lattice_state(state, cells) for state in flat.tolist()]
+    if not arrived:
+        raise ValueError(f"every action from {states[-1]} is blocked; the costs belong to another map")
+    return Path(states, [Action(action) for action in actions.tolist()])
 
 
 def length_m(states: list[LatticeState], cell_size_m: float) -> float:
@@ -120,116 +119,134 @@ def live_states(blocked: np.ndarray) -> np.ndarray:
     Returns:
         `[iy, ix, heading]` `(cells, cells, 8)` bool.
     """
-    return _live(blocked, _TURNS, _ADVANCES, STEPS)
+    cells = len(blocked)
+    return _live(blocked.ravel(), predecessors(cells)).reshape(cells, cells, HEADINGS)
 
 
 @njit(cache=True)
-def _dijkstra(
+def _search(
     blocked: np.ndarray,
     goals: np.ndarray,
     action_costs: np.ndarray,
-    turns: np.ndarray,
-    advances: np.ndarray,
-    steps: np.ndarray,
+    before: np.ndarray,
+    until: np.ndarray,
 ) -> np.ndarray:
-    """Dijkstra with a binary heap in which a state has one place, moved up when its cost falls."""
-    cells, headings, actions = blocked.shape[0], blocked.shape[2], blocked.shape[3]
-    count = cells * cells * headings
-    cost = np.full(count, np.inf)
-    heap, place, held = np.empty(count, dtype=np.int64), np.full(count, -1), 0
-    for iy in range(cells):
-        for ix in range(cells):
-            if goals[iy, ix]:
-                for heading in range(headings):
-                    state = (iy * cells + ix) * headings + heading
-                    cost[state], heap[held], place[state] = 0.0, state, held
-                    held += 1
-    while held:
-        state = heap[0]
-        held -= 1
-        if held:
-            _sink(heap, place, cost, heap[held], held)
-        heading, ix, iy = state % headings, state // headings % cells, state // (headings * cells)
+    """Label-correcting search over buckets as wide as a quarter of the dearest action.
+
+    A state's bucket is that of its cost and of what is at least `ahead` of it, by cell: nothing (Dijkstra), or the way
+    as the crow flies to the nearest state whose cost is wanted (A*). What is in a bucket may still improve within it
+    and is then taken up again; once it is empty, the costs of its states are final. Entries that a better one overtook
+    are passed over.
+    """
+    states, actions = before.shape
+    per_cost = 4 / action_costs.max()
+    cells = int(math.sqrt(states // HEADINGS))
+    per_cell = np.inf  # what it costs at least to come a cell's side nearer to anywhere
+    for heading in range(HEADINGS):
         for action in range(actions):
-            before = (heading - turns[action]) % headings
-            px, py = ix - steps[heading, 0] * advances[action], iy - steps[heading, 1] * advances[action]
-            if not (0 <= px < cells and 0 <= py < cells) or blocked[py, px, before, action]:
+            if _ADVANCED[heading, action] > 0:
+                per_cell = min(per_cell, action_costs[heading, action] / _ADVANCED[heading, action])
+    ahead = np.zeros(cells * cells)
+    for cell in range(cells * cells if len(until) else 0):
+        nearest = np.inf
+        for state in until:
+            there = state >> 3
+            nearest = min(nearest, math.hypot(cell % cells - there % cells, cell // cells - there // cells))
+        ahead[cell] = nearest * per_cell
+    cost, expanded = np.full(states, np.inf), np.full(states, np.inf)
+    heads = np.full(2 + int(ahead.max() * per_cost), -1, np.int32)  # the first entry of each bucket
+    entries, following = np.empty(4 * states, np.int32), np.empty(4 * states, np.int32)
+    count = 0
+    for state in range(states):
+        if goals[state >> 3]:
+            cost[state] = 0.0
+            into = int(ahead[state >> 3] * per_cost)
+            entries[count], following[count] = state, heads[into]
+            heads[into] = count
+            count += 1
+    bucket, last = 0, len(heads) - 1
+    while bucket <= last:
+        if bucket + 10 >= len(heads):  # an action leads at most 4 buckets on and, as the crow flies, back by as much
+            heads = np.append(heads, np.full(len(heads) + 10, -1, np.int32))
+        while heads[bucket] >= 0:
+            state = entries[heads[bucket]]
+            heads[bucket] = following[heads[bucket]]
+            so_far = cost[state]
+            if so_far >= expanded[state]:
                 continue
-            previous = (py * cells + px) * headings + before
-            total = cost[state] + action_costs[before, action]
-            if total < cost[previous]:
-                cost[previous] = total
-                if place[previous] < 0:
-                    place[previous] = held
-                    held += 1
-                _rise(heap, place, cost, previous)
-    return cost.astype(np.float32).reshape(cells, cells, headings)
+            expanded[state] = so_far
+            if count + actions > len(entries):
+                entries, following = np.append(entries, entries), np.append(following, following)
+            for action in range(actions):
+                previous = before[state, action]
+                if previous < 0 or blocked[previous * actions + action]:
+                    continue
+                total = so_far + action_costs[previous & 7, action]
+                if total < cost[previous]:
+                    cost[previous] = total
+                    into = max(int((total + ahead[previous >> 3]) * per_cost), bucket)
+                    last = max(last, into)
+                    entries[count], following[count] = previous, heads[into]
+                    heads[into] = count
+                    count += 1
+        bucket += 1
+        wanted = len(until)
+        for state in until:
+            wanted -= (cost[state] + ahead[state >> 3]) * per_cost < bucket
+        if len(until) and not wanted:
+            for state in range(states):
+                if (cost[state] + ahead[state >> 3]) * per_cost >= bucket:
+                    cost[state] = np.inf
+            break
+    return cost.astype(np.float32)
 
 
 @njit(cache=True)
-def _rise(heap: np.ndarray, place: np.ndarray, cost: np.ndarray, state: int) -> None:
-    """Moves a state from its place towards the root."""
-    at = place[state]
-    while at:
-        parent = (at - 1) // 2
-        if cost[heap[parent]] <= cost[state]:
-            break
-        heap[at] = heap[parent]
-        place[heap[at]] = at
-        at = parent
-    heap[at] = state
-    place[state] = at
+def _follow(
+    cost: np.ndarray, blocked: np.ndarray, action_costs: np.ndarray, after: np.ndarray, start: int
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """States and actions from the start down the costs; whether an action was found at each."""
+    states, actions = np.empty(len(cost), np.int32), np.empty(len(cost), np.int8)
+    count, state = 0, start
+    states[0] = start
+    while cost[state] > 0:
+        best, choice = np.inf, -1
+        for action in range(after.shape[1]):
+            if not blocked[state * after.shape[1] + action]:
+                total = float(cost[after[state, action]]) + action_costs[state & 7, action]
+                if total < best:
+                    best, choice = total, action
+        if choice < 0 or count + 1 == len(cost):
+            return states[: count + 1], actions[:count], False
+        state = after[state, choice]
+        actions[count] = choice
+        count += 1
+        states[count] = state
+    return states[: count + 1], actions[:count], True
 
 
 @njit(cache=True)
-def _sink(heap: np.ndarray, place: np.ndarray, cost: np.ndarray, state: int, held: int) -> None:
-    """Puts a state at the root and moves it away from there."""
-    at = 0
-    while True:
-        child = 2 * at + 1
-        if child >= held:
-            break
-        if child + 1 < held and cost[heap[child + 1]] < cost[heap[child]]:
-            child += 1
-        if cost[state] <= cost[heap[child]]:
-            break
-        heap[at] = heap[child]
-        place[heap[at]] = at
-        at = child
-    heap[at] = state
-    place[state] = at
-
-
-@njit(cache=True)
-def _live(blocked: np.ndarray, turns: np.ndarray, advances: np.ndarray, steps: np.ndarray) -> np.ndarray:
+def _live(blocked: np.ndarray, before: np.ndarray) -> np.ndarray:
     """Takes away states without an action left, then what led only to them, until nothing changes."""
-    cells, headings, actions = blocked.shape[0], blocked.shape[2], blocked.shape[3]
-    count = cells * cells * headings
-    left = np.zeros(count, dtype=np.int64)  # actions that end in a state not taken away
-    dead, found = np.empty(count, dtype=np.int64), 0
-    for iy in range(cells):
-        for ix in range(cells):
-            for heading in range(headings):
-                state = (iy * cells + ix) * headings + heading
-                for action in range(actions):
-                    if not blocked[iy, ix, heading, action]:
-                        left[state] += 1
-                if left[state] == 0:
-                    dead[found] = state
-                    found += 1
+    count, actions = before.shape
+    left = np.zeros(count, dtype=np.int8)  # actions that end in a state not taken away
+    dead, found = np.empty(count, dtype=np.int32), 0
+    for state in range(count):
+        for action in range(actions):
+            left[state] += not blocked[state * actions + action]
+        if left[state] == 0:
+            dead[found] = state
+            found += 1
     looked = 0
     while looked < found:
         state = dead[looked]
         looked += 1
-        heading, ix, iy = state % headings, state // headings % cells, state // (headings * cells)
         for action in range(actions):
-            before = (heading - turns[action]) % headings
-            px, py = ix - steps[heading, 0] * advances[action], iy - steps[heading, 1] * advances[action]
-            if not (0 <= px < cells and 0 <= py < cells) or blocked[py, px, before, action]:
+            previous = before[state, action]
+            if previous < 0 or blocked[previous * actions + action]:
                 continue
-            previous = (py * cells + px) * headings + before
             left[previous] -= 1
             if left[previous] == 0:
                 dead[found] = previous
                 found += 1
-    return (left > 0).reshape(cells, cells, headings)
+    return left > 0

@@ -81,14 +81,32 @@ def test_an_arena_without_a_border_blocks_where_the_car_would_leave_it():
     assert not blocked[16, 16].any()
 
 
-def test_one_square_under_the_margin_blocks_the_state_and_a_square_beyond_it_does_not():
+def test_one_square_under_the_margin_blocks_the_way_on_and_a_square_beyond_it_does_not():
     beside = FREE.copy()
     beside[18 + 40 + 4, 18 + 40] = True  # 0.625 m north of the centre of cell (10, 10): half the width is 0.645
-    assert TABLE.state_blocked(beside)[10, 10, 0]
+    assert TABLE.blocked(beside)[10, 10, 0, Action.FORWARD]
     beside = FREE.copy()
     beside[18 + 40 + 5, 18 + 40] = True
-    assert not TABLE.state_blocked(beside)[10, 10, 0]
-    assert TABLE.state_blocked(beside)[10, 10, 2]
+    assert not TABLE.blocked(beside)[10, 10, 0, Action.FORWARD]
+    assert TABLE.blocked(beside)[10, 10, 2, Action.FORWARD]
+
+
+@pytest.mark.parametrize("cells", [8, 32, 48, 100])
+def test_every_size_of_grid_is_covered(cells):
+    grid = Grid(cells=cells, arena_m=cells * 0.625 + 5.0)
+    occupancy = np.zeros((grid.fine_size, grid.fine_size), dtype=bool)
+    rng = np.random.default_rng(cells)
+    centres = rng.integers(0, cells, (40, 2))
+    for ix, iy in centres:
+        occupancy[grid.fine_border + 4 * iy + 2, grid.fine_border + 4 * ix + 2] = True
+    blocked = FootprintTable(grid).blocked(occupancy)
+    near = np.zeros((cells, cells), dtype=bool)
+    for ix, iy in centres:
+        assert blocked[iy, ix].all(), "an occupied square under the car blocks all it can do"
+        near[max(iy - 6, 0) : iy + 7, max(ix - 6, 0) : ix + 7] = True
+    inner = np.zeros_like(near)
+    inner[1:-1, 1:-1] = True
+    assert not blocked[inner & ~near].any()
 
 
 def test_an_occupancy_of_another_shape_is_refused():
@@ -97,5 +115,5 @@ def test_an_occupancy_of_another_shape_is_refused():
 
 
 def test_a_car_too_long_for_the_table_is_refused():
-    with pytest.raises(ValueError, match=r"allowed is 5\.00 m"):
-        FootprintTable(GRID, length_m=12.0)
+    with pytest.raises(ValueError, match=r"allowed is 10\.00 m"):
+        FootprintTable(GRID, length_m=20.0)
