@@ -1,4 +1,4 @@
-"""Compiled measurements in the car's frame: clearances, and what lies along straight runs after each action."""
+"""Compiled measurements about the car: clearances, what lies along lines and straight runs, and shares of blocks."""
 
 import math
 
@@ -19,6 +19,7 @@ _STEPS = np.asarray(STEPS)
 # Lines that a body of the car's width takes along. Cell centres are corners of fine squares, so none runs through one.
 _CORRIDOR_M = (-0.6, -0.3, -0.02, 0.02, 0.3, 0.6)
 _BODY_M = 0.6  # corridors begin beside the car
+_LINE_POINTS = 33
 
 
 @numba.njit(cache=True)
@@ -124,6 +125,59 @@ def action_features(
         row[9], row[10] = min(cell_visits, 16) / 6, min(visits[ey, ex, h], 9) / 3
         row[11], row[12] = unseen, fresh
     return out
+
+
+@numba.njit(cache=True)
+def block_shares(squares: np.ndarray, border: int, side: int, blocks: int) -> np.ndarray:
+    """Share of each block's squares that are set, `[by, bx]` `(blocks, blocks)`.
+
+    Args:
+        squares: `(fine_size, fine_size)` bool.
+        border: squares between the arena's wall and the first block.
+        side: squares along the side of a block.
+        blocks: per side.
+    """
+    shares = np.zeros((blocks, blocks))
+    for by in range(blocks):
+        for bx in range(blocks):
+            count = 0
+            for fy in range(border + by * side, border + (by + 1) * side):
+                for fx in range(border + bx * side, border + (bx + 1) * side):
+                    count += squares[fy, fx]
+            shares[by, bx] = count / side**2
+    return shares
+
+
+@numba.njit(cache=True)
+def line(occupied, seen, x, y, to_x, to_y, arena_half, square):  # noqa: ANN001, ANN201
+    """How far along the straight line to a point nothing is occupied, and how much of it was seen, as shares.
+
+    Two lines close beside it, since the line itself may run along the edges of squares.
+
+    Args:
+        occupied: `(fine_size, fine_size)` bool.
+        seen: `(fine_size, fine_size)` bool.
+        x: where the line begins, metres.
+        y: where the line begins, metres.
+        to_x: the point, metres.
+        to_y: the point, metres.
+        arena_half: half the side of the fine frame.
+        square: side of a fine square.
+    """
+    east, north = to_x - x, to_y - y
+    aside = 0.02 / max(math.hypot(east, north), 1e-9)
+    free, known = 1.0, 0
+    for side in (-aside, aside):
+        met = False
+        for step in range(_LINE_POINTS):
+            along = step / (_LINE_POINTS - 1)
+            fx = int((x + along * east - side * north + arena_half) / square)
+            fy = int((y + along * north + side * east + arena_half) / square)
+            known += seen[fy, fx]
+            if occupied[fy, fx] and not met:
+                met = True
+                free = min(free, step / _LINE_POINTS)
+    return free, known / (2 * _LINE_POINTS)
 
 
 @numba.njit(cache=True)

@@ -9,7 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from zsdist.agent.blocks import GOAL_CHOICE, NEIGHBOURS, Choices
-from zsdist.agent.egocentric import ACTION_FEATURES, DIRECTIONS, SIGHT_M, action_features, clearances
+from zsdist.agent.egocentric import (
+    ACTION_FEATURES,
+    DIRECTIONS,
+    SIGHT_M,
+    action_features,
+    block_shares,
+    clearances,
+    line,
+)
 from zsdist.agent.situation import Situation
 from zsdist.planning.grid import FINE_PER_CELL
 from zsdist.types import Action, Level
@@ -74,7 +82,11 @@ def high_state(situation: Situation, options: Choices, rooms: np.ndarray) -> np.
     grid, (x, y) = situation.grid, situation.place
     bx, by = situation.block
     goal_m = math.hypot(situation.goal[0] - x, situation.goal[1] - y)
-    neighbours = [_block_features(situation, options, k, goal_m) for k in range(NEIGHBOURS)]
+    side = grid.block_size * FINE_PER_CELL
+    seen, occupied = (
+        block_shares(squares, grid.fine_border, side, grid.blocks) for squares in (situation.seen, situation.occupied)
+    )
+    neighbours = [_block_features(situation, options, k, goal_m, seen, occupied) for k in range(NEIGHBOURS)]
     goal_ix, goal_iy = grid.cell_at(*situation.goal)
     here = [
         *_polar(situation, situation.goal, _FAR_M),
@@ -83,7 +95,7 @@ def high_state(situation: Situation, options: Choices, rooms: np.ndarray) -> np.
         *_line(situation, situation.goal),
         min(situation.goal_tries, 6) / 3,
         min(int(situation.block_visits[by, bx]), 6) / 3,
-        _share(situation, situation.seen, bx, by),
+        float(seen[by, bx]),
     ]
     parts = (np.asarray(neighbours).ravel(), here, rooms[0] / SIGHT_M, situation.advice)
     return np.concatenate(parts).astype(np.float32)
@@ -128,7 +140,9 @@ def mirror(level: Level) -> Mirror:
     return Mirror(np.array(index), np.array(sign, np.float32), actions)
 
 
-def _block_features(situation: Situation, options: Choices, k: int, goal_m: float) -> list[float]:
+def _block_features(
+    situation: Situation, options: Choices, k: int, goal_m: float, seen: np.ndarray, occupied: np.ndarray
+) -> list[float]:
     if not options.exists[k]:
         return [0.0] * BLOCK_FEATURES
     bx, by = (int(value) for value in options.blocks[k])
@@ -139,8 +153,8 @@ def _block_features(situation: Situation, options: Choices, k: int, goal_m: floa
     return [
         1.0,
         float(options.mask[k]),
-        _share(situation, situation.seen, bx, by),
-        _share(situation, situation.occupied, bx, by),
+        float(seen[by, bx]),
+        float(occupied[by, bx]),
         min(int(situation.block_visits[by, bx]), 6) / 3,
         min(int(situation.tries[by, bx]), 6) / 3,
         min(there_m + on_m - goal_m, 2 * SIGHT_M) / SIGHT_M,
@@ -160,28 +174,6 @@ def _polar(situation: Situation, point: tuple[float, float], scale_m: float) -> 
     return math.cos(bearing), math.sin(bearing), math.hypot(point[0] - x, point[1] - y) / scale_m
 
 
-def _share(situation: Situation, squares: np.ndarray, bx: int, by: int) -> float:
-    grid = situation.grid
-    side = grid.block_size * FINE_PER_CELL
-    top, left = grid.fine_border + by * side, grid.fine_border + bx * side
-    return float(np.count_nonzero(squares[top : top + side, left : left + side])) / side**2
-
-
 def _line(situation: Situation, point: tuple[float, float]) -> tuple[float, float]:
-    """How far along the straight line to a point nothing is occupied, and how much of it was seen, as shares.
-
-    Two lines close beside it, since the line itself may run along the edges of squares.
-    """
-    grid, (x, y) = situation.grid, situation.place
-    along = np.linspace(0.0, 1.0, 33)
-    east, north = point[0] - x, point[1] - y
-    aside = 0.02 / max(math.hypot(east, north), 1e-9)
-    free, seen = 1.0, 0.0
-    for side in (-aside, aside):
-        fx = ((x + along * east - side * north + grid.arena_m / 2) / grid.fine_m).astype(int)
-        fy = ((y + along * north + side * east + grid.arena_m / 2) / grid.fine_m).astype(int)
-        hits = situation.occupied[fy, fx]
-        if hits.any():
-            free = min(free, int(hits.argmax()) / len(along))
-        seen += float(situation.seen[fy, fx].mean()) / 2
-    return free, seen
+    grid = situation.grid
+    return line(situation.occupied, situation.seen, *situation.place, *point, grid.arena_m / 2, grid.fine_m)

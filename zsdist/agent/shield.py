@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
+import numba
 import numpy as np
-from scipy.ndimage import binary_dilation
 
 from zsdist.agent import reach
 from zsdist.planning.belief import BeliefMap
@@ -117,7 +117,8 @@ def _blocked(belief: BeliefMap, rung: Rung, state: LatticeState) -> np.ndarray:
     grid = belief.grid
     squares = belief.occupied(rung.above)
     if rung.wary:
-        _add_unseen(squares, belief.seen(), grid, state)
+        x_m, y_m = grid.centre(state.ix, state.iy)
+        _add_unseen(squares, belief.seen(), x_m + grid.arena_m / 2, y_m + grid.arena_m / 2, grid.fine_m)
     blocked = _table(grid, rung.margin_m).blocked(squares)
     if not rung.near:
         return blocked
@@ -127,15 +128,30 @@ def _blocked(belief: BeliefMap, rung: Rung, state: LatticeState) -> np.ndarray:
     return usual
 
 
-def _add_unseen(squares: np.ndarray, seen: np.ndarray, grid: Grid, state: LatticeState) -> None:
-    """Marks unseen ground within `WARY_M` of the car in `squares`, but not the seam of what was seen."""
-    x_m, y_m = grid.centre(state.ix, state.iy)
-    fx, fy = grid.fine_index(x_m, y_m)
-    reach_squares = round(WARY_M / grid.fine_m)
-    wide = reach_squares + HIDING_SQUARES
-    top, left = max(fy - wide, 0), max(fx - wide, 0)
-    window = (slice(top, fy + wide), slice(left, fx + wide))
-    hidden = ~binary_dilation(seen[window], iterations=HIDING_SQUARES)
-    xs, ys = grid.fine_centres()
-    near = (xs[None, window[1]] - x_m) ** 2 + (ys[window[0], None] - y_m) ** 2 < WARY_M**2
-    squares[window] |= hidden & near
+@numba.njit(cache=True)
+def _add_unseen(squares, seen, x, y, square):  # noqa: ANN001, ANN202
+    """Marks unseen ground within `WARY_M` of the car in `squares`, but not the seam of what was seen.
+
+    Args:
+        squares: `(fine_size, fine_size)` bool, changed.
+        seen: `(fine_size, fine_size)` bool.
+        x: of the car, metres from the frame's corner.
+        y: of the car, metres from the frame's corner.
+        square: side of a fine square.
+    """
+    size = squares.shape[0]
+    reach = int(WARY_M / square) + 1
+    at_x, at_y = int(x / square), int(y / square)
+    for fy in range(max(at_y - reach, 0), min(at_y + reach + 1, size)):
+        for fx in range(max(at_x - reach, 0), min(at_x + reach + 1, size)):
+            if seen[fy, fx] or ((fx + 0.5) * square - x) ** 2 + ((fy + 0.5) * square - y) ** 2 >= WARY_M**2:
+                continue
+            hidden = True
+            for dy in range(-HIDING_SQUARES, HIDING_SQUARES + 1):
+                span = HIDING_SQUARES - abs(dy)
+                if 0 <= fy + dy < size:
+                    for dx in range(-span, span + 1):
+                        if 0 <= fx + dx < size and seen[fy + dy, fx + dx]:
+                            hidden = False
+            if hidden:
+                squares[fy, fx] = True

@@ -1,6 +1,7 @@
 """What the agent knows when it decides: one look's worth of pose, map and memory."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -46,12 +47,12 @@ class Situation:
     tries: np.ndarray
     goal_tries: int
 
-    @property
+    @cached_property
     def place(self) -> tuple[float, float]:
         """Centre of the car's cell."""
         return self.grid.centre(self.state.ix, self.state.iy)
 
-    @property
+    @cached_property
     def block(self) -> tuple[int, int]:
         """The block `(bx, by)` the car is in."""
         return self.grid.block_of(self.state.ix, self.state.iy)

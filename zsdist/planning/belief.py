@@ -85,16 +85,15 @@ class BeliefMap:
 
 
 @numba.njit(cache=True)
-def _ended(ends: np.ndarray, edges: np.ndarray, ray: int, distance: float) -> float:
-    """Probability that the ray ends before `distance`; mass is spread evenly within a bin."""
-    if distance <= edges[0]:
-        return 0.0
+def _bin(edges: np.ndarray, distance: float) -> tuple[int, float]:
+    """The bin in which a distance lies, by its upper edge, and which share of it lies below; mass is spread evenly."""
     last = len(edges) - 1
+    if distance <= edges[0]:
+        return 1, 0.0
     if distance >= edges[last]:
-        return ends[ray, last]
+        return last, 1.0
     upper = np.searchsorted(edges, distance)
-    share = (distance - edges[upper - 1]) / (edges[upper] - edges[upper - 1])
-    return ends[ray, upper - 1] + share * (ends[ray, upper] - ends[ray, upper - 1])
+    return upper, (distance - edges[upper - 1]) / (edges[upper] - edges[upper - 1])
 
 
 @numba.njit(cache=True)
@@ -127,9 +126,13 @@ def _look(log_odds, seen, camera_x, camera_y, heading, ends, angles, edges, squa
                 else:
                     first = last
             hit, passed = 0.0, 0.0
+            far, far_share = _bin(edges, distance + half)
+            near, near_share = _bin(edges, distance - THICKNESS_M)
             for ray in range(first, last + 1):
-                beyond = _ended(ends, edges, ray, distance + half)
-                hit = max(hit, beyond - _ended(ends, edges, ray, distance - THICKNESS_M))
+                end = ends[ray]
+                beyond = end[far - 1] + far_share * (end[far] - end[far - 1])  # that it ended before or in the square
+                before = end[near - 1] + near_share * (end[near] - end[near - 1])
+                hit = max(hit, beyond - before)
                 passed += 1.0 - beyond
             passed /= last - first + 1
             change = HIT * hit - PASS * passed

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -51,27 +52,27 @@ class Grid:
         """The grid of a configuration; raises `ConfigError` where its sizes do not fit together."""
         return cls(config.cells, config.blocks, config.cell_size_m, config.arena_m)
 
-    @property
+    @cached_property
     def side_m(self) -> float:
         """Side of the planning grid."""
         return self.cells * self.cell_size_m
 
-    @property
+    @cached_property
     def block_size(self) -> int:
         """Cells along the side of a block."""
         return self.cells // self.blocks
 
-    @property
+    @cached_property
     def fine_m(self) -> float:
         """Side of a square of the fine frame."""
         return self.cell_size_m / FINE_PER_CELL
 
-    @property
+    @cached_property
     def fine_size(self) -> int:
         """Squares of the fine frame per side."""
         return round(self.arena_m / self.fine_m)
 
-    @property
+    @cached_property
     def fine_border(self) -> int:
         """Squares of the fine frame between the arena's wall and the first cell."""
         return (self.fine_size - FINE_PER_CELL * self.cells) // 2
