@@ -1,7 +1,9 @@
 """The high level's choices: the neighbouring blocks in the order of the car's heading, and the goal itself."""
 
+import math
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
 from zsdist.agent import reach
@@ -11,6 +13,7 @@ from zsdist.planning.grid import HEADINGS, STEPS
 NEIGHBOURS = HEADINGS  # choice k is the neighbour k eighths of a turn to the left of the car's heading
 GOAL_CHOICE = NEIGHBOURS
 HIGH_ACTIONS = NEIGHBOURS + 1
+_STEPS = np.asarray(STEPS)
 
 
 @dataclass(frozen=True)
@@ -44,33 +47,23 @@ class Choices:
 
 def choices(situation: Situation) -> Choices:
     """The choices from where the car is."""
-    grid, (bx, by) = situation.grid, situation.block
-    mask, exists = np.zeros(HIGH_ACTIONS, bool), np.zeros(HIGH_ACTIONS, bool)
-    blocks, subgoals = np.zeros((HIGH_ACTIONS, 2), np.int64), np.zeros((HIGH_ACTIONS, 2))
-    onward = np.zeros(HIGH_ACTIONS)
-    detours, leading = _detours(situation), _leading_on(situation)
-    for k in range(NEIGHBOURS):
-        dx, dy = STEPS[(situation.state.heading + k) % HEADINGS]
-        nx, ny = bx + int(dx), by + int(dy)
-        blocks[k] = nx, ny
-        if not (0 <= nx < grid.blocks and 0 <= ny < grid.blocks):
-            continue
-        exists[k] = True
-        rows, columns = grid.block_cells(nx, ny)
-        here = detours[rows, columns]
-        nearest = int(here.argmin())
-        mask[k] = np.isfinite(here.flat[nearest])
-        cell = (columns.start + nearest % grid.block_size, rows.start + nearest // grid.block_size)
-        subgoals[k] = grid.centre(*cell) if mask[k] else grid.centre(*_middle(grid, nx, ny))
-        onward[k] = leading[cell[1], cell[0]].mean() if mask[k] else 0.0
+    grid, block = situation.grid, situation.block
+    exists, blocks, subgoals, onward = _survey(
+        situation.reachable,
+        _leading_on(situation),
+        *block,
+        situation.state.heading,
+        *situation.place,
+        *situation.goal,
+        grid.block_size,
+        grid.cell_size_m,
+        grid.side_m / 2,
+    )
+    mask = exists & (onward >= 0)
     mask[GOAL_CHOICE] = exists[GOAL_CHOICE] = True
     blocks[GOAL_CHOICE] = grid.block_of(*grid.cell_at(*situation.goal))
     subgoals[GOAL_CHOICE] = situation.goal
-    return Choices(mask, exists, blocks, subgoals, onward)
-
-
-def _middle(grid, bx: int, by: int) -> tuple[int, int]:  # noqa: ANN001
-    return bx * grid.block_size + grid.block_size // 2, by * grid.block_size + grid.block_size // 2
+    return Choices(mask, exists, blocks, subgoals, np.maximum(onward, 0.0))
 
 
 def _leading_on(situation: Situation) -> np.ndarray:
@@ -80,12 +73,46 @@ def _leading_on(situation: Situation) -> np.ndarray:
     return reach.states_to(blocked, situation.goals)
 
 
-def _detours(situation: Situation) -> np.ndarray:
-    """Metres from the car to each cell and on to the goal in straight lines; infinite where no free way leads."""
-    xs, ys = situation.grid.cell_centres()
-    x, y = situation.place
-    goal_x, goal_y = situation.goal
-    away = np.hypot(xs[None, :] - x, ys[:, None] - y)
-    on = np.hypot(xs[None, :] - goal_x, ys[:, None] - goal_y)
-    # a little for the nearer cell, so that of equal detours the one at the near border is taken
-    return np.where(situation.reachable, away * 1.05 + on, np.inf)
+@numba.njit(cache=True)
+def _survey(reachable, leading, bx, by, heading, x, y, goal_x, goal_y, size, cell, half):  # noqa: ANN001, ANN202
+    """What there is of each neighbouring block: `exists`, `blocks`, `subgoals` and `onward` of `Choices`.
+
+    Args:
+        reachable: `(cells, cells)` bool.
+        leading: `(cells, cells, 8)` bool, from where a way leads on.
+        bx: column of the car's block.
+        by: row of the car's block.
+        heading: of the car, in eighths.
+        x: of the car, metres.
+        y: of the car, metres.
+        goal_x: metres.
+        goal_y: metres.
+        size: cells along the side of a block.
+        cell: side of a cell, metres.
+        half: half the side of the grid, metres.
+
+    Returns:
+        The four arrays; `onward` is -1 where no free way leads into the block.
+    """
+    blocks_a_side = reachable.shape[0] // size
+    exists, blocks = np.zeros(HIGH_ACTIONS, np.bool_), np.zeros((HIGH_ACTIONS, 2), np.int64)
+    subgoals, onward = np.zeros((HIGH_ACTIONS, 2)), np.full(HIGH_ACTIONS, -1.0)
+    for k in range(NEIGHBOURS):
+        nx, ny = bx + _STEPS[(heading + k) % HEADINGS, 0], by + _STEPS[(heading + k) % HEADINGS, 1]
+        blocks[k, 0], blocks[k, 1] = nx, ny
+        if not (0 <= nx < blocks_a_side and 0 <= ny < blocks_a_side):
+            continue
+        exists[k] = True
+        least, ix, iy = np.inf, nx * size + size // 2, ny * size + size // 2
+        for row in range(ny * size, (ny + 1) * size):
+            for column in range(nx * size, (nx + 1) * size):
+                if reachable[row, column]:
+                    cx, cy = (column + 0.5) * cell - half, (row + 0.5) * cell - half
+                    # a little for the nearer cell, so that of equal detours the one at the near border is taken
+                    detour = math.hypot(cx - x, cy - y) * 1.05 + math.hypot(cx - goal_x, cy - goal_y)
+                    if detour < least:
+                        least, ix, iy = detour, column, row
+        subgoals[k, 0], subgoals[k, 1] = (ix + 0.5) * cell - half, (iy + 0.5) * cell - half
+        if least < np.inf:
+            onward[k] = leading[iy, ix].sum() / HEADINGS
+    return exists, blocks, subgoals, onward
