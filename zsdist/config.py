@@ -69,6 +69,7 @@ class VisionConfig(Section):
     weights: str = "pretrained"  # shipped in the package, or a folder made by `zsdist.pretrain`
     encoder: str = "efficientnet-lite0"  # or a folder with a CLIP model, in the layout of open_clip or Hugging Face
     network: Literal["head", "student"] = "head"  # the head on the encoder's tokens, or the small network without it
+    rays: Literal["all", "three", "none"] = "all"  # that reach the agent: three: one a direction; none: it sees nothing
     ray_quantile: Annotated[float, Field(gt=0, lt=1)] = 0.1
     cache_bytes: Annotated[int, Field(ge=0)] = 64 * 2**20  # of readings remembered in training, on a machine; 0: none
 
@@ -95,6 +96,8 @@ class AgentConfig(Section):
     repulsion: Positive = 1.0  # k_rep of Eq. (15)
     influence_m: Positive = 1.5  # d_o0 of Eq. (15)
     trail: NonNegative = 0.5  # repulsion from where the car has been
+    high_policy: Literal["learned", "planner", "goal"] = "learned"  # goal: it is the only subgoal, a flat DQN
+    low_policy: Literal["learned", "planner", "mixed"] = "learned"  # mixed: the guide where the car comes back
     explored_share: Share = 0.5  # of a block's cells seen, from where it counts as explored
 
 
@@ -138,7 +141,7 @@ class ReplayConfig(Section):
 class MergeConfig(Section):
     """The global policy's way into the target network."""
 
-    every_episodes: Count = 100
+    every_episodes: Annotated[int, Field(ge=0)] = 100  # 0: never
     validation_scenes: Count = 20
     drive_steps: Count = 150  # actions after which a validation drive is a timeout; the best way takes about 30
     distil_updates: Count = 200

@@ -1,6 +1,6 @@
 """The guide policies that exploration follows: Algorithm 2's global policy below, a planner on the believed map above.
 
-Both serve training only.
+Both serve training; who is evaluated with one in a network's place is called by another name than `full`.
 """
 
 import math

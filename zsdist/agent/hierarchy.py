@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from zsdist.agent import features, guide, learning, reach, shield
-from zsdist.agent.blocks import choices
+from zsdist.agent.blocks import GOAL_CHOICE, choices
 from zsdist.agent.learning import Track
 from zsdist.agent.options import End, Option
 from zsdist.agent.situation import Situation
@@ -17,8 +17,9 @@ from zsdist.dqn import network
 from zsdist.planning.belief import BeliefMap
 from zsdist.planning.grid import HEADINGS, Grid
 from zsdist.planning.rewards import RewardTerms
-from zsdist.planning.shortest_path import cost_to_go, goal_mask
-from zsdist.types import Action, Behaviour, Level, Parameters, Pose, Trajectory, View
+from zsdist.planning.shortest_path import cost_to_go, goal_mask, path
+from zsdist.types import Action, Behaviour, LatticeState, Level, Parameters, Pose, Trajectory, View
+from zsdist.vision.limited import limited
 
 START_DISC_M = 1.5  # about the start, known to be free
 
@@ -90,7 +91,8 @@ class HierarchicalAgent:
             shielded: whether the shield masks actions.
             rng: of the exploration.
             weight_versions: of the networks that will act.
-            learning: whether there will be trajectories to drain; without, no guide and no planner is ever asked.
+            learning: whether there will be trajectories to drain; without, no guide and no planner is asked, unless
+                `agent.high_policy` or `agent.low_policy` puts one in a network's place.
         """
         cells, blocks = self._grid.cells, self._grid.blocks
         self._goal = (float(goal_xy[0]), float(goal_xy[1]))
@@ -120,13 +122,14 @@ class HierarchicalAgent:
     def observe(self, pose: Pose, view: View) -> None:
         """Takes in where the car is and what it sees (lines 6 and 13), and completes the step that led here."""
         before = self._situation
+        view = limited(view, self._config.vision.rays)
         self._belief.update(pose, view, self._config.camera.forward_m)
         self._situation = self._assess(pose, view, before)
         self._options = choices(self._situation)
         self._rooms = features.measure_rooms(self._situation)
         self._low_mask = self._allowed()
         self._low_state = self._high_state = None
-        if self._learning:
+        if self._learning or self._config.agent.high_policy == "planner":
             on_the_way = {self._situation.state, (before or self._situation).state}
             self._cost_to_goal = cost_to_go(self._situation.blocked, self._goals, self._costs, on_the_way)
         if self._outcome is not None:
@@ -148,9 +151,10 @@ class HierarchicalAgent:
 
         # Lines 8 to 12: the global policy, potential field or advice, is what exploration follows.
         guided = None
-        if self._learning:
+        if self._learning or self._config.agent.low_policy != "learned":
             guided = self._low_guide.action(situation, option.subgoal, self._shield_mask)
-        choice = self._choose(q[Level.LOW], self._state(Level.LOW), self._low_mask, guided)
+        instead = self._instead_of_low(guided)
+        choice = self._choose(q[Level.LOW], self._state(Level.LOW), self._low_mask, guided, instead)
         if self._learning:
             self._tracks[Level.LOW].act(self._state(Level.LOW), self._low_mask, choice.index, guided, choice.behaviour)
             self._tracks[Level.HIGH].act(
@@ -234,7 +238,8 @@ class HierarchicalAgent:
 
     def _decide_option(self, q: Callable[[np.ndarray], np.ndarray]) -> Option:
         guided = self._planned() if self._learning else None
-        choice = self._choose(q, self._state(Level.HIGH), self._options.mask, guided)
+        instead = self._instead_of_high()
+        choice = self._choose(q, self._state(Level.HIGH), self._options.mask, guided, instead)
         option = Option.start(self._options, choice.index, choice.behaviour)
         if self._learning:
             for level, settings in ((Level.LOW, self._config.low), (Level.HIGH, self._config.high)):
@@ -245,9 +250,19 @@ class HierarchicalAgent:
         return option
 
     def _choose(
-        self, q: Callable[[np.ndarray], np.ndarray], state: np.ndarray, mask: np.ndarray, guided: int | None
+        self,
+        q: Callable[[np.ndarray], np.ndarray],
+        state: np.ndarray,
+        mask: np.ndarray,
+        guided: int | None,
+        instead: int | None,
     ) -> _Choice:
-        """Epsilon-greedy among what is allowed; the exploratory share follows the guide or chance."""
+        """Epsilon-greedy among what is allowed; the exploratory share follows the guide or chance.
+
+        `instead` is what the configuration has decide in the network's place; None: the network decides.
+        """
+        if instead is not None:
+            return _Choice(int(instead), Behaviour.GUIDE, False)
         if self._rng.random() < self._epsilon:
             if guided is not None and self._rng.random() < self._config.agent.guide_share:
                 return _Choice(int(guided), Behaviour.GUIDE, False)
@@ -255,6 +270,33 @@ class HierarchicalAgent:
         values = q(state[None])[0]
         best = int(network.greedy(values[None], mask[None])[0])
         return _Choice(best, Behaviour.GREEDY, best != int(values.argmax()))
+
+    def _instead_of_high(self) -> int | None:
+        match self._config.agent.high_policy:
+            case "planner":
+                return self._planned()
+            case "goal":
+                return GOAL_CHOICE
+        return None
+
+    def _instead_of_low(self, guided: Action | None) -> Action | None:
+        policy, situation = self._config.agent.low_policy, self._situation
+        if policy == "learned" or (policy == "mixed" and situation.visits[_index(situation)] <= 1):
+            return None
+        if policy == "planner":
+            cost = self._cost_to_subgoal(self._option, situation.state)
+            if 0 < cost[_index(situation)] < np.inf:
+                return path(cost, situation.blocked, situation.state, self._costs).actions[0]
+        return guided
+
+    def _cost_to_subgoal(self, option: Option, *states: LatticeState) -> np.ndarray:
+        """Metres to the option's subgoal on the believed map, `(cells, cells, 8)`, from `states` at least."""
+        targets = self._goals
+        if not option.seeks_goal:
+            targets = np.zeros_like(self._goals)
+            ix, iy = self._grid.cell_at(*option.subgoal)
+            targets[iy, ix] = True
+        return cost_to_go(self._situation.blocked, targets, self._costs, states)
 
     def _planned(self) -> int:
         return guide.high_choice(self._situation, self._options, self._cost_to_goal, self._costs)
@@ -303,12 +345,8 @@ class HierarchicalAgent:
             to_goal = learning.progress_m(self._cost_to_goal, here, there)
             to_subgoal = to_goal
             if not option.seeks_goal:
-                subgoals = np.zeros_like(self._goals)
-                ix, iy = self._grid.cell_at(*option.subgoal)
-                subgoals[iy, ix] = True
-                to_subgoal = learning.progress_m(
-                    cost_to_go(now.blocked, subgoals, self._costs, (before.state, now.state)), here, there
-                )
+                cost = self._cost_to_subgoal(option, before.state, now.state)
+                to_subgoal = learning.progress_m(cost, here, there)
             step = learning.Step(
                 revisits=int(self._visits[there]) - 1,
                 reentries=int(self._block_visits[now.block[::-1]]) - 1 if now.block != before.block else 0,

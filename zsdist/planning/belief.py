@@ -37,7 +37,7 @@ class BeliefMap:
 
         Args:
             pose: the car's centre; where it stands is free.
-            view: rays as distributions over distance.
+            view: rays as distributions over distance; of a view without rays nothing is learned.
             camera_forward_m: how far ahead of the centre the camera sits.
         """
         ends = np.zeros((len(view.ray_probabilities), len(view.bin_edges_m)))
@@ -98,6 +98,8 @@ def _bin(edges: np.ndarray, distance: float) -> tuple[int, float]:
 
 @numba.njit(cache=True)
 def _look(log_odds, seen, camera_x, camera_y, heading, ends, angles, edges, square):  # noqa: ANN001, ANN202
+    if len(angles) == 0:
+        return
     size = log_odds.shape[0]
     reach, half, rays = edges[-1], square / 2, len(angles)
     descending = -angles

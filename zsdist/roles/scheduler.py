@@ -210,8 +210,13 @@ class Scheduler(Role):
             self._conduct_end(now)
 
     def _merge_barrier(self) -> int:
-        """Finished episodes at which the next merge is due: every so many, and at the end where half of them passed."""
+        """Finished episodes at which the next merge is due: every so many, and at the end where half of them passed.
+
+        0 of `merge.every_episodes` is never.
+        """
         every = self.config.merge.every_episodes
+        if not every:
+            return self.target + 1
         last = self.merges[-1]["episode"] if self.merges else 0
         barrier = (last // every + 1) * every
         return self.target if last + every / 2 <= self.target < barrier else barrier

@@ -217,3 +217,27 @@ def test_statistics_are_plain_finite_numbers():
     assert all(isinstance(value, int | float) and math.isfinite(value) for value in statistics.values())
     assert statistics["agent_steps"] == 40
     assert 0 < statistics["explored_share"] < 1 and 0 <= statistics["guide_explored_share"] <= 1
+
+
+def greedy(scene, **agent):
+    config = CONFIG.model_copy(update={"agent": CONFIG.agent.model_copy(update=agent)})
+    return Drive(scene, config=config, steps=200, epsilon=0.0, learning=False)
+
+
+def test_planners_in_both_networks_places_arrive_whatever_the_weights():
+    for index in range(3):
+        scene = families.draw("iid", "validation", index)
+        assert greedy(scene, high_policy="planner", low_policy="planner").outcome == "success"
+
+
+def test_with_the_goal_as_the_only_subgoal_no_block_is_ever_sought():
+    drive = greedy(SCENES[0], high_policy="goal")
+    assert {decision.subgoal for decision in drive.decisions} == {SCENES[0].goal}
+
+
+def test_the_mixed_low_level_is_the_learned_one_until_the_car_comes_back():
+    learned, mixed = greedy(SCENES[0]), greedy(SCENES[0], low_policy="mixed")
+    behaviours = [decision.behaviour for decision in mixed.decisions]
+    first = behaviours.index(Behaviour.GUIDE)
+    assert set(behaviours[:first]) == {Behaviour.GREEDY} and first > 0
+    assert [d.action for d in mixed.decisions[:first]] == [d.action for d in learned.decisions[:first]]
