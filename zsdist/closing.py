@@ -11,17 +11,17 @@ from rich.console import Console
 from rich.table import Table
 
 from zsdist.config import Config
-from zsdist.evaluation.figures import Track, draw_curves, draw_paths
 from zsdist.evaluation.report import Report, evaluate
 from zsdist.evaluation.selection import select
 from zsdist.evaluation.workers import Entrant
+from zsdist.reporting import curves, runs
+from zsdist.reporting.maps import Track, draw_paths
 from zsdist.run import program
 from zsdist.run.checkpoint import Policy, check_vision, load_policy, make_policy
 from zsdist.sim.families import SINGLETON_SCENES
 from zsdist.types import Level
 
 PATHS_SHOWN = 6
-CURVE_WINDOW = 20  # episodes
 EPISODES_A_DRIVE = 5  # training episodes for each final drive of a policy, so that the end is in proportion
 UNSEEN = "iid"  # family of the scenes that training on others has not met
 SINGLETON = "singleton"
@@ -39,10 +39,12 @@ class Trial:
 
 
 def draw_training(folder: Path) -> None:
-    """Reward and success over training episodes, into `figures/`."""
-    lines = (folder / "episodes.jsonl").read_text().splitlines()
-    if lines:
-        draw_curves([json.loads(line) for line in lines], CURVE_WINDOW, folder / "figures" / "training.png")
+    """Rewards and outcomes over training episodes, into `figures/`."""
+    run = runs.read_run(folder)
+    if run.episodes:
+        alone = [runs.Method(run.method, [run], ())]
+        curves.draw_rewards(alone, folder / "figures")
+        curves.draw_outcomes(alone, folder / "figures")
 
 
 def compare(folder: Path, settings: Config, console: Console) -> None:
@@ -63,7 +65,7 @@ def compare(folder: Path, settings: Config, console: Console) -> None:
                 (scene, [Track(np.array(record.poses)[:, :2], record.outcome, "trained")])
                 for scene, record in list(zip(scenes, report.records, strict=True))[:PATHS_SHOWN]
             ]
-            draw_paths(panels, settings.grid.arena_m, folder / "figures" / f"paths-{trial.scenes}.png")
+            draw_paths(panels, settings.grid.arena_m, folder / "figures", f"paths-{trial.scenes}")
     console.print(_table(reports, settings))
     console.print(f"figures: {folder / 'figures'}", highlight=False, soft_wrap=True)
 

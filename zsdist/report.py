@@ -1,7 +1,9 @@
-"""`python -m zsdist.report --vision`: what trained vision sees and where it errs, as a page with pictures."""
+"""`python -m zsdist.report RUN...`: the paper's figures and tables from runs, as a page with pictures; or of vision."""
 
 import argparse
 from pathlib import Path
+
+from rich.console import Console
 
 from zsdist import cli
 from zsdist import config as configuration
@@ -11,11 +13,18 @@ from zsdist.errors import RunError
 def make_parser() -> argparse.ArgumentParser:
     """The command's options."""
     parser = cli.Parser(prog="zsdist.report", description=__doc__)
+    parser.add_argument(
+        "runs",
+        nargs="*",
+        type=Path,
+        metavar="RUN",
+        help="run directories (several of one configuration: its seeds), and files or folders of evaluations",
+    )
     parser.add_argument("--out", type=Path, metavar="DIR", default=Path("runs/report"), help="folder of the page")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="camera, and weights")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change a setting")
-    vision = parser.add_argument_group("vision")
+    vision = parser.add_argument_group("vision, instead of runs")
     vision.add_argument("--vision", action="store_true", help="report on the visual-act model")
+    vision.add_argument("--config", type=Path, metavar="FILE", help="camera, and weights")
+    vision.add_argument("--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change a setting")
     vision.add_argument("--weights", metavar="DIR", help="folder of weights (default: vision.weights)")
     vision.add_argument("--seed", type=cli.natural, default=0, help="of the pictures (default: 0)")
     vision.add_argument("--images", type=cli.count, default=200, help="pictures of each set (default: 200)")
@@ -24,14 +33,27 @@ def make_parser() -> argparse.ArgumentParser:
 
 def main(options: argparse.Namespace) -> int:
     """Runs the command; returns its exit status."""
-    if not options.vision:
-        raise RunError("nothing to report on was named; allowed is --vision")
-    from zsdist.pretraining import vision_report  # imports matplotlib, which --help does without
+    if bool(options.runs) == options.vision:
+        raise RunError("nothing or both to report on was named; allowed are run directories, or --vision")
+    page = _of_vision(options) if options.vision else _of_runs(options)
+    print(f"the page is {page}")
+    return 0
+
+
+def _of_runs(options: argparse.Namespace) -> Path:
+    from zsdist.reporting import page, runs  # import matplotlib and the simulator, which --help does without
+
+    material = runs.read(options.runs)
+    with Console(stderr=True).status("reading") as status:
+        return page.write(material, options.out, status.update)
+
+
+def _of_vision(options: argparse.Namespace) -> Path:
+    from zsdist.pretraining import vision_report
 
     overrides = (*options.set, *((f"vision.weights={options.weights}",) if options.weights else ()))
     config = configuration.load(options.config, overrides)
-    print(f"the page is {vision_report.write(config, options.images, options.seed, options.out)}")
-    return 0
+    return vision_report.write(config, options.images, options.seed, options.out)
 
 
 if __name__ == "__main__":

@@ -76,17 +76,13 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray) -> Judgemen
         state: where the car is.
         goals: `(cells, cells)` bool.
     """
-    usual = cache(lambda: _blocked(belief, USUAL, state))
     for index, rung in enumerate(RUNGS):
-        blocked = usual() if rung is USUAL else _blocked(belief, rung, state)
-        if rung.near:
-            window = tuple(slice(max(at - NEAR_CELLS, 0), at + NEAR_CELLS + 1) for at in (state.iy, state.ix))
-            near, blocked = blocked[window], usual().copy()
-            blocked[window] = near
+        blocked = _blocked(belief, rung, state)
         live = reach.states_to(blocked, goals)
         if live[state.iy, state.ix, state.heading]:
             return Judgement(blocked, live, index > 0)
-    return Judgement(usual(), live_states(usual()), True)
+    blocked = _blocked(belief, USUAL, state)
+    return Judgement(blocked, live_states(blocked), True)
 
 
 def on_grid(state: LatticeState, cells: int) -> np.ndarray:
@@ -123,7 +119,13 @@ def _blocked(belief: BeliefMap, rung: Rung, state: LatticeState) -> np.ndarray:
     if rung.wary:
         x_m, y_m = grid.centre(state.ix, state.iy)
         _add_unseen(squares, belief.seen(), x_m + grid.arena_m / 2, y_m + grid.arena_m / 2, grid.fine_m)
-    return _table(grid, rung.margin_m).blocked(squares)
+    blocked = _table(grid, rung.margin_m).blocked(squares)
+    if not rung.near:
+        return blocked
+    usual = _table(grid, USUAL.margin_m).blocked(belief.occupied(USUAL.above))
+    window = tuple(slice(max(at - NEAR_CELLS, 0), at + NEAR_CELLS + 1) for at in (state.iy, state.ix))
+    usual[window] = blocked[window]
+    return usual
 
 
 @numba.njit(cache=True)

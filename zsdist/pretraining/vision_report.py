@@ -14,6 +14,7 @@ from zsdist.pretraining.check import FIGURES, SET_FIGURES, over_sets
 from zsdist.pretraining.figures import Miss
 from zsdist.pretraining.readings import Readings, read
 from zsdist.pretraining.sets import SETS, WILDERNESS, Shot, of_set, wilderness
+from zsdist.reporting.markdown import table
 from zsdist.vision import folder
 from zsdist.vision.folder import HISTORY_FILE
 from zsdist.vision.labels import DIRECTIONS
@@ -101,12 +102,6 @@ def reliability(readings: Readings) -> tuple[np.ndarray, np.ndarray]:
         for share in SHARES
     ]
     return SHARES, np.array(under)
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """A table in Markdown, the first column to the left, the others to the right; an empty line after it."""
-    lines = [f"| {' | '.join(row)} |" for row in (head, *rows)]
-    return [lines[0], "|" + "|".join([" --- ", *[" ---: "] * (len(head) - 1)]) + "|", *lines[1:], ""]
 
 
 def _losses(config: Config, out: Path) -> list[str]:

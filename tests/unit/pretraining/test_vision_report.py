@@ -2,7 +2,7 @@ import numpy as np
 
 from zsdist.pretraining.readings import Readings
 from zsdist.pretraining.sets import Shot
-from zsdist.pretraining.vision_report import SHARES, reliability, table, worst_misses
+from zsdist.pretraining.vision_report import SHARES, reliability, worst_misses
 from zsdist.vision.rays import BINS, RAYS
 
 
@@ -34,8 +34,3 @@ def test_reliability_lies_on_the_diagonal_where_the_truth_follows_what_is_said()
     true = np.array([quantile_m(flat, share)[0] for share in drawn.ravel()]).reshape(drawn.shape)
     shares, under = reliability(readings(true, true))
     assert np.abs(under - shares)[SHARES < 0.96].max() < 0.02
-
-
-def test_a_table_in_markdown_has_a_cell_for_each_column():
-    lines = table(["a", "b"], [["x", "1"], ["y", "2"]])
-    assert lines == ["| a | b |", "| --- | ---: |", "| x | 1 |", "| y | 2 |", ""]

@@ -1,0 +1,39 @@
+import pytest
+from made_runs import make_run
+
+from zsdist.reporting import curves, runs
+
+MERGE = {"episode": 2, "candidates": ["recent", "best"], "chosen": "best", "scores": {"recent": 0.0, "best": 0.5}}
+
+
+@pytest.fixture
+def material(tmp_path):
+    summary = {"merges": [MERGE]}
+    places = [
+        make_run(tmp_path / "a", "run.name=full", episodes=30, summary=summary),
+        make_run(tmp_path / "b", "run.name=full", "seed=1", episodes=25),
+        make_run(tmp_path / "c", "run.name=blind", episodes=30),
+    ]
+    return runs.read(places)
+
+
+def text_of(folder, name):
+    return (folder / name.replace(".png", ".svg")).read_text()
+
+
+def test_rewards_name_each_method_with_its_seeds(material, tmp_path):
+    drawing = text_of(tmp_path, curves.draw_rewards(material.methods, tmp_path))
+    assert ">full, 2 seeds<" in drawing and ">blind<" in drawing
+    assert "mean of the last 50 episodes" in drawing
+
+
+def test_rewards_of_a_run_without_a_merge_say_so(material, tmp_path):
+    drawing = text_of(tmp_path, curves.draw_rewards(material.methods[1:], tmp_path))
+    assert "no merge yet" in drawing
+
+
+def test_outcomes_sizes_and_merges_are_drawn(material, tmp_path):
+    assert "share of the last 20" in text_of(tmp_path, curves.draw_outcomes(material.methods, tmp_path))
+    assert "full, seed 1" in text_of(tmp_path, curves.draw_sizes(material.runs, tmp_path))
+    merges = text_of(tmp_path, curves.draw_merges(material.runs[:1], tmp_path))
+    assert all(f">{word}<" in merges for word in ("recent", "best", "promoted"))

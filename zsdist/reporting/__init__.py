@@ -1,0 +1,1 @@
+"""The paper's figures and tables from runs and evaluations, and films of driven episodes."""

@@ -1,0 +1,168 @@
+"""Curves over training: rewards (Fig. 9), how episodes ended, sizes of replay and batch, merges."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from zsdist.reporting import style
+from zsdist.reporting.convergence import band, per_action, per_episode, returns, share
+from zsdist.reporting.runs import Method, Run
+from zsdist.types import Outcome
+
+Curve = Callable[[Run], np.ndarray]
+MANY_EPISODES = 400  # from where the single ones are no longer drawn
+OUTCOME_WINDOW = 20  # episodes of the running shares
+
+
+def draw_rewards(methods: Sequence[Method], folder: Path) -> str:
+    """Fig. 9: both averages of the paper's reward over episodes, and beside them what the greedy policies score.
+
+    Args:
+        methods: with at least one finished episode a run.
+        folder: of the figures.
+    """
+    figure, (left, middle, right) = style.panels(1, 3, 3.5, 3.1)
+    for colour, method in zip(_cycled(style.CYCLE, methods), methods, strict=True):
+        if len(methods) == len(method.runs) == 1 and len(method.runs[0].episodes) <= MANY_EPISODES:
+            values = returns(method.runs[0])
+            left.plot(np.arange(1, len(values) + 1), values, ".", color=colour, alpha=0.3, markersize=4)
+        draw_band(left, method.runs, per_episode, colour, _name(method))
+        draw_band(middle, method.runs, per_action, colour, _name(method))
+    window = methods[0].runs[0].settings.replay.average_episodes
+    left.set(title="a   per training episode", ylabel=f"return, mean of the last {window} episodes")
+    middle.set(title="b   per action", ylabel="reward, mean of all actions so far")
+    _draw_greedy(right, methods)
+    for axes in (left, middle, right):
+        axes.set_xlabel("finished training episodes")
+        style.whole_numbers(axes)
+        axes.set_xlim(left=0)
+    middle.legend(loc="best")
+    return style.save(figure, folder, "fig09-rewards")
+
+
+def draw_outcomes(methods: Sequence[Method], folder: Path) -> str:
+    """Collisions and arrivals during training, exploration included.
+
+    Args:
+        methods: with at least one finished episode a run.
+        folder: of the figures.
+    """
+    figure, axes = style.panels(1, 2, 4.2, 3.0)
+    for one, outcome, title in zip(
+        axes, (Outcome.COLLISION, Outcome.SUCCESS), ("a   collisions", "b   arrivals"), strict=True
+    ):
+        for colour, method in zip(_cycled(style.CYCLE, methods), methods, strict=True):
+            draw_band(
+                one,
+                method.runs,
+                lambda run, outcome=outcome: share(run, outcome, OUTCOME_WINDOW),
+                colour,
+                _name(method),
+            )
+        one.set(title=title, ylim=(-0.02, 1.02), xlabel="finished training episodes")
+        one.set_ylabel(f"share of the last {OUTCOME_WINDOW} episodes")
+        style.whole_numbers(one)
+    axes[0].legend(loc="best")
+    return style.save(figure, folder, "training-outcomes")
+
+
+def draw_sizes(runs: Sequence[Run], folder: Path) -> str:
+    """Sizes of the replay buffer and of the batch over training, against what the mean return says they should follow.
+
+    Args:
+        runs: with metrics.
+        folder: of the figures.
+    """
+    figure, axes = style.panels(1, 3, 3.5, 2.9)
+    drawn = (
+        (axes[0], "replay_low_capacity", "-", "steps-post"),
+        (axes[0], "replay_low_size", ":", "default"),
+        (axes[1], "replay_low_batch_size", "-", "steps-post"),
+        (axes[2], "mean_return", "-", "default"),
+    )
+    for colour, run in zip(_cycled(style.CYCLE, runs), runs, strict=True):
+        for one, key, line, steps in drawn:
+            points = [(row["episodes"], row[key]) for row in run.metrics if "episodes" in row and key in row]
+            if points:
+                label = f"{run.method}, seed {run.settings.seed}"
+                one.plot(*zip(*points, strict=True), line, color=colour, drawstyle=steps, label=label)
+    settings = runs[0].settings.replay
+    for one, limits in zip(
+        axes, ((settings.size_min, settings.size_max), (settings.batch_min, settings.batch_max), ()), strict=True
+    ):
+        for limit in limits:
+            one.axhline(limit, color=style.GREY, linewidth=0.8, linestyle=(0, (1, 3)))
+    axes[2].axhline(settings.target_return, color=style.GREY, linewidth=0.8, linestyle="--")
+    titles = ("a   replay buffer", "b   batch", "c   what they follow")
+    labels = ("transitions of a level", "transitions", "mean return of the last episodes")
+    for one, title, label in zip(axes, titles, labels, strict=True):
+        one.set(title=title, ylabel=label, xlabel="finished training episodes")
+        style.whole_numbers(one)
+    axes[0].set_ylim(bottom=0)
+    axes[1].set_ylim(bottom=0)
+    axes[2].legend(loc="best")
+    return style.save(figure, folder, "replay-sizes")
+
+
+def draw_merges(runs: Sequence[Run], folder: Path) -> str:
+    """Scores of every candidate of every merge, and which was promoted.
+
+    Args:
+        runs: with at least one merge.
+        folder: of the figures.
+    """
+    columns = min(3, len(runs))
+    rows = -(-len(runs) // columns)
+    figure, axes = style.panels(rows, columns, 4.2, 2.9)
+    names = list(dict.fromkeys(name for run in runs for merge in run.summary["merges"] for name in merge["candidates"]))
+    for one, run in zip(axes, runs, strict=False):
+        merges = run.summary["merges"]
+        for index, name in enumerate(names):
+            points = [(merge["episode"], merge["scores"][name]) for merge in merges if name in merge["scores"]]
+            if points:
+                marker, colour = style.MARKERS[index % len(style.MARKERS)], style.CYCLE[index % len(style.CYCLE)]
+                one.plot(*zip(*points, strict=True), marker=marker, color=colour, linewidth=1, label=name, markersize=6)
+        chosen = [(merge["episode"], merge["scores"][merge["chosen"]]) for merge in merges]
+        ring = {"marker": "o", "markersize": 13, "markerfacecolor": "none", "markeredgecolor": style.BLACK}
+        one.plot(*zip(*chosen, strict=True), linestyle="none", label="promoted", **ring)
+        one.set(title=f"{run.method}, seed {run.settings.seed}", xlabel="finished training episodes")
+        one.set(ylim=(-1.08, 1.08))
+        one.set_ylabel("success − collision, greedy")
+        style.whole_numbers(one)
+        one.set_xlim(left=0)
+    style.blank(axes[len(runs) :])
+    axes[0].legend(loc="lower right", ncols=2)
+    return style.save(figure, folder, "merges")
+
+
+def draw_band(axes: Axes, runs: Sequence[Run], curve: Curve, colour: str, label: str) -> None:
+    """Mean of a curve over runs, and from least to greatest as a band where there are several."""
+    mean, low, high = band([curve(run) for run in runs])
+    numbers = np.arange(1, len(mean) + 1)
+    if len(runs) > 1:
+        axes.fill_between(numbers, low, high, color=colour, alpha=0.18, linewidth=0)
+    axes.plot(numbers, mean, color=colour, label=label)
+
+
+def _draw_greedy(axes: Axes, methods: Sequence[Method]) -> None:
+    """What the promoted policies scored on the validation scenes at each merge."""
+    for colour, method in zip(_cycled(style.CYCLE, methods), methods, strict=True):
+        for run in method.runs:
+            merges = run.summary["merges"] if run.summary else []
+            points = [(merge["episode"], merge["scores"][merge["chosen"]]) for merge in merges]
+            if points:
+                axes.plot(*zip(*points, strict=True), "o-", color=colour, linewidth=1, markersize=5, alpha=0.8)
+    axes.set(title="c   greedy, at each merge", ylabel="success − collision, validation scenes", ylim=(-1.05, 1.05))
+    if not axes.lines:
+        axes.text(0.5, 0.5, "no merge yet", transform=axes.transAxes, ha="center", color=style.GREY)
+
+
+def _name(method: Method) -> str:
+    seeds = len(method.runs)
+    return method.name if seeds == 1 else f"{method.name}, {seeds} seeds"
+
+
+def _cycled(values: Sequence[str], items: Sequence[object]) -> list[str]:
+    return [values[index % len(values)] for index in range(len(items))]

@@ -1,0 +1,203 @@
+"""Scenes from above: as grid maps (Figs. 8 and 11), and with the paths driven in them (Fig. 12)."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.transforms import Affine2D
+
+from zsdist.planning.grid import FINE_PER_CELL, Grid
+from zsdist.reporting import style
+from zsdist.reporting.viewpoint import lifted_camera
+from zsdist.sim.kinds import GROUNDS, KINDS
+from zsdist.sim.scene import Scene
+from zsdist.types import Outcome, Pose
+
+COLUMNS = 3
+BIRD_PX, BIRD_HEIGHT_M, BIRD_AWAY_M, BIRD_PITCH_DEG = 640, 17.0, 20.5, 42.0
+CELL_SHARE = 0.4  # of a cell's squares that an obstacle touches, from where the cell is its
+# The paper's colours where it has any: yellow sand, green trees, black people.
+KIND_COLOURS = {
+    "tree": "#2e7d32",
+    "person": "#111111",
+    "sand_pile": "#f0c419",
+    "rock": "#8d8d8d",
+    "bush": "#8bc34a",
+    "pole": "#5b7fa6",
+    "box": "#a1887f",
+    "car": "#7e57c2",
+}
+START_COLOUR, GOAL_COLOUR = "#1fa64a", "#e02020"
+
+
+@dataclass(frozen=True)
+class Track:
+    """One driven path.
+
+    Attributes:
+        points: `(n, 2)` metres.
+        outcome: how it ended.
+        label: whose it is.
+        reference: drawn thin and grey, for others to be held against.
+    """
+
+    points: np.ndarray
+    outcome: Outcome
+    label: str
+    reference: bool = False
+
+
+def draw_paths(panels: Sequence[tuple[Scene, Sequence[Track]]], arena_m: float, folder: Path, name: str) -> str:
+    """Scenes from above with the paths driven in them; a path's colour is its outcome.
+
+    Args:
+        panels: a scene and its tracks each, at least one.
+        arena_m: side of the arena.
+        folder: of the figures.
+        name: of the figure.
+    """
+    rows = -(-len(panels) // COLUMNS)
+    columns = min(COLUMNS, len(panels))
+    figure, grid = style.panels(rows, columns, 3.3, 3.5)
+    for axes, (scene, tracks) in zip(grid, panels, strict=False):
+        draw_scene(axes, scene, arena_m)
+        for track in tracks:
+            draw_track(axes, track)
+        axes.legend(loc="lower right", frameon=True, framealpha=0.85, edgecolor="none", fontsize=7)
+    style.blank(grid[len(panels) :])
+    return style.save(figure, folder, name)
+
+
+def draw_track(axes: Axes, track: Track) -> None:
+    """A path over a scene, outlined so that it shows on any ground."""
+    points = np.asarray(track.points)
+    label = f"{track.label}: {track.outcome}" if track.label else str(track.outcome)
+    if track.reference:
+        axes.plot(*points.T, linestyle=(0, (3, 2)), color=style.BLACK, linewidth=1.1, label=label, zorder=3.5)
+        return
+    colour = style.OUTCOME_COLOURS[track.outcome]
+    axes.plot(*points.T, color="white", linewidth=3.4, alpha=0.9, zorder=4)
+    axes.plot(*points.T, color=colour, linewidth=1.9, label=label, zorder=5)
+    if track.outcome is Outcome.COLLISION:
+        axes.plot(*points[-1], "X", color=colour, markeredgecolor="white", markersize=9, zorder=6)
+
+
+def draw_scene(axes: Axes, scene: Scene, arena_m: float) -> None:
+    """A scene as it is: obstacles in their kinds' colours, walking people with their paths."""
+    axes.set_facecolor((*GROUNDS[scene.ground].base_colour, 0.28))
+    for obstacle in scene.obstacles:
+        colour = KIND_COLOURS[obstacle.kind]
+        if obstacle.radius_m is not None:
+            axes.add_patch(Circle((obstacle.x_m, obstacle.y_m), obstacle.radius_m, color=colour, linewidth=0))
+            if obstacle.walks:
+                axes.plot(*np.array(obstacle.path).T, ":", color=colour, linewidth=1.2)
+        else:
+            length, width, _ = obstacle.size_m
+            turn = Affine2D().rotate_deg(obstacle.heading_deg).translate(obstacle.x_m, obstacle.y_m)
+            body = Rectangle((-length / 2, -width / 2), length, width, color=colour, linewidth=0)
+            body.set_transform(turn + axes.transData)
+            axes.add_patch(body)
+    draw_ends(axes, scene)
+    square(axes, arena_m)
+    axes.set_title(scene.name)
+
+
+def draw_ends(axes: Axes, scene: Scene) -> None:
+    """The paper's marks: a green circle where the car starts, with a tick for its heading, and a red star to reach."""
+    x, y, heading = scene.start.pose
+    tip = (x + 1.3 * math.cos(heading), y + 1.3 * math.sin(heading))
+    axes.plot(*zip((x, y), tip, strict=True), color=START_COLOUR, linewidth=2, zorder=6)
+    axes.plot(x, y, "o", color=START_COLOUR, markeredgecolor="white", markersize=8, zorder=7)
+    axes.plot(*scene.goal, "*", color=GOAL_COLOUR, markeredgecolor="white", markersize=14, zorder=7)
+
+
+def cells_by_kind(scene: Scene, grid: Grid) -> np.ndarray:
+    """Which kind of obstacle each cell belongs to, `(cells, cells)` `[iy, ix]`: index into `KINDS`, -1 where free.
+
+    A cell is an obstacle's from where it covers `CELL_SHARE` of the cell, or stands in it. People stand at the place
+    they begin at.
+    """
+    found = np.full((grid.cells, grid.cells), -1)
+    covered = np.full((grid.cells, grid.cells), CELL_SHARE)
+    border, names = grid.fine_border, list(KINDS)
+    for obstacle in scene.obstacles:
+        standing = replace(obstacle, path=(), speed_mps=0.0)
+        fine = replace(scene, obstacles=(standing,)).occupancy(grid)
+        inner = fine[border : grid.fine_size - border, border : grid.fine_size - border]
+        parts = inner.reshape(grid.cells, FINE_PER_CELL, grid.cells, FINE_PER_CELL).mean(axis=(1, 3))
+        if grid.contains(obstacle.x_m, obstacle.y_m):
+            parts[grid.cell_at(obstacle.x_m, obstacle.y_m)[::-1]] = 1.0
+        more = parts >= covered
+        found[more], covered[more] = names.index(obstacle.kind), parts[more]
+    return found
+
+
+def draw_grid_map(axes: Axes, scene: Scene, grid: Grid) -> None:
+    """A scene in grid form, with the high-level blocks: the paper's way to show one."""
+    kinds = cells_by_kind(scene, grid)
+    colours = np.array([to_rgb("white"), *(to_rgb(KIND_COLOURS[name]) for name in KINDS)])
+    half = grid.side_m / 2
+    axes.imshow(colours[kinds + 1], origin="lower", extent=(-half, half, -half, half), interpolation="nearest")
+    for index in range(grid.cells + 1):
+        at = index * grid.cell_size_m - half
+        heavy = index % grid.block_size == 0
+        for draw in (axes.axhline, axes.axvline):
+            draw(at, color=style.GREY if heavy else "#e3e5e8", linewidth=1.0 if heavy else 0.4, zorder=2)
+    axes.grid(visible=False)
+    draw_ends(axes, scene)
+    square(axes, grid.side_m)
+    axes.set_title(scene.name)
+
+
+def draw_grid_maps(scenes: Sequence[Scene], grid: Grid, folder: Path, name: str, picture: bool = False) -> str:
+    """Grid maps beside each other, with a legend of what is in them; first, if asked, a picture of the first scene.
+
+    Args:
+        scenes: at least one.
+        grid: of the cells.
+        folder: of the figures.
+        name: of the figure.
+        picture: whether to show the first scene as it looks as well.
+    """
+    count = len(scenes) + picture
+    columns = min(COLUMNS, count)
+    figure, panels = style.panels(-(-count // columns), columns, 3.2, 3.4)
+    for axes, scene in zip(panels, scenes, strict=False):
+        draw_grid_map(axes, scene, grid)
+    if picture:
+        axes = panels[len(scenes)]
+        axes.imshow(bird_view(scenes[0]))
+        axes.set_axis_off()
+        axes.set_title(f"{scenes[0].name}, as it looks")
+    style.blank(panels[count:])
+    used = [kind for kind in KINDS if any(obstacle.kind == kind for scene in scenes for obstacle in scene.obstacles)]
+    marks = [
+        Line2D([], [], marker="o", color=START_COLOUR, markeredgecolor="white", linestyle="none", markersize=8),
+        Line2D([], [], marker="*", color=GOAL_COLOUR, markeredgecolor="white", linestyle="none", markersize=13),
+        *(Patch(facecolor=KIND_COLOURS[kind]) for kind in used),
+    ]
+    labels = ["start", "target", *(kind.replace("_", " ") for kind in used)]
+    figure.legend(marks, labels, loc="outside lower center", ncols=len(labels), handlelength=1.2, columnspacing=1.4)
+    return style.save(figure, folder, name)
+
+
+def bird_view(scene: Scene) -> np.ndarray:
+    """The whole scene seen from above its southern side, `(px, px, 3)` uint8."""
+    pitch = math.radians(BIRD_PITCH_DEG)
+    camera = lifted_camera(BIRD_HEIGHT_M, pitch, 60.0, BIRD_PX)
+    return camera.render(scene, Pose(0.0, -BIRD_AWAY_M, math.pi / 2), pitch_rad=pitch)
+
+
+def square(axes: Axes, side_m: float) -> None:
+    """Axes over a square of ground about the arena's centre."""
+    half = side_m / 2
+    axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", xlabel="east (m)", ylabel="north (m)")
+    ticks = np.arange(-10, 11, 5)
+    axes.set_xticks(ticks)
+    axes.set_yticks(ticks)

@@ -1,0 +1,233 @@
+"""The report of runs: the paper's figures and tables from ours, as one page of Markdown with pictures."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from zsdist.errors import RunError, WeightsError
+from zsdist.evaluation.workers import Simulation
+from zsdist.planning.grid import Grid
+from zsdist.reporting import convergence, curves, drives, guidance, maps, tables
+from zsdist.reporting.markdown import figure, missing, table
+from zsdist.reporting.runs import Material, Method, Run
+from zsdist.run.checkpoint import Policy, load_policy
+
+PAGE = "report.md"
+INTERVALS = (
+    "Intervals are 95%: Wilson's for rates, the bootstrap's for means; over several training seeds the mean is given, "
+    "with the least and the greatest of them."
+)
+
+
+def write(material: Material, out: Path, on_step: Callable[[str], None], simulation: Simulation | None = None) -> Path:
+    """Draws and writes everything that the material allows, and says what it does not.
+
+    Args:
+        material: runs and evaluations.
+        out: folder of the page and its figures; made if it is not there.
+        on_step: told what is being done.
+        simulation: that the paths are driven in; None: physics and the camera.
+
+    Returns:
+        The page's path.
+
+    Raises:
+        RunError: the folder cannot be written.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        lines = _lines(material, out, on_step, simulation)
+        path = out / PAGE
+        path.write_text("\n".join(lines).rstrip() + "\n")
+    except OSError as error:
+        raise RunError(f"--out {out} cannot be written: {error.strerror or error}") from error
+    return path
+
+
+def _lines(material: Material, out: Path, on_step: Callable[[str], None], simulation: Simulation | None) -> list[str]:
+    trained = [method for method in material.methods if all(run.episodes for run in method.runs)]
+    on_step("curves")
+    lines = [
+        "# Report",
+        "",
+        *_made_from(material),
+        "## Reward during training (Fig. 9)",
+        "",
+        *_rewards(trained, out),
+        "## The singleton case (Sec. 4.4)",
+        "",
+        *_singleton(trained, material),
+        "## Collisions during training",
+        "",
+        *_outcomes(trained, out),
+    ]
+    lines += _driven(material, out, on_step, simulation)
+    on_step("tables")
+    lines += [
+        "## Unseen environments (Table 4)",
+        "",
+        *tables.table_4(material.evaluations),
+        INTERVALS,
+        "",
+        "## Baselines and ablations",
+        "",
+        *tables.every_policy(material.evaluations),
+        "## Size of replay and batch (Eqs. 21 to 23)",
+        "",
+        *_sizes(material.runs, out),
+        "## The global policy's merges",
+        "",
+        *_merges(material.runs, out),
+    ]
+    return lines
+
+
+def _made_from(material: Material) -> list[str]:
+    rows = [
+        [
+            f"`{run.folder.name}`",
+            run.method,
+            str(run.settings.seed),
+            ", ".join(run.settings.scenes.train),
+            str(len(run.episodes)),
+            "-" if run.summary is None else str(run.summary["env_steps"]),
+            "-" if run.summary is None else f"{run.summary['wall_s'] / 60:.1f}",
+            "not ended" if run.summary is None else str(run.summary["ended"]),
+        ]
+        for run in material.runs
+    ]
+    lines = table(("run", "method", "seed", "trained on", "episodes", "env steps", "minutes", "ended"), rows)
+    for method in material.methods:
+        if method.differing:
+            lines += [f"**The runs of {method.name} differ in more than the seed:** {', '.join(method.differing)}.", ""]
+    return lines if rows else missing("training, as no run directory was given")
+
+
+def _rewards(methods: Sequence[Method], out: Path) -> list[str]:
+    if not methods:
+        return missing("no run with a finished episode was given")
+    blind = [method.name for method in methods if not _sees(method.runs[0])]
+    seeing = [method.name for method in methods if _sees(method.runs[0])]
+    seeds = ", ".join(f"{method.name} {len(method.runs)}" for method in methods)
+    caption = (
+        "Cumulative average of the paper's reward over training, exploration included. "
+        "a: mean return of the last episodes; b: mean reward of all actions so far, as in Eq. 21; c: what the promoted "
+        f"networks score when they drive greedily. Runs: {seeds}. Where there are several seeds the line is their mean "
+        "and the band reaches from the least to the greatest."
+    )
+    lines = figure(curves.draw_rewards(methods, out), caption)
+    if blind and seeing:
+        return [*lines, f"With vision: {', '.join(seeing)}. Without: {', '.join(blind)}.", ""]
+    what = "without vision" if seeing else "with vision"
+    return [*lines, *missing(f"the comparison with and without vision, as no run {what} was given")]
+
+
+def _sees(run: Run) -> bool:
+    return run.settings.vision.rays != "none"
+
+
+def _singleton(methods: Sequence[Method], material: Material) -> list[str]:
+    if not methods:
+        return missing("no run with a finished episode was given")
+    share, tenth = f"{convergence.BAND_SHARE:.0%}", f"{convergence.LAST_SHARE:.0%}"
+    lines = [
+        f"Final value: mean of the curve over the last {tenth} of the episodes. Converged: from where the curve stays "
+        f"within {share} of its range about the final value. Fluctuation: root mean square of returns about their "
+        "running mean. Efficiency: fewest possible actions over those taken, greedy episodes that arrived. The paper "
+        "gives one cumulative average reward without saying over what; it stands in one column and is of its own "
+        "scenes and its own simulator.",
+        "",
+        *tables.singleton(methods, material.evaluations),
+    ]
+    other = [method.name for method in methods if method.runs[0].settings.scenes.train != (tables.SINGLETON,)]
+    if other:
+        lines += [f"Not trained in the singleton scenes: {', '.join(other)}.", ""]
+    short = [
+        str(run.folder.name)
+        for method in methods
+        for run in method.runs
+        if len(run.episodes) < convergence.LEAST_EPISODES
+    ]
+    if short:
+        least = convergence.LEAST_EPISODES
+        lines += missing(f"values of {', '.join(short)}, which have fewer than {least} episodes")
+    return lines
+
+
+def _outcomes(methods: Sequence[Method], out: Path) -> list[str]:
+    if not methods:
+        return missing("no run with a finished episode was given")
+    caption = (
+        f"How training episodes ended, as shares of the last {curves.OUTCOME_WINDOW}. Exploration is included, and a "
+        "share of the episodes is driven without the shield."
+    )
+    return [*figure(curves.draw_outcomes(methods, out), caption), *tables.training_outcomes(methods)]
+
+
+def _driven(material: Material, out: Path, on_step: Callable[[str], None], simulation: Simulation | None) -> list[str]:
+    """Figs. 8 and 10 to 12, by the first policy that can be loaded."""
+    headings = (
+        "## Environment (Fig. 8)",
+        "## High-level guidance and path (Fig. 10)",
+        "## Unseen environments (Fig. 11)",
+        "## Paths in unseen environments (Fig. 12)",
+    )
+    found, reason = _policy(material.runs)
+    if found is None:
+        return [line for heading in headings for line in (heading, "", *missing(reason))]
+    run, policy = found
+    label = f"{run.method}, seed {run.settings.seed}"
+    driven = drives.drive(policy, run.method, lambda name: on_step(f"driving {name}"), simulation)
+    grid, arena_m = Grid.from_config(policy.config.grid), policy.config.grid.arena_m
+    home, unseen = drives.home_scene(policy), drives.unseen_scenes(policy)
+    captions = (
+        f"A training scene of {label}, in grid form with the 4 x 4 blocks, and as it looks. Obstacles are in their "
+        "cells by area.",
+        f"What the high-level network of {label} makes of each block, and the path driven greedily, in a training "
+        "scene and in an unseen one. An arrow points to the choice that it values most, the colour is by how much it "
+        "exceeds the mean of all choices, over eight headings, on the map as it was known at the end of the drive. "
+        "Grey: no way there was known. One episode each.",
+        f"Scenes that no policy was trained on, in grid form: {', '.join(policy.config.scenes.test)} in turn.",
+        f"Greedy paths of {label} in these scenes, one episode each, at most {policy.config.sim.max_steps} actions. "
+        "Dashed: A* over position and heading on the whole true map.",
+    )
+    files = (
+        maps.draw_grid_maps([home], grid, out, "fig08-environment", picture=True),
+        guidance.draw_guidance(driven.guidance, policy.config, out),
+        maps.draw_grid_maps(unseen, grid, out, "fig11-unseen"),
+        maps.draw_paths(driven.paths, arena_m, out, "fig12-paths"),
+    )
+    drawn = zip(headings, files, captions, strict=True)
+    return [line for heading, file, caption in drawn for line in (heading, "", *figure(file, caption))]
+
+
+def _policy(runs: Sequence[Run]) -> tuple[tuple[Run, Policy] | None, str]:
+    reason = "no run directory was given"
+    for run in runs:
+        try:
+            return (run, load_policy(run.folder)), ""
+        except WeightsError as error:
+            reason = str(error)
+    return None, reason
+
+
+def _sizes(runs: Sequence[Run], out: Path) -> list[str]:
+    shown = [run for run in runs if any("replay_low_capacity" in row for row in run.metrics)]
+    if not shown:
+        return missing("no run with figures of its replay was given")
+    caption = (
+        "Size of the replay buffer and of the batch over training. a: what the buffer may hold (solid) and holds "
+        "(dotted, low level); b: the batch; c: the mean return that both follow, with its target (dashed). Dotted "
+        "grey: the least and greatest allowed."
+    )
+    return figure(curves.draw_sizes(shown, out), caption)
+
+
+def _merges(runs: Sequence[Run], out: Path) -> list[str]:
+    merged = [run for run in runs if run.summary and run.summary["merges"]]
+    if not merged:
+        return missing("no run with a merge was given")
+    caption = (
+        "Merges: each candidate pair drives the same validation scenes greedily, and the best is promoted to the "
+        "target network. A candidate clearly behind is driven on fewer scenes."
+    )
+    return [*figure(curves.draw_merges(merged, out), caption), *tables.merges(merged)]

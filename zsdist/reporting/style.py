@@ -1,0 +1,76 @@
+"""How every figure looks: fonts, colours that the colour-blind can tell apart (Okabe and Ito's), how it is saved."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from zsdist.types import Outcome
+
+matplotlib.use("Agg")
+
+BLACK, GREY, PALE = "#1a1a1a", "#7a7f85", "#c9cdd2"
+BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#e69f00", "#009e73", "#cc79a7"
+VERMILION, SKY, YELLOW = "#d55e00", "#56b4e9", "#f0e442"
+CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+OUTCOME_COLOURS = {Outcome.SUCCESS: GREEN, Outcome.COLLISION: VERMILION, Outcome.TIMEOUT: ORANGE}
+FONT = "DejaVu Sans"
+DPI = 160
+
+_RC = {
+    "font.family": FONT,
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9,
+    "axes.edgecolor": GREY,
+    "axes.linewidth": 0.8,
+    "axes.labelcolor": BLACK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e6e8ea",
+    "grid.linewidth": 0.7,
+    "lines.linewidth": 1.8,
+    "lines.solid_capstyle": "round",
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": BLACK,
+    "ytick.labelcolor": BLACK,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "svg.fonttype": "none",  # text stays text
+    "svg.hashsalt": "zsdist",  # the same figure is the same file
+}
+matplotlib.rcParams.update(_RC)
+
+
+def panels(rows: int, columns: int, width_in: float, height_in: float) -> tuple[Figure, list[Axes]]:
+    """A figure of `rows` by `columns` axes, row by row; sizes are those of one of them, in inches."""
+    figure = Figure(figsize=(columns * width_in, rows * height_in), layout="constrained")
+    return figure, list(figure.subplots(rows, columns, squeeze=False).ravel())
+
+
+def whole_numbers(axes: Axes) -> None:
+    """Ticks of a count along x: whole numbers, few of them."""
+    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+
+
+def blank(axes: Iterable[Axes]) -> None:
+    """Panels that nothing is drawn in."""
+    for one in axes:
+        one.set_axis_off()
+
+
+def save(figure: Figure, folder: Path, name: str) -> str:
+    """Writes `name.png` and `name.svg`; returns the name of the PNG."""
+    figure.savefig(folder / f"{name}.png", dpi=DPI, bbox_inches="tight", pad_inches=0.08)
+    figure.savefig(folder / f"{name}.svg", bbox_inches="tight", pad_inches=0.08, metadata={"Date": None})
+    return f"{name}.png"

@@ -1,0 +1,166 @@
+"""Tables of evaluations: the paper's Table 4 beside ours, baselines and ablations, the singleton case, merges."""
+
+import statistics
+from collections.abc import Sequence
+
+from zsdist.evaluation.statistics import wilson_95
+from zsdist.reporting.convergence import converged, fluctuation, per_action, per_episode
+from zsdist.reporting.markdown import missing, table
+from zsdist.reporting.runs import Evaluation, Method, Run
+from zsdist.types import Outcome
+
+NOT_THE_SAME_TEST = (
+    "The paper's figures were measured by its authors on a grid map, ours by driving a car in physics through scenes "
+    "of our own of the same three kinds. They stand beside each other and are not the same test."
+)
+# Table 4: name there, then success and collision (%) of the traditional method and of the proposed one.
+TABLE_4 = {
+    "ood-start-goal": ("(a) starts and goals", "9.25", "8.53", "21.62", "2.64"),
+    "ood-layout": ("(b) layout", "3.31", "14.72", "11.91", "3.12"),
+    "ood-clusters": ("(c) distribution", "16.28", "7.34", "31.88", "0.65"),
+}
+SINGLETON = "singleton"
+PAPER_CONVERGENCE = (  # Sec. 4.4: method, final value, episodes to converge
+    ("paper: traditional HRL", "24", "780"),
+    ("paper: proposed", "297", "480"),
+)
+RATES = ("success", "collision")
+
+
+def table_4(evaluations: Sequence[Evaluation]) -> list[str]:
+    """The paper's Table 4 beside ours, a row for each kind of scene and each policy that drove it."""
+    rows = []
+    for split, (name, *paper) in TABLE_4.items():
+        rows.append([name, "paper: traditional HRL", f"{paper[0]}%", f"{paper[1]}%", "-", "-"])
+        rows.append([name, "paper: proposed", f"{paper[2]}%", f"{paper[3]}%", "-", "-"])
+        for label, of_it in _by_label(evaluations, split).items():
+            rows.append([f"`{split}`", label, *(_rate(of_it, rate) for rate in RATES), _mean(of_it, "spl"), _n(of_it)])
+    lines = [*table(("scenes", "policy", "success", "collision", "SPL", "n"), rows), NOT_THE_SAME_TEST, ""]
+    if not _of(evaluations, *TABLE_4):
+        lines += missing(f"our figures, as no evaluation on {', '.join(TABLE_4)} was given")
+    return lines
+
+
+def every_policy(evaluations: Sequence[Evaluation]) -> list[str]:
+    """Success, collision and SPL of every policy on every kind of scenes that any of them drove."""
+    labels = list(dict.fromkeys(evaluation.label for evaluation in evaluations))
+    if len(labels) < 2:
+        return missing("the comparison, as evaluations of fewer than two policies were given")
+    lines = []
+    for split in dict.fromkeys(str(evaluation.result["scenes"]) for evaluation in evaluations):
+        rows = [
+            [label, *(_rate(of_it, rate) for rate in (*RATES, "timeout")), _mean(of_it, "spl"), _n(of_it)]
+            for label, of_it in _by_label(evaluations, split).items()
+        ]
+        rows.sort(key=lambda row: -float(row[1].split("%")[0]))
+        lines += [f"### `{split}`", "", *table(("policy", "success", "collision", "timeout", "SPL", "n"), rows)]
+    return lines
+
+
+def singleton(methods: Sequence[Method], evaluations: Sequence[Evaluation]) -> list[str]:
+    """The paper's three metrics of the singleton case, a row a run, with the paper's own."""
+    rows = [[name, "-", value, "-", episodes, "-", "-", "-"] for name, value, episodes in PAPER_CONVERGENCE]
+    rows += [
+        [f"{run.method}, seed {run.settings.seed}", *_convergence(run), *_efficiency(run, evaluations)]
+        for method in methods
+        for run in method.runs
+    ]
+    head = (
+        "run",
+        "final value per action",
+        "final value per episode",
+        "episodes to converge, per action",
+        "per episode",
+        "fluctuation, first half",
+        "last half",
+        "efficiency (singleton, greedy)",
+    )
+    return table(head, rows)
+
+
+def training_outcomes(methods: Sequence[Method]) -> list[str]:
+    """How the training episodes of each method ended, with the share of collisions and its interval."""
+    rows = []
+    for method in methods:
+        outcomes = [episode["outcome"] for run in method.runs for episode in run.episodes]
+        hits = outcomes.count(Outcome.COLLISION)
+        low, high = wilson_95(hits, len(outcomes))
+        rows.append(
+            [
+                method.name,
+                str(len(method.runs)),
+                str(len(outcomes)),
+                *(f"{outcomes.count(outcome)}" for outcome in Outcome),
+                f"{100 * hits / len(outcomes):.1f}% ({100 * low:.1f}-{100 * high:.1f})",
+            ]
+        )
+    return table(("method", "seeds", "episodes", *(str(outcome) for outcome in Outcome), "collisions (95%)"), rows)
+
+
+def merges(runs: Sequence[Run]) -> list[str]:
+    """Every merge: its candidates with score and scenes driven, the promoted one in bold."""
+    rows = []
+    for run in runs:
+        for merge in run.summary["merges"]:
+            told = []
+            for name in merge["candidates"]:
+                driven = merge.get("scenes_driven", {}).get(name)
+                text = f"{name} {merge['scores'][name]:+.2f}" + (f" on {driven}" if driven is not None else "")
+                told.append(f"**{text}**" if name == merge["chosen"] else text)
+            rows.append([f"{run.method}, seed {run.settings.seed}", str(merge["episode"]), ", ".join(told)])
+    return table(("run", "after episodes", "candidates: success − collision, scenes driven"), rows)
+
+
+def _convergence(run: Run) -> list[str]:
+    curves = [converged(curve(run)) if run.episodes else None for curve in (per_action, per_episode)]
+    finals = ["-" if one is None else f"{one.final:.1f}" for one in curves]
+    when = ["-" if one is None else "not yet" if one.episode is None else str(one.episode) for one in curves]
+    spread = fluctuation(run) if run.episodes else None
+    return [*finals, *when, *(("-", "-") if spread is None else (f"{value:.0f}" for value in spread))]
+
+
+def _efficiency(run: Run, evaluations: Sequence[Evaluation]) -> list[str]:
+    of_it = [e for e in _of(evaluations, SINGLETON) if e.label == run.method and e.seed == run.settings.seed]
+    if not of_it:
+        return ["not evaluated"]
+    return [_mean(of_it, "path_efficiency")]
+
+
+def _of(evaluations: Sequence[Evaluation], *splits: str) -> list[Evaluation]:
+    return [evaluation for evaluation in evaluations if evaluation.result["scenes"] in splits]
+
+
+def _by_label(evaluations: Sequence[Evaluation], split: str) -> dict[str, list[Evaluation]]:
+    """Evaluations on a split by who drove, one a training seed: that of most episodes."""
+    found: dict[str, dict[int | None, Evaluation]] = {}
+    for evaluation in _of(evaluations, split):
+        of_label = found.setdefault(evaluation.label, {})
+        before = of_label.get(evaluation.seed)
+        if before is None or evaluation.result["episodes"] > before.result["episodes"]:
+            of_label[evaluation.seed] = evaluation
+    return {label: list(of_label.values()) for label, of_label in found.items()}
+
+
+def _rate(evaluations: Sequence[Evaluation], key: str) -> str:
+    """A rate in percent: with its 95% interval, or over seeds with the least and greatest of them."""
+    values = [100 * evaluation.result[key] for evaluation in evaluations]
+    if len(values) > 1:
+        return f"{statistics.fmean(values):.1f}% (seeds {min(values):.1f}-{max(values):.1f})"
+    low, high = evaluations[0].result["confidence_95"][key]
+    return f"{values[0]:.1f}% ({100 * low:.1f}-{100 * high:.1f})"
+
+
+def _mean(evaluations: Sequence[Evaluation], key: str) -> str:
+    """A mean: with its 95% interval, or over seeds with the least and greatest of them."""
+    values = [evaluation.result[key] for evaluation in evaluations if evaluation.result.get(key) is not None]
+    if not values:
+        return "-"
+    if len(values) > 1:
+        return f"{statistics.fmean(values):.2f} (seeds {min(values):.2f}-{max(values):.2f})"
+    interval = evaluations[0].result["confidence_95"].get(key)
+    return f"{values[0]:.2f}" + (f" ({interval[0]:.2f}-{interval[1]:.2f})" if interval else "")
+
+
+def _n(evaluations: Sequence[Evaluation]) -> str:
+    counts = [str(evaluation.result["episodes"]) for evaluation in evaluations]
+    return counts[0] if len(set(counts)) == len(counts) == 1 else " + ".join(counts)
