@@ -76,13 +76,17 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray) -> Judgemen
         state: where the car is.
         goals: `(cells, cells)` bool.
     """
+    usual = cache(lambda: _blocked(belief, USUAL, state))
     for index, rung in enumerate(RUNGS):
-        blocked = _blocked(belief, rung, state)
+        blocked = usual() if rung is USUAL else _blocked(belief, rung, state)
+        if rung.near:
+            window = tuple(slice(max(at - NEAR_CELLS, 0), at + NEAR_CELLS + 1) for at in (state.iy, state.ix))
+            near, blocked = blocked[window], usual().copy()
+            blocked[window] = near
         live = reach.states_to(blocked, goals)
         if live[state.iy, state.ix, state.heading]:
             return Judgement(blocked, live, index > 0)
-    blocked = _blocked(belief, USUAL, state)
-    return Judgement(blocked, live_states(blocked), True)
+    return Judgement(usual(), live_states(usual()), True)
 
 
 def on_grid(state: LatticeState, cells: int) -> np.ndarray:
@@ -119,13 +123,7 @@ def _blocked(belief: BeliefMap, rung: Rung, state: LatticeState) -> np.ndarray:
     if rung.wary:
         x_m, y_m = grid.centre(state.ix, state.iy)
         _add_unseen(squares, belief.seen(), x_m + grid.arena_m / 2, y_m + grid.arena_m / 2, grid.fine_m)
-    blocked = _table(grid, rung.margin_m).blocked(squares)
-    if not rung.near:
-        return blocked
-    usual = _table(grid, USUAL.margin_m).blocked(belief.occupied(USUAL.above))
-    window = tuple(slice(max(at - NEAR_CELLS, 0), at + NEAR_CELLS + 1) for at in (state.iy, state.ix))
-    usual[window] = blocked[window]
-    return usual
+    return _table(grid, rung.margin_m).blocked(squares)
 
 
 @numba.njit(cache=True)

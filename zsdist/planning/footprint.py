@@ -53,18 +53,16 @@ class FootprintTable:
         if self._reach > _FARTHEST:
             most_m = _FARTHEST * grid.fine_m
             raise ValueError(f"the car with one step reaches {reach_m:.2f} m; allowed is {most_m:.2f} m")
-        headings = range(HEADINGS)
-        self._swept = [[self._sweep(heading, action, *half) for action in range(ACTIONS)] for heading in headings]
-        self._runs = _runs([offsets for row in self._swept for offsets in row])
+        self._sweeps = [self._advance(heading, *half) for heading in range(HEADINGS)]
+        self._sweeps += [self._turn(heading, *half) for heading in range(HEADINGS)]
+        self._made_of = np.array([_made_of(heading, action) for heading in range(HEADINGS) for action in Action])
+        self._runs = _runs(self._sweeps)
         self._off_grid = self._ends_off_grid()
-
-    def end(self, state: LatticeState, action: int) -> LatticeState:
-        """Where an action ends, possibly off the grid."""
-        return successor(state, action)
 
     def swept(self, heading: int, action: int) -> np.ndarray:
         """Squares swept by an action, `(M, 2)` int: (dx, dy) from the square north-east of the start cell's centre."""
-        return self._swept[heading][action]
+        sweeps = [self._sweeps[sweep] for sweep in _made_of(heading, action)]
+        return np.unique(np.concatenate(sweeps), axis=0)
 
     def blocked(self, occupancy: np.ndarray) -> np.ndarray:
         """Which action from which state is not to be taken.
@@ -80,19 +78,19 @@ class FootprintTable:
         if occupancy.shape != (size, size):
             raise ValueError(f"occupancy has the shape {occupancy.shape}; allowed is {(size, size)}")
         occupied = np.ascontiguousarray(occupancy, dtype=np.bool_)
-        hits = _hits(occupied, self._runs, self._off_grid, cells, self.grid.fine_border, self._reach)
+        hits = _hits(occupied, self._runs, self._made_of, self._off_grid, cells, self.grid.fine_border, self._reach)
         return hits.reshape(cells, cells, HEADINGS, ACTIONS)
 
-    def _sweep(self, heading: int, action: int, half_l: float, half_w: float) -> np.ndarray:
-        """The turn as a fan of boxes, the advance as one box as long as the way and the car."""
-        begin, turn = heading * math.tau / HEADINGS, TURNS[action] * math.tau / HEADINGS
-        samples = math.ceil(abs(turn) / _TURN_SAMPLE_RAD)
-        fan = np.linspace(begin, begin + turn, samples + 1)
-        boxes = [(0.0, 0.0, float(angle), half_l, half_w) for angle in fan]
-        if ADVANCES[action]:
-            dx, dy = STEPS[(heading + TURNS[action]) % HEADINGS] * self.grid.cell_size_m
-            boxes.append((dx / 2, dy / 2, begin + turn, half_l + math.hypot(dx, dy) / 2, half_w))
-        return self._touched(boxes)
+    def _advance(self, heading: int, half_l: float, half_w: float) -> np.ndarray:
+        """A cell ahead: one box as long as the way and the car."""
+        angle, (dx, dy) = heading * math.tau / HEADINGS, STEPS[heading] * self.grid.cell_size_m
+        return self._touched([(dx / 2, dy / 2, angle, half_l + math.hypot(dx, dy) / 2, half_w)])
+
+    def _turn(self, heading: int, half_l: float, half_w: float) -> np.ndarray:
+        """An eighth of a turn to the left in place, or back: a fan of boxes."""
+        begin, eighth = heading * math.tau / HEADINGS, math.tau / HEADINGS
+        fan = np.linspace(begin, begin + eighth, math.ceil(eighth / _TURN_SAMPLE_RAD) + 1)
+        return self._touched([(0.0, 0.0, float(angle), half_l, half_w) for angle in fan])
 
     def _touched(self, boxes: list[tuple[float, float, float, float, float]]) -> np.ndarray:
         """Offsets `(M, 2)` of the squares that any box `(x, y, heading, half length, half width)` overlaps."""
@@ -126,29 +124,43 @@ class FootprintTable:
         return off.reshape(cells, cells, -1)
 
 
-def _runs(footprints: list[np.ndarray]) -> np.ndarray:
-    """Footprints as runs of squares along x, `(runs, 5)` int32.
+def _made_of(heading: int, action: int) -> tuple[int, int]:
+    """The two sweeps that an action's is made of: `heading` is an advance, `HEADINGS + heading` a turn to its left."""
+    turn, end = TURNS[action], (heading + TURNS[action]) % HEADINGS
+    first = heading if turn >= 0 else heading - 1
+    eighths = [HEADINGS + (first + (k if turn > 0 else -k)) % HEADINGS for k in range(abs(turn))]
+    parts = eighths + [end] * ADVANCES[action]
+    return parts[0], parts[-1]
 
-    Columns: which footprint; dy; dx where the run's first and its last window of `2**k` squares begin, which together
+
+def _runs(sweeps: list[np.ndarray]) -> np.ndarray:
+    """Sweeps as runs of squares along x, `(runs, 5)` int32.
+
+    Columns: which sweep; dy; dx where the run's first and its last window of `2**k` squares begin, which together
     are the run; k.
     """
     runs = []
-    for footprint, offsets in enumerate(footprints):
+    for sweep, offsets in enumerate(sweeps):
         for dy in np.unique(offsets[:, 1]):
             dxs = np.sort(offsets[offsets[:, 1] == dy, 0])
             for run in np.split(dxs, np.flatnonzero(np.diff(dxs) > 1) + 1):
                 doublings = len(run).bit_length() - 1
-                runs.append((footprint, dy, run[0], run[-1] + 1 - 2**doublings, doublings))
+                runs.append((sweep, dy, run[0], run[-1] + 1 - 2**doublings, doublings))
     return np.array(runs, np.int32)
 
 
 @njit(cache=True)
-def _hits(occupied: np.ndarray, runs: np.ndarray, off: np.ndarray, cells: int, border: int, reach: int) -> np.ndarray:
-    """Which footprint at which cell meets an occupied square or is `off` anyway, `(cells, cells, footprints)` bool.
+def _hits(
+    occupied: np.ndarray, runs: np.ndarray, made_of: np.ndarray, off: np.ndarray, cells: int, border: int, reach: int
+) -> np.ndarray:
+    """Which footprint, of two sweeps, at which cell meets an occupied square or is `off` anyway.
 
     Works on `_AT_ONCE` cells of a row together. Bit j of a word (row, phase) is column 4 j + phase of their
     surroundings, so that moving on by a cell is a shift by one bit. A run of squares is the union of two of the windows
     of 1, 2, 4, ... squares that the words of each doubling hold.
+
+    Returns:
+        `(cells, cells, footprints)` bool.
     """
     size, footprints = occupied.shape[0], off.shape[2]
     origin = border + FINE_PER_CELL // 2 - reach  # of the surroundings of cell 0, in the frame
@@ -158,32 +170,38 @@ def _hits(occupied: np.ndarray, runs: np.ndarray, off: np.ndarray, cells: int, b
     words = np.empty((doublings, FINE_PER_CELL, FINE_PER_CELL, (tall - 1) // FINE_PER_CELL + 1), np.uint64)
     hits = np.empty(off.shape, np.bool_)
     for left in range(0, cells, _AT_ONCE):
-        words[0] = 0
         for y in range(tall):
             fy = origin + y
-            for x in range(wide):
-                fx = origin + FINE_PER_CELL * left + x
-                if fy < 0 or fy >= size or fx < 0 or fx >= size or occupied[fy, fx]:
-                    bit = np.uint64(1) << np.uint64(x // FINE_PER_CELL)
-                    words[0, x % FINE_PER_CELL, y % FINE_PER_CELL, y // FINE_PER_CELL] |= bit
+            for phase in range(FINE_PER_CELL):
+                word = ~np.uint64(0)  # outside the frame everything is occupied
+                if 0 <= fy < size:
+                    word = np.uint64(0)
+                    for bit in range((wide - phase + FINE_PER_CELL - 1) // FINE_PER_CELL):
+                        fx = origin + FINE_PER_CELL * (left + bit) + phase
+                        met_here = fx < 0 or fx >= size or occupied[fy, fx]
+                        word |= np.uint64(met_here) << np.uint64(bit)
+                words[0, phase, y % FINE_PER_CELL, y // FINE_PER_CELL] = word
         for k in range(1, doublings):
             step = 1 << (k - 1)
             for phase in range(FINE_PER_CELL):
                 other, shift = (phase + step) % FINE_PER_CELL, np.uint64((phase + step) // FINE_PER_CELL)
                 words[k, phase] = words[k - 1, phase] | (words[k - 1, other] >> shift)
-        met = np.zeros((footprints, cells), np.uint64)
+        met = np.zeros((runs[:, 0].max() + 1, cells), np.uint64)  # by sweep
         for run in range(len(runs)):
             y, k = reach + runs[run, 1], runs[run, 4]
-            row = met[runs[run, 0]]
+            under = met[runs[run, 0]]
             for end in range(2, 4):
                 x = reach + runs[run, end]
                 source = words[k, x % FINE_PER_CELL, y % FINE_PER_CELL, y // FINE_PER_CELL :]
                 shift = np.uint64(x // FINE_PER_CELL)
                 for iy in range(cells):
-                    row[iy] |= source[iy] >> shift
+                    under[iy] |= source[iy] >> shift
+        row = np.empty(footprints, np.uint64)
         for iy in range(cells):
+            for footprint in range(footprints):
+                row[footprint] = met[made_of[footprint, 0], iy] | met[made_of[footprint, 1], iy]
             for ix in range(left, min(left + _AT_ONCE, cells)):
+                bit = np.uint64(ix - left)
                 for footprint in range(footprints):
-                    bit = (met[footprint, iy] >> np.uint64(ix - left)) & np.uint64(1)
-                    hits[iy, ix, footprint] = off[iy, ix, footprint] | (bit != 0)
+                    hits[iy, ix, footprint] = off[iy, ix, footprint] | ((row[footprint] >> bit) & np.uint64(1))
     return hits

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from zsdist.planning.footprint import ACTIONS, CAR_LENGTH_M, CAR_WIDTH_M, MARGIN_M, FootprintTable
+from zsdist.planning.footprint import ACTIONS, CAR_LENGTH_M, CAR_WIDTH_M, MARGIN_M, FootprintTable, successor
 from zsdist.planning.grid import HEADINGS, Grid
 from zsdist.types import Action, LatticeState
 
@@ -46,11 +46,11 @@ def test_the_swept_squares_hold_every_point_of_the_grown_box_on_its_way_and_hard
 
 
 def test_a_turn_then_advance_ends_where_the_new_heading_points():
-    assert TABLE.end(LatticeState(5, 5, 0), Action.FORWARD) == LatticeState(6, 5, 0)
-    assert TABLE.end(LatticeState(5, 5, 0), Action.LEFT_45) == LatticeState(6, 6, 1)
-    assert TABLE.end(LatticeState(5, 5, 0), Action.RIGHT_45) == LatticeState(6, 4, 7)
-    assert TABLE.end(LatticeState(5, 5, 0), Action.TURN_LEFT_90) == LatticeState(5, 5, 2)
-    assert TABLE.end(LatticeState(0, 5, 4), Action.FORWARD) == LatticeState(-1, 5, 4)
+    assert successor(LatticeState(5, 5, 0), Action.FORWARD) == LatticeState(6, 5, 0)
+    assert successor(LatticeState(5, 5, 0), Action.LEFT_45) == LatticeState(6, 6, 1)
+    assert successor(LatticeState(5, 5, 0), Action.RIGHT_45) == LatticeState(6, 4, 7)
+    assert successor(LatticeState(5, 5, 0), Action.TURN_LEFT_90) == LatticeState(5, 5, 2)
+    assert successor(LatticeState(0, 5, 4), Action.FORWARD) == LatticeState(-1, 5, 4)
 
 
 def test_blocked_says_what_the_swept_squares_say_at_every_cell():
@@ -63,7 +63,7 @@ def test_blocked_says_what_the_swept_squares_say_at_every_cell():
             heading, action = int(rng.integers(8)), int(rng.integers(5))
             dx, dy = TABLE.swept(heading, action).T
             hit = padded[20 + 18 + 4 * iy + dy, 20 + 18 + 4 * ix + dx].any()
-            end = TABLE.end(LatticeState(ix, iy, heading), action)
+            end = successor(LatticeState(ix, iy, heading), action)
             assert blocked[iy, ix, heading, action] == (hit or not GRID.on_grid(end.ix, end.iy))
 
 
