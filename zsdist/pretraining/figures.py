@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,6 +12,7 @@ from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
+from zsdist.reporting.attention import overlay
 from zsdist.vision.labels import DIRECTIONS
 from zsdist.vision.rays import BIN_EDGES_M, RANGE_M
 
@@ -91,7 +91,7 @@ def draw_attention(images: Sequence[np.ndarray], attention: np.ndarray, titles: 
         grey = image.mean(-1)
         for axes, weights in zip(row[1:], maps, strict=True):
             axes.imshow(grey, cmap="gray", vmin=0, vmax=330)
-            axes.imshow(_overlay(weights.reshape(side, side), px), extent=(0, px, px, 0))
+            axes.imshow(overlay(weights.reshape(side, side), px), extent=(0, px, px, 0))
     for axes, title in zip(panels[0], ("picture", *ACTION_TITLES), strict=True):
         axes.set_title(title, fontsize=9)
     for axes in panels.ravel():
@@ -218,14 +218,6 @@ def feet_px(
     depth_m = np.maximum(distance_m, 1e-3) / np.sqrt(1 + slope**2)
     down = px / 2 * (1 + camera_height_m / (depth_m * tangent))
     return across, np.minimum(down, px)
-
-
-def _overlay(field: np.ndarray, px: int) -> np.ndarray:
-    """A heat map `(px, px, 4)` of weights `(side, side)`, clear where there is little."""
-    share = cv2.resize((field / field.max()).astype(np.float32), (px, px), interpolation=cv2.INTER_CUBIC).clip(0, 1)
-    colours = matplotlib.colormaps["inferno"](0.25 + 0.75 * share)
-    colours[..., 3] = 0.85 * share**0.6
-    return colours
 
 
 def _save(figure: Figure, file: Path) -> None:

@@ -1,0 +1,112 @@
+import math
+
+import cv2
+import numpy as np
+import pytest
+from fakes import FakeVisualAct, LatticeEnv
+
+from zsdist import config
+from zsdist.errors import RunError
+from zsdist.evaluation.drivers import LearnedDriver, Sees
+from zsdist.evaluation.episodes import Examiner
+from zsdist.reporting import film
+from zsdist.run import program
+from zsdist.sim.scene import Obstacle, Scene, Start
+from zsdist.types import Action, Level, Pose
+from zsdist.vision.visual_act import Look
+
+CONFIG = config.load(overrides=("sim.max_steps=3", "camera.size_px=64"))
+SCENE = Scene(
+    "made",
+    "grass",
+    Start(-5.3125, 0.3125, 0.0),
+    (5.9375, 0.3125),
+    (Obstacle("tree", 0.0, 4.0, radius_m=1.0), Obstacle("box", 2.0, -5.0, size_m=(3.0, 1.0, 2.0))),
+)
+
+
+class Looking(FakeVisualAct):
+    """Looks at the upper left for forward, the lower left for left, the lower right for right."""
+
+    def look(self, images):
+        attention = np.zeros((len(images), 3, 196), np.float32)
+        attention[:, 0, 0] = attention[:, 1, 182] = attention[:, 2, 195] = 1.0
+        return Look(attention, np.zeros((len(images), 4, 8), np.float32))
+
+
+@pytest.fixture(scope="module")
+def moments():
+    parameters = {level: program.make_learner(CONFIG, level).parameters() for level in Level}
+    driver, seen = LearnedDriver(CONFIG, parameters, FakeVisualAct()), []
+    Examiner(LatticeEnv(config=CONFIG), CONFIG, driver, Sees.CAMERA, lambda: 0.0).drive(
+        SCENE, np.random.default_rng(0), seen.append
+    )
+    return seen
+
+
+def panel(picture, index):
+    left = index * (film.PANEL_PX + film.GAP_PX)
+    return picture[: film.PANEL_PX, left : left + film.PANEL_PX].astype(int)
+
+
+def test_every_action_has_its_frames_and_the_end_stays_a_while(moments):
+    pictures = list(film.frames(moments, CONFIG, None))
+    assert len(pictures) == 3 * film.FRAMES_AN_ACTION + film.LAST_FRAMES
+    assert len({picture.shape for picture in pictures}) == 1
+    assert (pictures[-1] == pictures[-film.LAST_FRAMES]).all()
+    assert all(side % 2 == 0 for side in pictures[0].shape[:2])  # the codec takes even sides only
+
+
+def test_a_film_read_back_shows_what_was_written(moments, tmp_path):
+    pictures = list(film.frames(moments, CONFIG, None))
+    film.write(iter(pictures), tmp_path / "film.mp4")
+    reader = cv2.VideoCapture(str(tmp_path / "film.mp4"))
+    read = []
+    while (got := reader.read())[0]:
+        read.append(cv2.cvtColor(got[1], cv2.COLOR_BGR2RGB))
+    assert len(read) == len(pictures)
+    assert np.abs(read[0].astype(int) - pictures[0]).mean() < 6
+
+
+def test_attention_lies_where_the_network_looks_for_the_action_taken(moments):
+    bare, looked = (next(iter(film.frames(moments, CONFIG, eye))) for eye in (None, Looking()))
+    changed = np.abs(panel(bare, 1) - panel(looked, 1)).sum(-1)[40:]
+    row, column = np.unravel_index(changed.argmax(), changed.shape)
+    half = film.PANEL_PX / 2
+    corners = {0: (True, True), 1: (False, True), 2: (False, False)}  # upper?, left?
+    looks = {Action.FORWARD: 0, Action.LEFT_45: 1, Action.TURN_LEFT_90: 1, Action.RIGHT_45: 2, Action.TURN_RIGHT_90: 2}
+    assert (row + 40 < half, column < half) == corners[looks[Action(moments[0].action)]]
+    assert (panel(bare, 0) == panel(looked, 0)).all() and (panel(bare, 2) == panel(looked, 2)).all()
+
+
+def test_the_map_shows_seen_ground_and_grows(moments):
+    pictures = list(film.frames(moments, CONFIG, None))
+    white = [(panel(picture, 2) > 250).all(-1).sum() for picture in (pictures[0], pictures[-1])]
+    assert 0 < white[0] <= white[1]
+
+
+def test_words_say_what_was_decided_and_how_it_ended(moments):
+    first, second = film.words(moments[0], 1, 3)
+    assert first.startswith("made") and "action 1 of 3" in first
+    assert "R_p:  forward" in second and "option:" in second and "shield" in second
+    assert film.words(moments[-1], 3, 3)[1] == "ended: timeout"
+
+
+@pytest.mark.parametrize(
+    ("share", "expected"),
+    [(0.0, (0.0, 0.0, 0.0)), (0.2, (0.0, 0.0, 45.0)), (0.4, (0.0, 0.0, 90.0)), (0.7, (0.0, 1.0, 90.0))],
+)
+def test_between_two_poses_the_car_turns_first_and_then_moves(share, expected):
+    pose = film.between(Pose(0.0, 0.0, 0.0), Pose(0.0, 2.0, math.pi / 2), Action.LEFT_45, share)
+    assert (pose.x_m, pose.y_m, math.degrees(pose.heading_rad)) == pytest.approx(expected, abs=1e-6)
+
+
+def test_between_headings_the_car_turns_the_shorter_way():
+    pose = film.between(Pose(0, 0, 3.0), Pose(0, 0, -3.0), Action.TURN_LEFT_90, 0.5)
+    assert abs(pose.heading_rad) == pytest.approx(math.pi)
+
+
+def test_a_folder_that_cannot_be_made_is_refused_in_one_line(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunError, match=r"--video .* cannot be written"):
+        film.film(None, [SCENE], 0, tmp_path / "file" / "films", print)

@@ -1,0 +1,220 @@
+"""Films of driven episodes: the car from behind, its camera with where it looks, and the map that it believes."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from matplotlib import font_manager
+from PIL import Image, ImageDraw, ImageFont
+
+from zsdist.config import Config
+from zsdist.errors import RunError, WeightsError
+from zsdist.evaluation.drivers import Sees
+from zsdist.evaluation.episodes import Moment
+from zsdist.evaluation.workers import Entrant, Simulation, make_examiner
+from zsdist.planning.footprint import ADVANCES
+from zsdist.planning.grid import Grid
+from zsdist.reporting import style
+from zsdist.reporting.attention import attended
+from zsdist.reporting.belief_view import BeliefView
+from zsdist.reporting.chase import ChaseCamera
+from zsdist.sim.camera import make_camera
+from zsdist.sim.scene import Scene
+from zsdist.types import Action, Pose
+from zsdist.vision.labels import DIRECTIONS
+
+PANEL_PX, GAP_PX, CAPTION_PX = 480, 6, 78
+FRAMES_AN_ACTION = 6
+FRAMES_A_SECOND = 12  # an action takes 0.45 to 1 s in the simulation, half a second here
+TURN_SHARE = 0.4  # of an action that turns and then moves
+LAST_FRAMES = 15
+_LOOKS = {Action.FORWARD: 0, Action.LEFT_45: 1, Action.TURN_LEFT_90: 1, Action.RIGHT_45: 2, Action.TURN_RIGHT_90: 2}
+_TITLES = (
+    "from behind (the car does not see this)",
+    "its camera, and where it looks for this action",
+    "the map it believes; thin outlines: what is there",
+)
+
+
+def film(
+    entrant: Entrant,
+    scenes: Sequence[Scene],
+    seed: int,
+    folder: Path,
+    on_film: Callable[[Path], None],
+    simulation: Simulation | None = None,
+) -> list[Path]:
+    """Drives scenes once more, as the evaluation with this seed does, and films each as an MP4.
+
+    Between decisions the poses are interpolated: first the turn, then the way. The camera's picture there is of a level
+    car. Attention is that of the action being taken; networks without one, and drivers without a camera, show none.
+
+    Args:
+        entrant: who drives.
+        scenes: in the order of the evaluation.
+        seed: of the evaluation.
+        folder: of the films; made if it is not there.
+        on_film: told of each file when it is whole.
+        simulation: in which; None: physics and the camera.
+
+    Returns:
+        The files, named by number, scene and outcome.
+
+    Raises:
+        RunError: the folder or a film cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunError(f"--video {folder} cannot be written: {error.strerror or error}") from error
+    simulation = simulation or Simulation()
+    examiner = make_examiner(entrant, simulation)
+    visual_act = simulation.load_vision(entrant.config) if entrant.sees is Sees.CAMERA else None
+    files = []
+    for index, scene in enumerate(scenes):
+        moments: list[Moment] = []
+        record = examiner.drive(scene, np.random.default_rng([seed, index]), moments.append)
+        file = folder / f"{index:02d}-{scene.name}-{record.outcome}.mp4"
+        write(frames(moments, entrant.config, visual_act), file)
+        files.append(file)
+        on_film(file)
+    return files
+
+
+def frames(moments: Sequence[Moment], config: Config, visual_act: Any) -> Iterator[np.ndarray]:
+    """Pictures `(height, width, 3)` uint8 of an episode.
+
+    Args:
+        moments: of a whole episode.
+        config: of who drove.
+        visual_act: may `look`; None: no attention is shown.
+    """
+    scene, camera, look = moments[0].scene, make_camera(config.camera), _look_of(visual_act)
+    chase = ChaseCamera(scene, PANEL_PX)
+    belief = BeliefView(scene, Grid.from_config(config.grid), PANEL_PX)
+    path: list[tuple[float, float]] = []
+
+    def picture(moment: Moment, pose: Pose, people: np.ndarray | None, image: np.ndarray, step: int) -> np.ndarray:
+        panels = (
+            chase.render(pose, people),
+            look(image, moment.action),
+            belief.draw(moment.thought, pose, path, people),
+        )
+        return _frame(panels, words(moment, step, config.sim.max_steps))
+
+    for step, (moment, after) in enumerate(pairwise(moments), start=1):
+        path.append(moment.observed.pose[:2])
+        for share in np.arange(FRAMES_AN_ACTION) / FRAMES_AN_ACTION:
+            pose = between(moment.observed.pose, after.observed.pose, Action(moment.action), share)
+            people = _people_between(moment.people, after.people, share)
+            image = moment.observed.image if share == 0 else camera.render(scene, pose, people=people)
+            yield picture(moment, pose, people, image, step)
+    last = moments[-1]
+    end = picture(last, last.observed.pose, last.people, last.observed.image, len(moments) - 1)
+    for _ in range(LAST_FRAMES):
+        yield end
+    camera.close()
+
+
+def write(pictures: Iterator[np.ndarray], file: Path) -> None:
+    """Writes frames of one size as an MP4; raises `RunError` where that fails."""
+    writer = None
+    for picture in pictures:
+        if writer is None:
+            size = (picture.shape[1], picture.shape[0])
+            writer = cv2.VideoWriter(str(file), cv2.VideoWriter_fourcc(*"mp4v"), FRAMES_A_SECOND, size)
+            if not writer.isOpened():
+                raise RunError(f"film {file} cannot be written by OpenCV as mp4v")
+        writer.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    if writer is not None:
+        writer.release()
+
+
+def between(before: Pose, after: Pose, action: Action, share: float) -> Pose:
+    """The pose at a share of an action, which turns and then moves."""
+    turn = math.remainder(after.heading_rad - before.heading_rad, math.tau)
+    turning = TURN_SHARE if ADVANCES[action] and abs(turn) > 0.2 else 0.0
+    turned = 1.0 if not turn else min(share / turning, 1.0) if turning else share
+    moved = max(share - turning, 0.0) / (1 - turning)
+    return Pose(
+        before.x_m + moved * (after.x_m - before.x_m),
+        before.y_m + moved * (after.y_m - before.y_m),
+        math.remainder(before.heading_rad + turned * turn, math.tau),
+    )
+
+
+def words(moment: Moment, step: int, max_steps: int) -> tuple[str, str]:
+    """The two lines under a frame: what is done, and what was known and decided.
+
+    Args:
+        moment: shown.
+        step: counts actions from 1.
+        max_steps: of an episode.
+    """
+    about = f"{moment.scene.name}     action {step} of {max_steps} at most"
+    if moment.outcome is not None:
+        return about, f"ended: {moment.outcome}"
+    first = f"{about}     {Action(moment.action).name.lower().replace('_', ' ')}"
+    if moment.thought is None:
+        return first, "a driver without a map to show"
+    situation, decision = moment.thought.situation, moment.thought.decision
+    advice = "   ".join(f"{name} {value:+.2f}" for name, value in zip(DIRECTIONS, situation.advice, strict=True))
+    east, north = situation.grid.block_of(*situation.grid.cell_at(*decision.subgoal))
+    option = "the goal" if decision.subgoal == situation.goal else f"block {east + 1} east, {north + 1} north"
+    shield = "the shield changed the action" if decision.shield_changed else "the shield agrees"
+    return first, f"R_p:  {advice}     option: {option}     {shield}"
+
+
+def _frame(panels: Sequence[np.ndarray], lines: Sequence[str]) -> np.ndarray:
+    width = len(panels) * (PANEL_PX + GAP_PX) - GAP_PX
+    picture = np.full((PANEL_PX + CAPTION_PX, width, 3), 255, np.uint8)
+    for index, panel in enumerate(panels):
+        left = index * (PANEL_PX + GAP_PX)
+        picture[:PANEL_PX, left : left + PANEL_PX] = panel
+    image = Image.fromarray(picture)
+    pen = ImageDraw.Draw(image)
+    for index, title in enumerate(_TITLES):
+        place = (index * (PANEL_PX + GAP_PX) + 8, 7)
+        left, top, right, bottom = pen.textbbox(place, title, font=_font(15))
+        pen.rectangle((left - 5, top - 4, right + 5, bottom + 4), fill="white")
+        pen.text(place, title, font=_font(15), fill=style.BLACK)
+    for index, line in enumerate(lines):
+        pen.text((10, PANEL_PX + 10 + 32 * index), line, font=_font(18), fill=style.BLACK)
+    return np.asarray(image)
+
+
+@cache
+def _font(size_px: int) -> ImageFont.FreeTypeFont:
+    return ImageFont.truetype(font_manager.findfont(style.FONT), size_px)
+
+
+def _look_of(visual_act: Any) -> Callable[[np.ndarray, int | None], np.ndarray]:
+    """What makes the panel of the camera of an image and an action."""
+
+    def plain(image: np.ndarray, action: int | None) -> np.ndarray:
+        return cv2.resize(image, (PANEL_PX, PANEL_PX), interpolation=cv2.INTER_LINEAR)
+
+    def looking(image: np.ndarray, action: int | None) -> np.ndarray:
+        shown = plain(image, action)
+        if action is None:
+            return shown
+        weights = visual_act.look(image[None]).attention[0, _LOOKS[Action(action)]]
+        side = round(len(weights) ** 0.5)
+        return attended(shown, weights.reshape(side, side))
+
+    if not hasattr(visual_act, "look"):
+        return plain
+    try:
+        visual_act.look(np.zeros((1, 64, 64, 3), np.uint8))
+    except WeightsError:
+        return plain
+    return looking
+
+
+def _people_between(before: np.ndarray | None, after: np.ndarray | None, share: float) -> np.ndarray | None:
+    return None if before is None or after is None else before + share * (after - before)
