@@ -187,9 +187,9 @@ def _attention(model: VisualAct, shots: list[Shot], known: bool, left_out: dict[
     chosen = attention_examples(shots)
     found = model.look(np.stack([shot.image for shot in chosen.values()]))
     figures.draw_attention(
-        [shot.image for shot in chosen.values()], found.attention, list(chosen), out / "vision-attention.png"
+        [shot.image for shot in chosen.values()], found.attention, list(chosen), out / "vision-attention.jpg"
     )
-    return ["## Where each action looks", "", "![attention of each action](vision-attention.png)", ""]
+    return ["## Where each action looks", "", "![attention of each action](vision-attention.jpg)", ""]
 
 
 def attention_examples(shots: Sequence[Shot]) -> dict[str, Shot]:
@@ -249,11 +249,11 @@ def _misses(misses: list[Miss], config: Config, out: Path) -> list[str]:
         return ["## Worst misses", "", "None: no near ray was said to be beyond 2.5 m.", ""]
     worst = sorted(misses, key=lambda miss: np.minimum(miss.true_m - miss.said_m, 0.0).sum())[:_MISSES]
     angle = math.radians(config.camera.field_of_view_deg)
-    figures.draw_misses(worst, angle, config.camera.height_m, out / "vision-misses.png")
+    figures.draw_misses(worst, angle, config.camera.height_m, out / "vision-misses.jpg")
     return [
         "## Worst misses",
         "",
-        "![the worst misses with their rays](vision-misses.png)",
+        "![the worst misses with their rays](vision-misses.jpg)",
         "",
         "In each picture the feet of the rays on the ground, left out where a ray is free and at the lower edge where "
         "they are below it; under it the same distances. The dotted line is the ray that errs most. At most two "
