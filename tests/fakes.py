@@ -9,12 +9,13 @@ import math
 import numpy as np
 
 from zsdist.config import Config
+from zsdist.evaluation.records import EpisodeRecord
 from zsdist.planning.footprint import ADVANCES, TURNS, successor
 from zsdist.planning.grid import Grid
 from zsdist.planning.rewards import RewardTerms, obstacle_avoidance, target_distance, target_reached
 from zsdist.sim import collision, families, raycast
 from zsdist.sim.kinds import KINDS
-from zsdist.types import Action, Pose, View
+from zsdist.types import Action, Outcome, Pose, View
 from zsdist.vision import labels, rays
 from zsdist.vision.visual_act import Reading
 
@@ -153,3 +154,19 @@ class FakeVisualAct:
         if self._misses:
             distances[self._rng.random(len(row)) < self._misses] = rays.RANGE_M
         return distances
+
+
+RECORD = EpisodeRecord(
+    scene="one",
+    outcome=Outcome.SUCCESS,
+    steps=25,
+    fewest_steps=20,
+    path_m=20.0,
+    shortest_m=15.0,
+    remaining_m=0.0,
+    min_clearance_m=0.4,
+    static=True,
+    decision_ms=(1.0,) * 25,
+    shield_changes=0,
+    poses=(Pose(0, 0, 0), Pose(3, 4, 0)),
+)  # an evaluated episode, as tests of what is made of such things need one

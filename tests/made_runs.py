@@ -14,7 +14,8 @@ RESULT = {
     "collision": 0.1,
     "timeout": 0.0,
     "spl": 0.6,
-    "path_efficiency": 0.7,
+    "path_efficiency": 0.8,
+    "step_efficiency": 0.7,
     "confidence_95": {"success": [0.6, 0.98], "collision": [0.02, 0.4], "timeout": [0.0, 0.28], "spl": [0.5, 0.7]},
 }
 

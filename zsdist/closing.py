@@ -11,9 +11,9 @@ from rich.console import Console
 from rich.table import Table
 
 from zsdist.config import Config
+from zsdist.evaluation.entrants import Entrant
 from zsdist.evaluation.report import Report, evaluate
 from zsdist.evaluation.selection import select
-from zsdist.evaluation.workers import Entrant
 from zsdist.reporting import curves, runs
 from zsdist.reporting.maps import Track, draw_paths
 from zsdist.run import program

@@ -1,71 +1,96 @@
-"""`python -m zsdist.evaluate POLICY`: drives a policy greedily through scenes and says how it did."""
+"""`python -m zsdist.evaluate POLICY`: drives a policy greedily through scenes and says how it did.
+
+Several policies are taken for training seeds of one method: each is evaluated, then all together. With `--compare`
+nothing is driven: two files of episodes are held against each other, scene by scene.
+"""
 
 import argparse
 import json
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from zsdist import cli, config
 from zsdist.errors import RunError, WeightsError
 from zsdist.evaluation.baselines import BASELINES
-from zsdist.evaluation.report import evaluate
-from zsdist.evaluation.workers import Entrant
+from zsdist.evaluation.comparison import compare
+from zsdist.evaluation.entrants import FULL, VARIANTS, Entrant
+from zsdist.evaluation.report import Report, evaluate, show_together, together
 from zsdist.run.checkpoint import check_vision, load_policy
 
 
 def make_parser() -> argparse.ArgumentParser:
     """The command's options."""
     parser = cli.Parser(prog="zsdist.evaluate", description=__doc__)
-    parser.add_argument("policy", nargs="?", help="a run directory, a checkpoint, or a baseline (--list names them)")
-    parser.add_argument("--list", action="store_true", help="name the baselines and leave")
-    parser.add_argument(
-        "--scenes", default="test", help="a folder of scene files, a family, or train, validation, test (default: test)"
-    )
-    parser.add_argument("--episodes", type=cli.count, help="default: every file of a folder, else 50")
-    parser.add_argument("--seed", type=cli.natural, default=0, help="which scenes of a family (default: 0)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the result there")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="world of a baseline; a run brings its own")
-    parser.add_argument("--workers", type=cli.count, default=os.cpu_count() or 1, help="processes (default: all cores)")
+    add = parser.add_argument
+    add("policy", nargs="*", help="run directories, checkpoints, or a baseline (--list names them)")
+    add("--list", action="store_true", help="name the baselines and variants and leave")
+    scenes = "a folder of scene files, a family, or train, validation, test (default: test)"
+    add("--scenes", default="test", help=scenes)
+    add("--episodes", type=cli.count, help="default: every file of a folder, else 50")
+    add("--seed", type=cli.natural, default=0, help="which scenes of a family (default: 0)")
+    add("--json", type=Path, metavar="FILE", help="write the result there")
+    add("--out", type=Path, metavar="FILE.jsonl", help="write each episode there as it ends, one JSON line each")
+    add("--resume", action="store_true", help="go on with --out FILE: what it has of the same code and weights stays")
+    add("--variant", default=FULL, metavar="NAME", help=f"of a learned policy: {', '.join(VARIANTS)}")
+    add("--no-shield", action="store_true", help="drive a learned policy without the shield as well")
+    add("--compare", nargs=2, type=Path, metavar="FILE.jsonl", help="paired differences between two files of episodes")
+    add("--config", type=Path, metavar="FILE", help="world of a baseline; a run brings its own")
+    add("--workers", type=cli.count, default=os.cpu_count() or 1, help="processes (default: all cores)")
     return parser
 
 
 def main(options: argparse.Namespace) -> int:
     """Runs the command; returns its exit status."""
+    console = Console()
     if options.list:
         for name, baseline in BASELINES.items():
-            print(f"{name:16} {baseline.line} (sees {baseline.sees})")
+            print(f"{name:24} {baseline.line} (sees {baseline.sees})")
+        print("variants of a learned policy, --variant NAME:")
+        for name, variant in VARIANTS.items():
+            print(f"{name:24} {variant.line}")
         return 0
-    if options.policy is None:
-        raise RunError(f"no policy was named; allowed are a run directory, a checkpoint and {', '.join(BASELINES)}")
-    entrant, sha256 = find_policy(options.policy, options.config)
     if options.json is not None and (options.json.is_dir() or not options.json.resolve().parent.is_dir()):
         raise RunError(f"--json is {str(options.json)!r}; allowed is a file in a folder that exists")
-    report = evaluate(
-        entrant,
-        policy=options.policy,
-        weights_sha256=sha256,
-        scenes=options.scenes,
-        episodes=options.episodes,
-        seed=options.seed,
-        workers=options.workers,
-    )
-    if options.json is not None:
-        options.json.write_text(json.dumps(report.result, indent=1, allow_nan=False) + "\n")
-    report.show(Console())
+    if options.compare:
+        comparison = compare(*options.compare, options.seed)
+        _write(options.json, comparison.result)
+        comparison.show(console)
+        return 0
+    if not options.policy:
+        raise RunError(f"no policy was named; allowed are a run directory, a checkpoint and {', '.join(BASELINES)}")
+    _check_out(options.out, options.resume)
+    found = [(name, *find_policy(name, options.config, options.variant)) for name in options.policy]
+    reports = []
+    for name, entrant, sha256 in found:
+        reports.append(_drive(options, name, entrant, sha256))
+        reports[-1].show(console)
+    if len(reports) == 1:
+        _write(options.json, reports[0].result)
+        return 0
+    result = together(reports, options.seed)
+    _write(options.json, result)
+    show_together(result, console)
     return 0
 
 
-def find_policy(name: str, config_file: Path | None = None) -> tuple[Entrant, str | None]:
+def find_policy(name: str, config_file: Path | None = None, variant: str = FULL) -> tuple[Entrant, str | None]:
     """Who is meant by a POLICY argument, and the hash of its weights (None for a baseline).
 
     Raises:
         WeightsError: it is neither a baseline nor a place with weights, or was trained on another encoder than is here.
         ConfigError: the configuration file is wrong.
+        RunError: an option does not fit the policy.
     """
+    if variant not in VARIANTS:
+        raise RunError(f"--variant is {variant!r}; allowed are {', '.join(VARIANTS)}")
     if name in BASELINES:
+        if variant != FULL:
+            raise RunError(f"--variant {variant}: baseline {name!r} has no variants; allowed is a learned policy")
         return Entrant(config.load(config_file), baseline=name), None
     if config_file is not None:
         raise RunError(f"--config {config_file}: a learned policy brings its own configuration; leave the option out")
@@ -76,7 +101,43 @@ def find_policy(name: str, config_file: Path | None = None) -> tuple[Entrant, st
     policy = load_policy(Path(name))
     if note := check_vision(policy):
         print(note, file=sys.stderr)
-    return Entrant(policy.config, policy.parameters), policy.sha256
+    return Entrant(policy.config, policy.parameters, variant=variant), policy.sha256
+
+
+def _drive(options: argparse.Namespace, name: str, entrant: Entrant, sha256: str | None) -> Report:
+    """The evaluation that was asked for, and beside it, where asked for, the one without the shield."""
+    if options.no_shield and entrant.baseline:
+        raise RunError(f"--no-shield: baseline {name!r} drives one way only; allowed is a learned policy")
+    reports = [
+        evaluate(
+            who,
+            policy=name,
+            weights_sha256=sha256,
+            scenes=options.scenes,
+            episodes=options.episodes,
+            seed=options.seed,
+            workers=options.workers,
+            out=options.out,
+        )
+        for who in (entrant, *((replace(entrant, shielded=False),) if options.no_shield else ()))
+    ]
+    return reports[0] if len(reports) == 1 else reports[0].beside(reports[1])
+
+
+def _check_out(out: Path | None, resume: bool) -> None:
+    if out is None:
+        if resume:
+            raise RunError("--resume goes on with a file of episodes; allowed is with --out FILE.jsonl")
+        return
+    if out.is_dir() or not out.resolve().parent.is_dir():
+        raise RunError(f"--out is {str(out)!r}; allowed is a file in a folder that exists")
+    if out.exists() and out.stat().st_size and not resume:
+        raise RunError(f"--out {out} is there already; allowed are a new file, and --resume to go on with this one")
+
+
+def _write(file: Path | None, result: dict[str, Any]) -> None:
+    if file is not None:
+        file.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,8 @@ import pytest
 
 from zsdist import cli
 from zsdist.config import Config
-from zsdist.evaluation.workers import Entrant, drive_all
+from zsdist.evaluation.entrants import Entrant
+from zsdist.evaluation.workers import drive_all
 from zsdist.sim import families
 
 pytestmark = pytest.mark.integration
@@ -16,10 +17,12 @@ pytestmark = pytest.mark.integration
 def test_several_processes_drive_what_one_drives():
     entrant, heard = Entrant(Config(), baseline="random"), []
     scenes = [families.draw("singleton", "test", index) for index in range(3)]
-    alone = drive_all(entrant, scenes, seed=4, workers=1, on_record=lambda record: None)
-    together = drive_all(entrant, scenes, seed=4, workers=2, on_record=heard.append)
+    alone = drive_all(entrant, scenes, seed=4, workers=1, on_record=lambda index, record: None)
+    together = drive_all(
+        entrant, scenes, seed=4, workers=2, on_record=lambda index, record: heard.append((index, record))
+    )
     assert [record.poses for record in together] == [record.poses for record in alone]
-    assert sorted(record.scene for record in heard) == sorted(scene.name for scene in scenes)
+    assert [record.scene for _, record in sorted(heard, key=lambda one: one[0])] == [scene.name for scene in scenes]
 
 
 def begin_and_wait_for_progress():

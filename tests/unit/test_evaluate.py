@@ -5,12 +5,14 @@ import pytest
 from zsdist import cli, evaluate
 from zsdist.evaluation import report as reports
 from zsdist.evaluation.baselines import BASELINES
-from zsdist.evaluation.workers import Entrant, drive_all
+from zsdist.evaluation.entrants import VARIANTS, Entrant
+from zsdist.evaluation.workers import drive_all
 from zsdist.sim import families, scene
 
 KEYS = [
     "policy", "weights_sha256", "scenes", "episodes", "seed", "success", "collision", "timeout", "spl", "soft_spl",
-    "path_efficiency", "min_clearance_m", "decision_ms", "confidence_95", "per_scene",
+    "path_efficiency", "step_efficiency", "min_clearance_m", "shield_changed_share", "decision_ms", "confidence_95",
+    "per_scene", "run", "variant", "shielded", "success_radius_m", "max_steps", "code_sha256",
 ]  # fmt: skip
 
 
@@ -28,11 +30,12 @@ def folder(tmp_path_factory):
     return path
 
 
-def test_list_names_every_baseline_with_what_it_sees(capsys):
+def test_list_names_every_baseline_with_what_it_sees_and_every_variant(capsys):
     assert run("--list") == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == list(BASELINES)
-    assert all("sees" in line for line in lines)
+    baselines, variants = capsys.readouterr().out.split("variants of a learned policy, --variant NAME:\n")
+    assert [line.split()[0] for line in baselines.splitlines()] == list(BASELINES)
+    assert all("sees" in line for line in baselines.splitlines())
+    assert [line.split()[0] for line in variants.splitlines()] == list(VARIANTS)
 
 
 def test_a_folder_is_driven_once_and_the_json_is_the_documented_one(folder, tmp_path, capsys):
@@ -61,6 +64,12 @@ def test_a_folder_is_driven_once_and_the_json_is_the_documented_one(folder, tmp_
         (("astar", "--seed", "-1"), "--seed"),
         (("astar", "--json", "/nowhere/result.json"), "allowed is a file in a folder that exists"),
         (("astar", "--config", "/nowhere/config.yaml"), "No such file"),
+        (("astar", "--variant", "hybrid"), "baseline 'astar' has no variants"),
+        (("astar", "--variant", "better"), "--variant is 'better'; allowed are full, hybrid"),
+        (("astar", "--no-shield"), "baseline 'astar' drives one way only"),
+        (("astar", "--resume"), "allowed is with --out FILE.jsonl"),
+        (("astar", "--out", "/nowhere/e.jsonl"), "allowed is a file in a folder that exists"),
+        (("--compare", "/nowhere/a.jsonl", "/nowhere/b.jsonl"), "episodes cannot be read from /nowhere/a.jsonl"),
     ],
 )
 def test_what_is_wrong_is_one_line_and_status_2(arguments, words, capsys):
@@ -79,7 +88,7 @@ def test_a_baselines_world_may_be_configured(folder, tmp_path):
     (tmp_path / "short.yaml").write_text("sim: {max_steps: 2}\n")
     entrant, sha256 = evaluate.find_policy("astar", tmp_path / "short.yaml")
     assert sha256 is None
-    records = drive_all(entrant, scene.read_folder(folder)[:1], seed=0, workers=1, on_record=lambda record: None)
+    records = drive_all(entrant, scene.read_folder(folder)[:1], seed=0, workers=1, on_record=lambda index, record: None)
     assert records[0].steps == 2 and records[0].outcome == "timeout"
 
 
@@ -89,3 +98,41 @@ def test_progress_without_a_terminal_is_plain_lines(folder, capsys, monkeypatch)
     reports.evaluate(entrant, policy="astar", weights_sha256=None, scenes=str(folder), episodes=2, seed=0, workers=1)
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("astar")]
     assert lines[-1] == "astar: 2 of 2: success 2, collision 0, timeout 0"
+
+
+def test_a_file_of_episodes_is_gone_on_with_only_when_asked(folder, tmp_path, capsys):
+    out, one, two = tmp_path / "episodes.jsonl", tmp_path / "one.json", tmp_path / "two.json"
+    asked = ("random", "--scenes", str(folder), "--workers", "1", "--out", str(out))
+    assert run(*asked, "--episodes", "2") == 0
+    assert run(*asked, "--episodes", "3") == 2
+    assert "allowed are a new file, and --resume" in capsys.readouterr().err
+    assert run(*asked, "--episodes", "3", "--resume", "--json", str(one)) == 0
+    assert "2 of 3 episodes are there already" in capsys.readouterr().err
+    assert len(out.read_text().splitlines()) == 3
+    assert run(*asked, "--episodes", "3", "--resume", "--json", str(two)) == 0
+    assert one.read_text() == two.read_text() and len(out.read_text().splitlines()) == 3
+
+
+def test_several_policies_are_taken_together(folder, tmp_path, capsys):
+    file = tmp_path / "result.json"
+    asked = ("--scenes", str(folder), "--episodes", "2", "--workers", "1", "--json", str(file))
+    assert run("astar", "goal-greedy", *asked) == 0
+    result = json.loads(file.read_text())
+    successes = [of_one["success"] for of_one in result["runs"]]
+    assert result["policies"] == ["astar", "goal-greedy"]
+    assert result["interquartile_mean"]["success"] == pytest.approx(sum(successes) / 2)
+    low, high = result["confidence_95"]["success"]
+    assert low <= result["interquartile_mean"]["success"] <= high
+    assert "2 runs on" in capsys.readouterr().out
+
+
+def test_two_files_of_episodes_are_compared_scene_by_scene(folder, tmp_path, capsys):
+    files = {name: tmp_path / f"{name}.jsonl" for name in ("astar", "goal-greedy")}
+    for name, file in files.items():
+        assert run(name, "--scenes", str(folder), "--workers", "1", "--out", str(file)) == 0
+    file = tmp_path / "comparison.json"
+    assert run("--compare", *map(str, files.values()), "--json", str(file)) == 0
+    figures = json.loads(file.read_text())["figures"]
+    assert figures["success"]["pairs"] == 3 and figures["success"]["a"] == 1.0
+    assert figures["spl"]["difference"] == pytest.approx(figures["spl"]["a"] - figures["spl"]["b"])
+    assert "difference" in capsys.readouterr().out

@@ -42,7 +42,7 @@ class LowGuide:
         action, from_pool = self._pool.overall(
             state,
             first and serves and self._block_explored(situation),
-            lambda: self._descend(situation, subgoal, mask),
+            lambda: self.descend(situation, subgoal, mask),
         )
         if from_pool:
             self.explored += 1
@@ -53,7 +53,8 @@ class LowGuide:
     def _block_explored(self, situation: Situation) -> bool:
         return explored_share(situation, *situation.block) >= self._config.explored_share
 
-    def _descend(self, situation: Situation, target: tuple[float, float], mask: np.ndarray) -> Action | None:
+    def descend(self, situation: Situation, target: tuple[float, float], mask: np.ndarray) -> Action | None:
+        """What the potential field with its trail does; None where nothing is allowed."""
         config, state = self._config, situation.state
         direction = potential.force(
             situation.place,

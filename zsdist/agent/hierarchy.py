@@ -151,7 +151,7 @@ class HierarchicalAgent:
 
         # Lines 8 to 12: the global policy, potential field or advice, is what exploration follows.
         guided = None
-        if self._learning or self._config.agent.low_policy != "learned":
+        if self._learning or self._config.agent.low_policy in ("planner", "mixed"):
             guided = self._low_guide.action(situation, option.subgoal, self._shield_mask)
         instead = self._instead_of_low(guided)
         choice = self._choose(q[Level.LOW], self._state(Level.LOW), self._low_mask, guided, instead)
@@ -281,6 +281,8 @@ class HierarchicalAgent:
 
     def _instead_of_low(self, guided: Action | None) -> Action | None:
         policy, situation = self._config.agent.low_policy, self._situation
+        if policy == "field":
+            return self._low_guide.descend(situation, self._option.subgoal, self._shield_mask)
         if policy == "learned" or (policy == "mixed" and situation.visits[_index(situation)] <= 1):
             return None
         if policy == "planner":

@@ -1,9 +1,8 @@
 """Who drives an evaluated episode: the contract of a driver, what it may see, and the learned policy under it."""
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -14,8 +13,6 @@ from zsdist.config import Config
 from zsdist.planning.rewards import RewardTerms
 from zsdist.sim.scene import Scene
 from zsdist.types import Level, Parameters, Pose, View
-
-RANGE_ANGLES_RAD = np.linspace(math.pi / 4, -math.pi / 4, 91)  # of `Sees.RANGES`: 90 degrees, leftmost first
 
 VisualAct = Callable[[np.ndarray, np.ndarray, np.ndarray], Sequence[View]]
 
@@ -34,18 +31,21 @@ class Observed:
     """What a driver decides on.
 
     Attributes:
-        image: `(px, px, 3)` uint8, of the camera at the true pose.
+        image: `(px, px, 3)` uint8, of the camera at the true pose; None where nobody asked for pictures.
         pose: the true pose.
         goal: `(x_m, y_m)`.
         allowed: `(5,)` bool, actions that do not lead off the grid.
-        ranges_m: `(R,)` true distances in the directions of `RANGE_ANGLES_RAD`; None unless it sees them.
+        truth: what a faultless model would say of the image; None unless it sees true distances.
     """
 
-    image: np.ndarray
+    image: np.ndarray | None
     pose: Pose
     goal: tuple[float, float]
     allowed: np.ndarray
-    ranges_m: np.ndarray | None = None
+    truth: View | None = None
+
+
+See = Callable[[Observed], View]  # how a driver comes by its view
 
 
 @dataclass(frozen=True)
@@ -80,22 +80,44 @@ class Driver(ABC):
 
 
 class LearnedDriver(Driver):
-    """The greedy policy of both networks: argmax only, and the shield may only mask."""
+    """The greedy policy of both networks: argmax only, and the shield may only mask.
 
-    def __init__(self, config: Config, parameters: dict[Level, Parameters], visual_act: VisualAct) -> None:
+    Args:
+        config: of grid, agent and vision; `agent.high_policy` and `agent.low_policy` may put planners in the networks'
+            places.
+        parameters: of both networks.
+        see: how it comes by its view.
+        shielded: whether the shield masks.
+        shuffled: whether the three entries of the advice R_p are exchanged by chance at every look.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        parameters: dict[Level, Parameters],
+        see: See,
+        *,
+        shielded: bool = True,
+        shuffled: bool = False,
+    ) -> None:
         self._agent = HierarchicalAgent(config)
-        self._visual_act = visual_act
+        self._see, self._shielded, self._shuffled = see, shielded, shuffled
         self._q = q_functions(parameters)
 
     def begin(self, pose: Pose, goal: tuple[float, float], truth: Scene | None, rng: np.random.Generator) -> None:
-        """Starts the agent without exploration, under the shield."""
-        self.shield_changes = 0
+        """Starts the agent without exploration."""
+        self.shield_changes, self._rng = 0, rng
         versions = dict.fromkeys(Level, 0)
-        self._agent.begin(pose, goal, epsilon=0.0, shielded=True, rng=rng, weight_versions=versions, learning=False)
+        self._agent.begin(
+            pose, goal, epsilon=0.0, shielded=self._shielded, rng=rng, weight_versions=versions, learning=False
+        )
 
     def act(self, observed: Observed) -> int:
         """Looks, then takes the best action of Q_low under the best subgoal of Q_high."""
-        self._agent.observe(observed.pose, look(self._visual_act, observed))
+        view = self._see(observed)
+        if self._shuffled:
+            view = replace(view, advice=self._rng.permutation(view.advice))
+        self._agent.observe(observed.pose, view)
         decision = self._agent.act(self._q)
         self.thought = Thought(self._agent.situation, decision)
         self.shield_changes += bool(decision.shield_changed)
@@ -104,10 +126,3 @@ class LearnedDriver(Driver):
     def result(self, terms: RewardTerms, terminated: bool, truncated: bool) -> None:
         """Tells the agent, whose options end with the episode."""
         self._agent.result(terms, terminated, truncated)
-
-
-def look(visual_act: VisualAct, observed: Observed) -> View:
-    """What the visual-act model says of the observed's image."""
-    bearing_rad, distance_m = observed.pose.towards(*observed.goal)
-    (view,) = visual_act(observed.image[None], np.array([bearing_rad]), np.array([distance_m]))
-    return view

@@ -8,14 +8,14 @@ import gymnasium
 import numpy as np
 
 from zsdist.config import Config
-from zsdist.evaluation.drivers import RANGE_ANGLES_RAD, Driver, Observed, Sees, Thought
-from zsdist.evaluation.metrics import EpisodeRecord, path_length_m
+from zsdist.evaluation.drivers import Driver, Observed, Sees, Thought
+from zsdist.evaluation.records import EpisodeRecord, path_length_m
+from zsdist.evaluation.sight import true_view
 from zsdist.planning import shortest_path
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
 from zsdist.planning.rewards import RewardTerms
 from zsdist.sim.collision import clearance_m
-from zsdist.sim.raycast import ray_distances
 from zsdist.sim.scene import Scene
 from zsdist.sim.solvability import footprints
 from zsdist.types import Outcome, Pose
@@ -110,7 +110,7 @@ class Examiner:
             observed = self._observed(observation, info, scene)
             began_s = self._clock()
             action = driver.act(observed)
-            decision_ms.append(1000 * (self._clock() - began_s))
+            decision_ms.append(round(1000 * (self._clock() - began_s), 3))
             if watch is not None:
                 watch(Moment(scene, observed, self._people(scene), action, driver.thought, None))
             observation, _, terminated, truncated, info = self._env.step(action)
@@ -140,22 +140,10 @@ class Examiner:
         )
 
     def _observed(self, observation: dict, info: dict, scene: Scene) -> Observed:
-        pose = _pose(observation)
-        ranges_m = self._ranges_m(scene, pose) if self._sees is Sees.RANGES else None
-        return Observed(observation["image"], pose, scene.goal, info["action_mask"], ranges_m)
-
-    def _ranges_m(self, scene: Scene, pose: Pose) -> np.ndarray:
-        camera = self._config.camera
-        distances, _ = ray_distances(
-            scene.circles(self._people(scene)),
-            scene.boxes(),
-            self._config.grid.arena_m / 2,
-            pose.x_m + camera.forward_m * math.cos(pose.heading_rad),
-            pose.y_m + camera.forward_m * math.sin(pose.heading_rad),
-            pose.heading_rad + RANGE_ANGLES_RAD,
-            camera.range_m,
-        )
-        return distances
+        pose, truth = _pose(observation), None
+        if self._sees is Sees.RANGES:
+            truth = true_view(scene, pose, self._config.camera, self._config.grid.arena_m, self._people(scene))
+        return Observed(observation.get("image"), pose, scene.goal, info["action_mask"], truth)
 
     def _people(self, scene: Scene) -> np.ndarray | None:
         return self._env.unwrapped.world.people if scene.walkers() else None

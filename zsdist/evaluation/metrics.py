@@ -1,47 +1,12 @@
 """What an evaluation says of its episodes. Pure functions of records; lengths in metres, rates in [0, 1]."""
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
+from zsdist.evaluation.records import EpisodeRecord
 from zsdist.evaluation.statistics import bootstrap_95, wilson_95
-from zsdist.types import Outcome, Pose
-
-
-@dataclass(frozen=True)
-class EpisodeRecord:
-    """One driven episode.
-
-    Attributes:
-        scene: its name.
-        outcome: how it ended.
-        steps: actions taken.
-        fewest_steps: fewest actions that reach the goal from the start; None where the planner knows no way.
-        path_m: length of the driven path.
-        shortest_m: length of the shortest drivable path; None where the planner knows no way.
-        remaining_m: shortest drivable length from the last pose that had a way to the goal; None as above.
-        min_clearance_m: least distance of the car's box from an obstacle's surface or a wall; 0 in contact.
-        static: whether nothing in the scene moves.
-        decision_ms: `(steps,)`, time of each decision, vision included.
-        shield_changes: decisions that the shield changed.
-        poses: the driven path, start included.
-    """
-
-    scene: str
-    outcome: Outcome
-    steps: int
-    fewest_steps: int | None
-    path_m: float
-    shortest_m: float | None
-    remaining_m: float | None
-    min_clearance_m: float
-    static: bool
-    decision_ms: tuple[float, ...]
-    shield_changes: int
-    poses: tuple[Pose, ...]
+from zsdist.types import Outcome
 
 
 def spl(record: EpisodeRecord) -> float:
@@ -59,36 +24,41 @@ def soft_spl(record: EpisodeRecord) -> float:
 
 
 def path_efficiency(record: EpisodeRecord) -> float | None:
-    """Fewest possible steps over the steps taken (the paper's step cost against the shortest path, inverted).
+    """Length of the shortest way over that of the driven one, at most 1.
 
-    None for a failure, whose steps lead nowhere, and where the planner knows no way.
+    None for a failure, whose path leads nowhere, and where the planner knows no way.
+    """
+    if record.outcome is not Outcome.SUCCESS or record.shortest_m is None:
+        return None
+    return _detour(record)
+
+
+def step_efficiency(record: EpisodeRecord) -> float | None:
+    """Fewest possible steps over the steps taken: the paper's "step costs compared to the shortest possible paths".
+
+    None as of `path_efficiency`.
     """
     if record.outcome is not Outcome.SUCCESS or record.fewest_steps is None or record.steps == 0:
         return None
     return record.fewest_steps / record.steps
 
 
-def path_length_m(poses: Sequence[Pose]) -> float:
-    """Length of the polyline through the poses' positions."""
-    return sum(math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) for a, b in pairwise(poses))
-
-
 def summarise(records: Sequence[EpisodeRecord], rng: np.random.Generator) -> dict[str, object]:
     """The figures of an evaluation's JSON, from `success` to `per_scene`.
 
-    SPL and SoftSPL are over the scenes in which nothing moves, `path_efficiency` over the successful episodes; a figure
-    without any such episode is None and has no interval.
+    SPL and SoftSPL are over the scenes in which nothing moves, the efficiencies over the successful episodes; a figure
+    without any such episode is None and has no interval. `shield_changed_share` is of all decisions.
 
     Args:
         records: at least one.
         rng: of the bootstrap.
     """
     static = [record for record in records if record.static]
-    efficiencies = [value for record in records if (value := path_efficiency(record)) is not None]
     means = {
         "spl": [spl(record) for record in static],
         "soft_spl": [soft_spl(record) for record in static],
-        "path_efficiency": efficiencies,
+        "path_efficiency": [value for record in records if (value := path_efficiency(record)) is not None],
+        "step_efficiency": [value for record in records if (value := step_efficiency(record)) is not None],
         "min_clearance_m": [record.min_clearance_m for record in records],
     }
     counts = {outcome.value: sum(record.outcome is outcome for record in records) for outcome in Outcome}
@@ -97,6 +67,7 @@ def summarise(records: Sequence[EpisodeRecord], rng: np.random.Generator) -> dic
     return {
         **{name: count / len(records) for name, count in counts.items()},
         **{name: float(np.mean(values)) if values else None for name, values in means.items()},
+        "shield_changed_share": sum(record.shield_changes for record in records) / max(len(decisions), 1),
         "decision_ms": {"p50": float(p50), "p99": float(p99)},
         "confidence_95": {
             **{name: list(wilson_95(count, len(records))) for name, count in counts.items()},

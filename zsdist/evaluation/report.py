@@ -4,7 +4,8 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,15 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from zsdist.evaluation.metrics import EpisodeRecord, summarise
+from zsdist.evaluation.entrants import FULL, Entrant
+from zsdist.evaluation.identity import code_sha256
+from zsdist.evaluation.ledger import Ledger
+from zsdist.evaluation.metrics import spl, summarise
+from zsdist.evaluation.records import EpisodeRecord
 from zsdist.evaluation.selection import select
-from zsdist.evaluation.workers import Entrant, drive_all
+from zsdist.evaluation.statistics import runs_95
+from zsdist.evaluation.workers import drive_all
+from zsdist.sim.families import FAMILIES
 from zsdist.types import Outcome
 
 PLAIN_EVERY_S = 5.0
@@ -25,6 +32,7 @@ LABELS = {
     "spl": "SPL",
     "soft_spl": "SoftSPL",
     "path_efficiency": "path efficiency",
+    "step_efficiency": "step efficiency",
     "min_clearance_m": "least clearance (m)",
 }
 
@@ -36,6 +44,12 @@ class Report:
     entrant: Entrant
     result: dict[str, Any]
     records: Sequence[EpisodeRecord] = field(repr=False)
+
+    def beside(self, bare: "Report") -> "Report":
+        """This one with the figures of another in which the same policy drove the same scenes without the shield."""
+        figures = {name: bare.result[name] for name in ("success", "collision", "timeout", "spl")}
+        interval = bare.result["confidence_95"]["success"]
+        return replace(self, result=self.result | {"without_shield": figures | {"success_95": interval}})
 
     def show(self, console: Console) -> None:
         """Prints the figures with what they stand on."""
@@ -51,18 +65,24 @@ class Report:
                 "-" if value is None else f"{value:.3f}",
                 f"{interval[0]:.3f} to {interval[1]:.3f}" if interval else "-",
             )
+        if bare := result.get("without_shield"):
+            low, high = bare["success_95"]
+            table.add_row("success without the shield", f"{bare['success']:.3f}", f"{low:.3f} to {high:.3f}")
         decision = result["decision_ms"]
         table.add_row("decision (ms), p50 / p99", f"{decision['p50']:.1f} / {decision['p99']:.1f}", "-")
         console.print(table)
         decisions = sum(record.steps for record in self.records)
         changed = sum(record.shield_changes for record in self.records)
-        console.print(
+        told = [
             f"n {result['episodes']}, seed {result['seed']}, success within {settings.success_radius_m} m, at most "
-            f"{settings.max_steps} actions; sees {self.entrant.sees}; shield changed {changed} of {decisions} actions."
-        )
+            f"{settings.max_steps} actions; sees {self.entrant.sees}; shield changed {changed} of {decisions} actions "
+            f"({result['shield_changed_share']:.1%}). Code {result['code_sha256']}."
+        ]
         if not self.entrant.baseline:
             trained = ", ".join(self.entrant.config.scenes.train)
-            console.print(f"Trained on {trained}; weights {result['weights_sha256'][:16]}.")
+            told.append(f"Trained on {trained}; weights {result['weights_sha256'][:16]}.")
+        for line in told:
+            console.print(line, highlight=False)
 
 
 def evaluate(
@@ -74,41 +94,112 @@ def evaluate(
     episodes: int | None,
     seed: int,
     workers: int,
+    out: Path | None = None,
 ) -> Report:
     """Drives the episodes with progress on the standard error stream.
 
     Args:
         entrant: who drives.
-        policy: what the result calls it.
+        policy: what it was called by; a variant is called by its own name in the result, beside this as `run`.
         weights_sha256: of its networks.
         scenes: a folder, a family or a split, as `selection.select` takes them.
         episodes: how many; None: every file of a folder, else 50.
         seed: of scenes and drivers.
         workers: processes.
+        out: file of episodes, as `ledger.Ledger` keeps it; those that are there are not driven again.
     """
-    chosen = select(scenes, entrant.config, episodes, seed)
-    with _Progress(policy, len(chosen)) as progress:
-        records = drive_all(entrant, chosen, seed, workers, progress.count)
+    chosen, known, keep = select(scenes, entrant.config, episodes, seed), {}, None
+    if out is not None:
+        ledger = Ledger(out, entrant, policy, weights_sha256, scenes, seed, chosen)
+        known, keep = ledger.known, ledger.add
+        if ledger.stale:
+            print(f"{out}: {ledger.stale} episodes of other code, weights or settings are left out", file=sys.stderr)
+        if known:
+            print(f"{out}: {len(known)} of {len(chosen)} episodes are there already", file=sys.stderr)
+    name = policy if entrant.variant == FULL else entrant.variant
+    with _Progress(name, len(chosen), list(known.values())) as progress:
+
+        def on_record(index: int, record: EpisodeRecord) -> None:
+            if keep is not None:
+                keep(index, record)
+            progress.count(record)
+
+        records = drive_all(entrant, chosen, seed, workers, on_record, known)
     about = {
-        "policy": policy,
+        "policy": name,
         "weights_sha256": weights_sha256,
         "scenes": scenes,
         "episodes": len(records),
         "seed": seed,
     }
-    return Report(entrant, about | summarise(records, np.random.default_rng(seed)), records)
+    sim = entrant.config.sim
+    stands_on = {
+        "run": policy,
+        "variant": entrant.variant,
+        "shielded": entrant.shielded,
+        "success_radius_m": sim.success_radius_m,
+        "max_steps": sim.max_steps,
+        "code_sha256": code_sha256(),
+    }
+    return Report(entrant, about | summarise(records, np.random.default_rng(seed)) | stands_on, records)
+
+
+def together(reports: Sequence[Report], seed: int) -> dict[str, Any]:
+    """Several runs of one method (its training seeds) on the same scenes as one JSON object.
+
+    The interquartile means are over the runs, with a bootstrap over runs and, family by family, over scenes.
+    """
+    first, records = reports[0].result, reports[0].records
+    strata = [next((name for name in FAMILIES if record.scene.startswith(f"{name}-")), "") for record in records]
+    static = np.array([record.static for record in records])
+    rng, means, intervals = np.random.default_rng(seed), {}, {}
+    for outcome in Outcome:
+        scores = np.array([[record.outcome is outcome for record in report.records] for report in reports], float)
+        means[outcome.value], *intervals[outcome.value] = runs_95(scores, strata, rng)
+    if static.any():
+        scores = np.array([[spl(record) for record in report.records] for report in reports])[:, static]
+        means["spl"], *intervals["spl"] = runs_95(scores, list(np.array(strata)[static]), rng)
+    return {
+        "policies": [report.result["policy"] for report in reports],
+        "scenes": first["scenes"],
+        "episodes": first["episodes"],
+        "seed": first["seed"],
+        "interquartile_mean": means,
+        "confidence_95": intervals,
+        "runs": [report.result for report in reports],
+    }
+
+
+def show_together(result: dict[str, Any], console: Console) -> None:
+    """Prints what `together` found."""
+    table = Table(title=f"{len(result['runs'])} runs on {result['scenes']}", title_justify="left")
+    for heading in (
+        "figure",
+        *(str(number) for number, _ in enumerate(result["runs"], 1)),
+        "interquartile mean",
+        "95%",
+    ):
+        table.add_column(heading, justify="left" if heading == "figure" else "right")
+    for name, mean in result["interquartile_mean"].items():
+        low, high = result["confidence_95"][name]
+        each = (f"{run[name]:.3f}" for run in result["runs"])
+        table.add_row(LABELS[name], *each, f"{mean:.3f}", f"{low:.3f} to {high:.3f}")
+    console.print(table)
+    console.print(
+        f"n {result['episodes']} each, seed {result['seed']}; bootstrap over runs and scenes.", highlight=False
+    )
 
 
 class _Progress(AbstractContextManager):
     """A bar on a terminal, else a plain line every few seconds."""
 
-    def __init__(self, title: str, total: int) -> None:
+    def __init__(self, title: str, total: int, known: Sequence[EpisodeRecord]) -> None:
         self._title, self._total = title, total
-        self._outcomes = dict.fromkeys(Outcome, 0)
+        self._outcomes = {outcome: sum(record.outcome is outcome for record in known) for outcome in Outcome}
         self._said_s = time.monotonic()
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         self._bar = Progress(*columns, console=Console(stderr=True), transient=True) if sys.stderr.isatty() else None
-        self._task = self._bar.add_task(title, total=total) if self._bar else None
+        self._task = self._bar.add_task(title, total=total, completed=len(known)) if self._bar else None
 
     def __enter__(self) -> "_Progress":
         (self._bar or nullcontext()).__enter__()

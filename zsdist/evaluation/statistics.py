@@ -1,8 +1,10 @@
-"""Confidence intervals: Wilson's for rates, the bootstrap for means."""
+"""Confidence intervals: Wilson's for rates, the bootstrap for means and for several runs of one method."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import trim_mean
 
 Z_95 = 1.959963984540054  # two-sided 95% point of the normal distribution
 RESAMPLES = 2000
@@ -36,3 +38,37 @@ def bootstrap_95(values: np.ndarray, rng: np.random.Generator) -> tuple[float, f
     picks = rng.integers(len(values), size=(RESAMPLES, len(values)))
     low, high = np.quantile(np.asarray(values, dtype=float)[picks].mean(axis=1), (0.025, 0.975))
     return float(low), float(high)
+
+
+def interquartile_mean(values: np.ndarray) -> np.ndarray:
+    """Mean of the middle half along the last axis: a quarter, rounded down, is left out at either end.
+
+    Of fewer than four values it is their mean.
+    """
+    return trim_mean(values, 0.25, axis=-1)
+
+
+def runs_95(scores: np.ndarray, strata: Sequence[str], rng: np.random.Generator) -> tuple[float, float, float]:
+    """The interquartile mean over runs of their mean score, and its stratified bootstrap interval.
+
+    A resample draws runs, and within each stratum episodes, the same for all runs since they drove the same scenes;
+    each run's mean follows, and their interquartile mean.
+
+    Args:
+        scores: `(runs, episodes)`, at least one of each.
+        strata: `(episodes,)` by which episodes are resampled apart, such as families of scenes.
+        rng: draws the resamples.
+
+    Returns:
+        The interquartile mean, and the ends of its interval.
+    """
+    if scores.size == 0:
+        raise ValueError("no scores; an interquartile mean needs at least one")
+    runs, names = len(scores), np.asarray(strata)
+    groups = [np.flatnonzero(names == name) for name in dict.fromkeys(strata)]
+    means = np.empty((RESAMPLES, runs))
+    for row in means:
+        episodes = np.concatenate([rng.choice(group, len(group)) for group in groups])
+        row[:] = scores[rng.integers(runs, size=runs)][:, episodes].mean(axis=1)
+    low, high = np.quantile(interquartile_mean(means), (0.025, 0.975))
+    return float(interquartile_mean(scores.mean(axis=1))), float(low), float(high)

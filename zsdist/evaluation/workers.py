@@ -2,55 +2,29 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import gymnasium
 import numpy as np
 
 from zsdist import workers as pool
 from zsdist.config import Config
-from zsdist.evaluation.baselines import BASELINES
-from zsdist.evaluation.drivers import Driver, LearnedDriver, Sees, VisualAct
+from zsdist.evaluation.drivers import Sees, VisualAct
+from zsdist.evaluation.entrants import Entrant
 from zsdist.evaluation.episodes import Examiner
-from zsdist.evaluation.metrics import EpisodeRecord
-from zsdist.sim.env import CarNavigation
+from zsdist.evaluation.records import EpisodeRecord
+from zsdist.sim.exact import make_env
 from zsdist.sim.scene import Scene
-from zsdist.types import Level, Parameters
 from zsdist.vision.visual_act import VisualAct as PretrainedVisualAct
 
 
 @dataclass(frozen=True)
-class Entrant:
-    """Who is evaluated, as data that other processes can be sent.
-
-    Attributes:
-        config: grid, camera, vision, agent and reward of the policy.
-        parameters: of both networks; None for a baseline.
-        baseline: its name in the list; empty for a learned policy.
-    """
-
-    config: Config
-    parameters: dict[Level, Parameters] | None = None
-    baseline: str = ""
-
-    @property
-    def sees(self) -> Sees:
-        """What it is shown."""
-        return BASELINES[self.baseline].sees if self.baseline else Sees.CAMERA
-
-    def driver(self, visual_act: VisualAct | None) -> Driver:
-        """A driver of its own."""
-        if self.baseline:
-            return BASELINES[self.baseline].make(self.config, visual_act)
-        return LearnedDriver(self.config, self.parameters, visual_act)
-
-
-@dataclass(frozen=True)
 class Simulation:
-    """What episodes are driven in."""
+    """What episodes are driven in; `make_env` has the arguments of `zsdist.sim.exact.make_env`."""
 
-    make_env: Callable[[Config], gymnasium.Env] = lambda config: CarNavigation(config=config)
+    make_env: Callable[..., gymnasium.Env] = make_env
     load_vision: Callable[[Config], VisualAct] = lambda config: PretrainedVisualAct.load(config.vision, config.camera)
 
 
@@ -59,7 +33,8 @@ def drive_all(
     scenes: Sequence[Scene],
     seed: int,
     workers: int,
-    on_record: Callable[[EpisodeRecord], None],
+    on_record: Callable[[int, EpisodeRecord], None],
+    known: Mapping[int, EpisodeRecord] = MappingProxyType({}),
 ) -> list[EpisodeRecord]:
     """Every scene once, in order of the scenes; the result does not depend on the number of workers.
 
@@ -68,27 +43,34 @@ def drive_all(
         scenes: what is driven.
         seed: of the drivers' randomness, with the scene's place in the list.
         workers: processes; 1: this one.
-        on_record: called here as each episode ends, in the order in which they end.
+        on_record: called here with its place in the list as each episode ends, in the order in which they end.
+        known: episodes by their place in the list that were driven before and are not driven again.
 
     Raises:
         ZsdistError: as the episodes do.
         RunError: a worker died.
     """
-    drives = list(enumerate(scenes))
-    records: list[EpisodeRecord | None] = [None] * len(drives)
+    records = [known.get(index) for index in range(len(scenes))]
+    drives = [(index, scene) for index, scene in enumerate(scenes) if records[index] is None]
     driven = pool.each(_drive, drives, min(workers, len(drives)), _begin, (entrant, seed))
     with contextlib.closing(driven):
         for index, record in driven:
             records[index] = record
-            on_record(record)
+            on_record(index, record)
     return records
 
 
-def make_examiner(entrant: Entrant, simulation: Simulation | None = None) -> Examiner:
-    """The entrant in an environment of its own."""
+def make_examiner(entrant: Entrant, simulation: Simulation | None = None, images: bool = False) -> Examiner:
+    """The entrant in an environment of its own.
+
+    Args:
+        entrant: who drives.
+        simulation: in which; None: physics and the camera.
+        images: whether pictures are wanted although the driver does not see by them.
+    """
     simulation = simulation or Simulation()
     visual_act = simulation.load_vision(entrant.config) if entrant.sees is Sees.CAMERA else None
-    env = simulation.make_env(entrant.config)
+    env = simulation.make_env(entrant.config, images=images or entrant.sees is Sees.CAMERA, exact=entrant.exact)
     return Examiner(env, entrant.config, entrant.driver(visual_act), entrant.sees, time.perf_counter)
 
 

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from zsdist.evaluation.entrants import Entrant
 from zsdist.evaluation.episodes import Moment
-from zsdist.evaluation.metrics import EpisodeRecord
+from zsdist.evaluation.records import EpisodeRecord
 from zsdist.evaluation.selection import select
-from zsdist.evaluation.workers import Entrant, Simulation, make_examiner
+from zsdist.evaluation.workers import Simulation, make_examiner
 from zsdist.reporting.guidance import Drive, guidance_of
 from zsdist.reporting.maps import Track
 from zsdist.run.checkpoint import Policy

@@ -15,8 +15,9 @@ from PIL import Image, ImageDraw, ImageFont
 from zsdist.config import Config
 from zsdist.errors import RunError, WeightsError
 from zsdist.evaluation.drivers import Sees
+from zsdist.evaluation.entrants import Entrant
 from zsdist.evaluation.episodes import Moment
-from zsdist.evaluation.workers import Entrant, Simulation, make_examiner
+from zsdist.evaluation.workers import Simulation, make_examiner
 from zsdist.planning.footprint import ADVANCES
 from zsdist.planning.grid import Grid
 from zsdist.reporting import style
@@ -73,7 +74,7 @@ def film(
     except OSError as error:
         raise RunError(f"--video {folder} cannot be written: {error.strerror or error}") from error
     simulation = simulation or Simulation()
-    examiner = make_examiner(entrant, simulation)
+    examiner = make_examiner(entrant, simulation, images=True)
     visual_act = simulation.load_vision(entrant.config) if entrant.sees is Sees.CAMERA else None
     files = []
     for index, scene in enumerate(scenes):

@@ -123,7 +123,7 @@ def _efficiency(run: Run, evaluations: Sequence[Evaluation]) -> list[str]:
     of_it = [e for e in _of(evaluations, SINGLETON) if e.label == run.method and e.seed == run.settings.seed]
     if not of_it:
         return ["not evaluated"]
-    return [_mean(of_it, "path_efficiency")]
+    return [_mean(of_it, "step_efficiency")]
 
 
 def _of(evaluations: Sequence[Evaluation], *splits: str) -> list[Evaluation]:

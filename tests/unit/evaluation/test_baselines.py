@@ -1,28 +1,37 @@
-import math
-
 import numpy as np
 import pytest
 from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist.config import Config
-from zsdist.evaluation import baselines
 from zsdist.evaluation.baselines import BASELINES
-from zsdist.evaluation.drivers import RANGE_ANGLES_RAD, Observed, Sees
+from zsdist.evaluation.drivers import Observed, Sees
 from zsdist.evaluation.episodes import Examiner
-from zsdist.planning.belief import BeliefMap
-from zsdist.planning.grid import Grid
+from zsdist.evaluation.sight import by_camera, by_truth
 from zsdist.sim import families
 from zsdist.sim.scene import Obstacle, Scene, Start
 from zsdist.types import Outcome, Pose
 
 CONFIG = Config()
 WALL = Obstacle("box", 1.5, 0.0, size_m=(0.6, 9.0, 2.0))
+OPEN = Scene("open", "grass", Start(-5.3125, 0.3125, 0.0), (5.9375, 0.3125), ())
+POCKET = Scene(
+    "pocket",
+    "grass",
+    OPEN.start,
+    OPEN.goal,
+    (
+        Obstacle("box", 2.0, 0.0, size_m=(0.6, 6.0, 2.0)),
+        Obstacle("box", 0.0, 3.0, size_m=(4.0, 0.6, 2.0)),
+        Obstacle("box", 0.0, -3.0, size_m=(4.0, 0.6, 2.0)),
+    ),
+)
 DETOUR = Scene("detour", "grass", Start(-5.3125, 0.3125, 0.0), (6.5625, 0.3125), (WALL,))
 
 
 def drive(name, scene, seed=0):
     baseline = BASELINES[name]
-    driver = baseline.make(CONFIG, FakeVisualAct())
+    see = by_camera(FakeVisualAct()) if baseline.sees is Sees.CAMERA else by_truth
+    driver = baseline.make(CONFIG, see)
     examiner = Examiner(LatticeEnv(config=CONFIG), CONFIG, driver, baseline.sees, lambda: 0.0)
     return examiner.drive(scene, np.random.default_rng(seed))
 
@@ -57,7 +66,7 @@ def test_astar_refuses_to_drive_without_the_map():
         BASELINES["astar"].make(CONFIG, None).begin(Pose(0, 0, 0), (1.0, 1.0), None, np.random.default_rng(0))
 
 
-@pytest.mark.parametrize("name", ["astar", "astar-frontier", "potential-field"])
+@pytest.mark.parametrize("name", ["astar", "astar-frontier", "astar-vision", "potential-field"])
 def test_planners_and_field_come_round_a_wall(name):
     record = drive(name, DETOUR)
     assert record.outcome is Outcome.SUCCESS
@@ -77,24 +86,11 @@ def test_every_baseline_has_one_line_of_its_own():
     assert len(set(lines)) == len(lines) and all(line and "\n" not in line for line in lines)
 
 
-def test_true_distances_become_a_map_of_the_surface_they_met():
-    belief = BeliefMap(Grid.from_config(CONFIG.grid))
-    pose = Pose(0.0, 0.0, 0.0)
-    ahead = 3.0 / np.cos(RANGE_ANGLES_RAD)  # a wall across, 3 m ahead of the camera
-    belief.update(pose, baselines.view_of_ranges(np.minimum(ahead, 5.0)), 0.0)
-    grid = belief.grid
-
-    def at(x_m, y_m):
-        fx, fy = grid.fine_index(x_m, y_m)
-        return bool(belief.occupied()[fy, fx]), bool(belief.seen()[fy, fx])
-
-    assert at(3.05, 0.0) == (True, True)
-    assert at(2.5, 0.5) == (False, True)
-    assert at(4.6, 0.0)[1] is False  # behind the wall
-    assert at(0.0, 3.0)[1] is False  # beside the view
+def test_goal_greedy_drives_straight_at_the_goal_and_into_what_stands_there():
+    assert drive("goal-greedy", OPEN).path_m == pytest.approx(drive("astar", OPEN).path_m)
+    assert drive("goal-greedy", DETOUR).outcome is Outcome.COLLISION
 
 
-def test_a_distance_at_the_range_is_free():
-    view = baselines.view_of_ranges(np.full(len(RANGE_ANGLES_RAD), 5.0))
-    assert (view.ray_probabilities[:, -1] == 1).all()
-    assert math.isclose(view.ray_probabilities.sum(), len(RANGE_ANGLES_RAD))
+def test_without_its_trail_the_field_stays_in_the_pocket_that_it_leaves_with_it():
+    assert drive("potential-field", POCKET).outcome is Outcome.SUCCESS
+    assert drive("potential-field-no-trail", POCKET).outcome is Outcome.TIMEOUT

@@ -3,25 +3,11 @@ import json
 
 import numpy as np
 import pytest
+from fakes import RECORD
 
-from zsdist.evaluation import metrics
-from zsdist.evaluation.metrics import EpisodeRecord
+from zsdist.evaluation import metrics, records
+from zsdist.evaluation.records import EpisodeRecord
 from zsdist.types import Outcome, Pose
-
-RECORD = EpisodeRecord(
-    scene="one",
-    outcome=Outcome.SUCCESS,
-    steps=25,
-    fewest_steps=20,
-    path_m=20.0,
-    shortest_m=15.0,
-    remaining_m=0.0,
-    min_clearance_m=0.4,
-    static=True,
-    decision_ms=(1.0,) * 25,
-    shield_changes=0,
-    poses=(Pose(0, 0, 0), Pose(3, 4, 0)),
-)
 
 
 def record(**changes) -> EpisodeRecord:
@@ -55,27 +41,38 @@ def test_soft_spl_of_a_car_that_ends_farther_away_is_0():
     assert metrics.soft_spl(record(outcome=Outcome.TIMEOUT, remaining_m=18.0)) == 0.0
 
 
-def test_path_efficiency_counts_steps_of_successes_only():
-    assert metrics.path_efficiency(RECORD) == pytest.approx(0.8)
-    assert metrics.path_efficiency(record(outcome=Outcome.TIMEOUT)) is None
+def test_efficiencies_are_of_steps_and_of_lengths_and_of_successes_only():
+    assert metrics.step_efficiency(RECORD) == pytest.approx(0.8)
+    assert metrics.path_efficiency(RECORD) == pytest.approx(0.75)
+    failure = record(outcome=Outcome.TIMEOUT)
+    assert metrics.step_efficiency(failure) is None and metrics.path_efficiency(failure) is None
 
 
 def test_path_length_sums_the_legs():
     poses = (Pose(0, 0, 0), Pose(3, 4, 0), Pose(3, 4, 1.57), Pose(3, 5, 0))
-    assert metrics.path_length_m(poses) == pytest.approx(6.0)
+    assert records.path_length_m(poses) == pytest.approx(6.0)
 
 
 def test_summary_of_a_mixed_evaluation():
     records = [
         RECORD,
-        record(scene="two", outcome=Outcome.COLLISION, min_clearance_m=0.0, remaining_m=15.0, decision_ms=(3.0,)),
-        record(scene="three", outcome=Outcome.TIMEOUT, remaining_m=15.0),
+        record(
+            scene="two",
+            outcome=Outcome.COLLISION,
+            min_clearance_m=0.0,
+            remaining_m=15.0,
+            decision_ms=(3.0,),
+            shield_changes=1,
+        ),
+        record(scene="three", outcome=Outcome.TIMEOUT, remaining_m=15.0, shield_changes=2),
         record(scene="four", path_m=15.0, steps=20),
     ]
     summary = metrics.summarise(records, np.random.default_rng(0))
     assert (summary["success"], summary["collision"], summary["timeout"]) == (0.5, 0.25, 0.25)
     assert summary["spl"] == pytest.approx((0.75 + 1.0) / 4)
-    assert summary["path_efficiency"] == pytest.approx(0.9)
+    assert summary["path_efficiency"] == pytest.approx((0.75 + 1.0) / 2)
+    assert summary["step_efficiency"] == pytest.approx(0.9)
+    assert summary["shield_changed_share"] == pytest.approx(3 / 76)
     assert summary["min_clearance_m"] == pytest.approx(0.3)
     assert summary["decision_ms"]["p50"] == 1.0 and summary["decision_ms"]["p99"] > 1.0
     for name, (low, high) in summary["confidence_95"].items():
@@ -94,5 +91,5 @@ def test_scenes_in_which_something_moves_are_left_out_of_spl():
 
 def test_a_scene_without_a_known_way_counts_as_driven_without_detour():
     unknown = record(shortest_m=None, fewest_steps=None, remaining_m=None)
-    assert metrics.spl(unknown) == 1.0 and metrics.path_efficiency(unknown) is None
+    assert metrics.spl(unknown) == 1.0 and metrics.path_efficiency(unknown) is None is metrics.step_efficiency(unknown)
     assert metrics.soft_spl(dataclasses.replace(unknown, outcome=Outcome.TIMEOUT)) == 0.0

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from zsdist.evaluation import statistics
 from zsdist.evaluation.statistics import bootstrap_95, wilson_95
 
 
@@ -46,3 +47,28 @@ def test_impossible_counts_are_refused(call):
 def test_bootstrap_of_nothing_is_refused():
     with pytest.raises(ValueError, match="at least one"):
         bootstrap_95(np.array([]), np.random.default_rng(0))
+
+
+def test_the_interquartile_mean_leaves_a_quarter_out_at_either_end():
+    assert statistics.interquartile_mean(np.array([-100.0, 1.0, 2.0, 100.0])) == pytest.approx(1.5)
+    assert statistics.interquartile_mean(np.array([0.0, 1.0, 5.0])) == pytest.approx(2.0)
+
+
+def test_runs_that_agree_have_an_interval_of_their_scenes_and_equal_scores_have_none():
+    rng = np.random.default_rng(0)
+    scores = np.tile([0.0, 1.0] * 50, (3, 1))
+    mean, low, high = statistics.runs_95(scores, ["a"] * 100, rng)
+    assert mean == pytest.approx(0.5) and 0.38 < low < 0.45 and 0.55 < high < 0.62
+    assert statistics.runs_95(np.full((3, 8), 0.25), ["a"] * 8, rng) == pytest.approx((0.25, 0.25, 0.25))
+
+
+def test_differing_runs_widen_the_interval():
+    rng, even = np.random.default_rng(0), np.tile([0.0, 1.0] * 50, (3, 1))
+    apart = np.stack([np.zeros(100), even[0], np.ones(100)])
+    _, low, high = statistics.runs_95(apart, ["a"] * 100, rng)
+    assert low < 0.2 and high > 0.8
+
+
+def test_strata_are_resampled_apart_so_their_difference_adds_no_width():
+    rng, scores = np.random.default_rng(0), np.tile([0.0] * 50 + [1.0] * 50, (3, 1))
+    assert statistics.runs_95(scores, ["a"] * 50 + ["b"] * 50, rng) == pytest.approx((0.5, 0.5, 0.5))

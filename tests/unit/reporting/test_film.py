@@ -9,6 +9,7 @@ from zsdist import config
 from zsdist.errors import RunError
 from zsdist.evaluation.drivers import LearnedDriver, Sees
 from zsdist.evaluation.episodes import Examiner
+from zsdist.evaluation.sight import by_camera
 from zsdist.reporting import film
 from zsdist.run import program
 from zsdist.sim.scene import Obstacle, Scene, Start
@@ -37,7 +38,7 @@ class Looking(FakeVisualAct):
 @pytest.fixture(scope="module")
 def moments():
     parameters = {level: program.make_learner(CONFIG, level).parameters() for level in Level}
-    driver, seen = LearnedDriver(CONFIG, parameters, FakeVisualAct()), []
+    driver, seen = LearnedDriver(CONFIG, parameters, by_camera(FakeVisualAct())), []
     Examiner(LatticeEnv(config=CONFIG), CONFIG, driver, Sees.CAMERA, lambda: 0.0).drive(
         SCENE, np.random.default_rng(0), seen.append
     )

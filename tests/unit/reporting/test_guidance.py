@@ -8,6 +8,7 @@ from zsdist.config import Config
 from zsdist.dqn import network
 from zsdist.evaluation.drivers import LearnedDriver, Sees
 from zsdist.evaluation.episodes import Examiner
+from zsdist.evaluation.sight import by_camera
 from zsdist.reporting import guidance
 from zsdist.run import program
 from zsdist.sim.scene import Obstacle, Scene, Start
@@ -28,7 +29,7 @@ def of_network(scene, parameters):
     moments = []
     config = CONFIG.model_copy(update={"sim": CONFIG.sim.model_copy(update={"max_steps": 30})})
     examiner = Examiner(
-        LatticeEnv(config=config), config, LearnedDriver(config, learned, visual_act), Sees.CAMERA, float
+        LatticeEnv(config=config), config, LearnedDriver(config, learned, by_camera(visual_act)), Sees.CAMERA, float
     )
     examiner.drive(scene, np.random.default_rng(0), moments.append)
     env.reset(options={"scene": scene})

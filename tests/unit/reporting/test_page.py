@@ -9,7 +9,7 @@ from zsdist.errors import RunError
 from zsdist.evaluation.workers import Simulation
 from zsdist.reporting import page, runs
 
-FAKE = Simulation(make_env=lambda config: LatticeEnv(config=config), load_vision=lambda config: FakeVisualAct())
+FAKE = Simulation(lambda config, **_: LatticeEnv(config=config), lambda config: FakeVisualAct())
 
 
 def written(places, out, simulation=FAKE):

@@ -1,0 +1,54 @@
+import ast
+
+from zsdist.config import Config, load
+from zsdist.evaluation import identity
+from zsdist.evaluation.entrants import Entrant
+from zsdist.run import program
+from zsdist.types import Level
+
+CONFIG = Config()
+
+
+def test_the_hash_is_of_what_drives_an_episode_and_of_nothing_else():
+    names = identity.modules(identity.ROOT)
+    drives = ("sim.world", "sim.car", "vision.visual_act", "planning.belief", "agent.shield", "dqn.network")
+    assert {f"zsdist.{name}" for name in drives} | {"zsdist.evaluation.baselines", "zsdist.types"} <= names
+    others = ("roles", "run", "transport", "wire", "replay", "protocol", "pretraining", "dqn.learner", "config")
+    assert not [name for name in names for other in others if name.startswith(f"zsdist.{other}")]
+    measures = ("report", "metrics", "statistics", "ledger")
+    assert not names & {f"zsdist.evaluation.{name}" for name in measures}
+
+
+def test_words_and_layout_change_no_hash_and_statements_do():
+    plain = ast.parse("def f(x):\n    return x + 1")
+    worded = ast.parse('"""Of a module."""\ndef f(x):  # adds\n    """Adds."""\n\n    return (x + 1)')
+    assert identity._statements(plain) == identity._statements(worded)
+    assert identity._statements(plain) != identity._statements(ast.parse("def f(x):\n    return x + 2"))
+
+
+def test_the_hash_of_the_code_is_the_same_each_time():
+    assert identity.code_sha256() == identity.code_sha256() and len(identity.code_sha256()) == identity.DIGITS
+
+
+def learned(config=CONFIG, **changes):
+    parameters = {level: program.make_learner(config, level).parameters() for level in Level}
+    return identity.entrant_sha256(Entrant(config, parameters, **changes))
+
+
+def test_whatever_an_episode_depends_on_makes_another_entrant():
+    hashes = [
+        learned(),
+        learned(variant="hybrid"),
+        learned(variant="untrained"),
+        learned(variant="oracle-depth"),
+        learned(shielded=False),
+        learned(load(overrides=("seed=1",))),
+        learned(load(overrides=("vision.network=student",))),
+        learned(load(overrides=("sim.max_steps=20",))),
+        identity.entrant_sha256(Entrant(CONFIG, baseline="random")),
+    ]
+    assert len(set(hashes)) == len(hashes)
+
+
+def test_what_only_training_depends_on_makes_the_same_entrant():
+    assert learned(load(overrides=("vision.cache_bytes=0", "run.actors=7", "replay.adaptive=false"))) == learned()

@@ -1,0 +1,116 @@
+"""Two policies on the same scenes: paired differences with their intervals."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from zsdist.errors import RunError
+from zsdist.evaluation import ledger
+from zsdist.evaluation.ledger import Line
+from zsdist.evaluation.metrics import spl
+from zsdist.evaluation.records import EpisodeRecord
+from zsdist.evaluation.statistics import bootstrap_95
+from zsdist.types import Outcome
+
+LABELS = {"success": "success", "collision": "collision", "spl": "SPL"}
+_Drive = tuple[str, int, int]  # hash of the scene, seed, place among the scenes: what makes two episodes a pair
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Differences of the first file's episodes to the second's; `result` is its JSON."""
+
+    result: dict[str, Any]
+    notes: Sequence[str]
+
+    def show(self, console: Console) -> None:
+        """Prints the differences with what they stand on."""
+        result = self.result
+        table = Table(title=f"{result['a']} against {result['b']}", title_justify="left")
+        for heading in ("figure", "n", "first", "second", "difference", "95%"):
+            table.add_column(heading, justify="left" if heading == "figure" else "right")
+        for name, label in LABELS.items():
+            figure = result["figures"].get(name)
+            if figure:
+                low, high = figure["confidence_95"]
+                means = (f"{figure[key]:.3f}" for key in ("a", "b"))
+                table.add_row(
+                    label, str(figure["pairs"]), *means, f"{figure['difference']:+.3f}", f"{low:+.3f} to {high:+.3f}"
+                )
+        console.print(table)
+        for note in self.notes:
+            console.print(note, highlight=False, soft_wrap=True)
+
+
+def compare(first: Path, second: Path, seed: int = 0) -> Comparison:
+    """Paired differences over the episodes that both files have: the same scene, seed and place.
+
+    Where a file has several policies (training seeds of one method), a scene counts with their mean. The intervals are
+    bootstraps over the pairs. SPL is of scenes in which nothing moves.
+
+    Args:
+        first: file of episodes.
+        second: the same of those it is compared with.
+        seed: of the bootstrap.
+
+    Raises:
+        RunError: a file is damaged or empty, or they have no episode in common.
+    """
+    (ours, code, notes), (theirs, other, more) = _episodes(first), _episodes(second)
+    if code != other:
+        notes.append(f"the two were measured with different code, {code} and {other}")
+    shared = sorted(ours.keys() & theirs.keys())
+    if not shared:
+        raise RunError(f"{first} and {second} have no scene, seed and place in common; allowed are files that do")
+    rng, figures = np.random.default_rng(seed), {}
+    for name in LABELS:
+        pairs = [
+            (a, b) for drive in shared if None not in (a := _mean(ours[drive], name), b := _mean(theirs[drive], name))
+        ]
+        if pairs:
+            a, b = np.array(pairs, dtype=float).T
+            figures[name] = {
+                "pairs": len(pairs),
+                "a": float(a.mean()),
+                "b": float(b.mean()),
+                "difference": float((a - b).mean()),
+                "confidence_95": list(bootstrap_95(a - b, rng)),
+            }
+    for drives, file in ((ours, first), (theirs, second)):
+        if left := len(drives) - len(shared):
+            notes.append(f"{file}: {left} episodes have no partner and are left out")
+    return Comparison({"a": str(first), "b": str(second), "episodes": len(shared), "figures": figures}, notes + more)
+
+
+def _episodes(file: Path) -> tuple[dict[_Drive, list[EpisodeRecord]], str, list[str]]:
+    """The newest line of each entrant and drive, of the newest code only; that code; and what there is to say."""
+    lines = ledger.read(file)
+    if not lines:
+        raise RunError(f"{file} holds no episode; allowed are files that --out wrote")
+    newest = lines[-1].about["code"]
+    current = [line for line in lines if line.about["code"] == newest]
+    notes = []
+    if left := len(lines) - len(current):
+        notes.append(f"{file}: {left} lines of other code than {newest} are left out")
+    latest = {(line.about["entrant"], *_drive(line)): line for line in current}
+    drives = defaultdict(list)
+    for line in latest.values():
+        drives[_drive(line)].append(line.record)
+    return dict(drives), newest, notes
+
+
+def _drive(line: Line) -> _Drive:
+    about = line.about
+    return about["scene_hash"], about["seed"], about["index"]
+
+
+def _mean(records: Sequence[EpisodeRecord], name: str) -> float | None:
+    if name == "spl":
+        return float(np.mean([spl(record) for record in records])) if records[0].static else None
+    return float(np.mean([record.outcome is Outcome(name) for record in records]))
