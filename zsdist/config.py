@@ -118,6 +118,21 @@ class LevelConfig(Section):
     min_size: Count = 128  # transitions from which learning starts
 
 
+class HighConfig(LevelConfig):
+    """The high level's own defaults. Table 2 has a discount of 0.99 for both levels (configs/paper.yaml)."""
+
+    discount: Share = 0.95  # nearer to what it can foresee
+    guide_margin_weight: NonNegative = 1.0
+    min_size: Count = 16
+
+
+class LowConfig(LevelConfig):
+    """The low level's own defaults."""
+
+    discount: Share = 0.9  # nearer to what it can foresee
+    guide_margin_weight: NonNegative = 0.3
+
+
 class ReplayConfig(Section):
     """Adaptive replay (Eqs. 21-23, Table 2)."""
 
@@ -190,9 +205,8 @@ class Config(Section):
     vision: VisionConfig = VisionConfig()
     reward: RewardConfig = RewardConfig()
     agent: AgentConfig = AgentConfig()
-    # Table 2 has a discount of 0.99 for both (configs/paper.yaml); these are nearer to what either level can foresee.
-    high: LevelConfig = LevelConfig(discount=0.95, guide_margin_weight=1.0, min_size=16)
-    low: LevelConfig = LevelConfig(discount=0.9, guide_margin_weight=0.3)
+    high: HighConfig = HighConfig()
+    low: LowConfig = LowConfig()
     replay: ReplayConfig = ReplayConfig()
     merge: MergeConfig = MergeConfig()
     transport: TransportConfig = TransportConfig()
@@ -228,21 +242,17 @@ class Config(Section):
 def load(path: str | Path | None = None, overrides: tuple[str, ...] = ()) -> Config:
     """The configuration of a YAML file (or the defaults) with `key.path=value` overrides applied.
 
+    A file may name another, relative to itself, as its `base`: it then says only what differs from that one.
+
     Raises:
         ConfigError: the file cannot be read or is no YAML mapping; a key is unknown; a value is not allowed.
     """
-    tree: dict[str, Any] = {}
-    if path is not None:
-        try:
-            tree = yaml.safe_load(Path(path).read_text()) or {}
-        except OSError as error:
-            raise ConfigError(f"configuration file {path}: {error.strerror or error}") from error
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise ConfigError(f"configuration file {path} is not valid YAML: {' '.join(str(error).split())}") from error
-        if not isinstance(tree, dict):
-            raise ConfigError(
-                f"configuration file {path} holds a {type(tree).__name__}; allowed is a mapping of settings"
-            )
+    tree = {} if path is None else _read(Path(path))
+    if base := tree.pop("base", None):
+        below = _read(Path(path).parent / str(base))
+        if "base" in below:
+            raise ConfigError(f"configuration file {path}: its base {base} has a base too; allowed is one without")
+        tree = _laid_over(below, tree)
     for override in overrides:
         _apply(tree, override)
     return parse(tree)
@@ -269,6 +279,26 @@ def known_keys(model: type[BaseModel] = Config, prefix: str = "") -> list[str]:
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
             keys += known_keys(field.annotation, f"{prefix}{name}.")
     return keys
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """The settings in a YAML file, unchecked."""
+    try:
+        tree = yaml.safe_load(path.read_text()) or {}
+    except OSError as error:
+        raise ConfigError(f"configuration file {path}: {error.strerror or error}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"configuration file {path} is not valid YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(tree, dict):
+        raise ConfigError(f"configuration file {path} holds a {type(tree).__name__}; allowed is a mapping of settings")
+    return tree
+
+
+def _laid_over(below: Any, above: Any) -> Any:
+    """One tree of settings over another: sections are merged, values replaced."""
+    if not (isinstance(below, dict) and isinstance(above, dict)):
+        return above
+    return below | {key: _laid_over(below.get(key), value) for key, value in above.items()}
 
 
 def _apply(tree: dict[str, Any], override: str) -> None:
