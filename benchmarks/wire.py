@@ -2,13 +2,12 @@
 
 `python benchmarks/wire.py [--quick]` prints a table, then one JSON line. The yardstick is pickle of the same frame
 under the same zstd level: what a program without a format of its own would send, with no check of what comes back.
+`float32_pairs` is the plain size of state and next state: a transition of 256 features has 2,048 bytes.
 """
 
 import argparse
-import json
 import os
 import pickle
-import platform
 import statistics
 import time
 from collections.abc import Callable
@@ -17,6 +16,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import zstandard
+from _common import report
 
 from zsdist.agent.features import HIGH_STATE_SIZE, LOW_STATE_SIZE
 from zsdist.types import NO_GUIDE, Behaviour, Level, Trajectory
@@ -30,7 +30,10 @@ CASES = (  # name, state features, transitions in a frame
     ("low_frame64", LOW_STATE_SIZE, 64),
     ("low_frame256", LOW_STATE_SIZE, 256),
     ("high_frame64", HIGH_STATE_SIZE, 64),
+    ("features256_frame16", 256, 16),
+    ("features256_frame64", 256, 64),
     ("features512_frame64", 512, 64),
+    ("features512_frame256", 512, 256),
 )
 
 
@@ -60,11 +63,11 @@ def main() -> None:
         figures[f"{name}_encode_transitions_per_s"] = round(encoded)
         figures[f"{name}_decode_transitions_per_s"] = round(decoded)
         figures[f"{name}_bytes_per_transition"] = round(sizes[0], 1)
-        ratios[f"{name}_encode_vs_pickle_zstd"] = round(encoded / pickle_encoded, 3)
-        ratios[f"{name}_decode_vs_pickle_zstd"] = round(decoded / pickle_decoded, 3)
-        ratios[f"{name}_compactness_vs_pickle_zstd"] = round(sizes[1] / sizes[0], 3)
-    machine = {"cpus": os.cpu_count(), "processor": platform.machine(), "python": platform.python_version()}
-    print(json.dumps({"subject": "wire", "machine": machine, "figures": figures, "ratios": ratios}))
+        ratios[f"{name}_encode_vs_pickle_zstd"] = encoded / pickle_encoded
+        ratios[f"{name}_decode_vs_pickle_zstd"] = decoded / pickle_decoded
+        ratios[f"{name}_compactness_vs_pickle_zstd"] = sizes[1] / sizes[0]
+        ratios[f"{name}_compactness_vs_float32_pairs"] = 8 * state_size / sizes[0]
+    report("wire", figures, ratios)
 
 
 def make_frame(rng: np.random.Generator, state_size: int, transitions: int) -> Push:

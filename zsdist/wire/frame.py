@@ -1,11 +1,13 @@
-"""The envelope of every message: a checked header, then one zstd frame of JSON and named columns.
+"""The envelope of every message: a checked header, then JSON and named columns, as they are or as one zstd frame.
 
 Layout, little-endian:
 
-    magic (4) | version (1) | kind (1) | zero (2) | size of the zstd frame (4) | CRC-32 of all before and after (4)
-    zstd frame, its content size declared: size of the JSON (4) | JSON | columns
+    magic (4) | version (1) | kind (1) | packing (1) | zero (1) | size of the body (4) | CRC-32 of all the rest (4)
+    body: packing 0: the content; packing 1: one zstd frame of it, its content size declared
+    content: size of the JSON (4) | JSON | columns, each padded with zeros to a multiple of 8 bytes
 
-where the JSON is `{"meta": ..., "columns": [[name, dtype, shape], ...]}`.
+where the JSON is `{"meta": ..., "columns": [[name, dtype, shape], ...]}`, filled up with spaces so that the columns
+begin at a multiple of 8 bytes: they are read where they lie, without a copy each.
 
 `unpack` trusts nothing: it raises `DecodeError` and nothing else, whatever the bytes, and inflates nothing before the
 declared size is found to be within the limit of its kind.
@@ -25,14 +27,17 @@ import zstandard
 from zsdist.errors import DecodeError
 
 MAGIC = b"zsdw"
-VERSION = 1
+VERSION = 2  # 1: columns unaligned, always compressed
+PLAIN, ZSTD = 0, 1  # packings
 MAX_COLUMNS = 4096
 MAX_DIMENSIONS = 8
 MAX_COLUMN_NAME = 200
 
-_HEADER = struct.Struct("<4sBBHII")
+_HEADER = struct.Struct("<4sBBBBII")
 _SIZE = struct.Struct("<I")
 _CHECKED = _HEADER.size - _SIZE.size  # bytes of the header that the checksum covers
+_PACKING_AT = 6  # offset in the header
+_ALIGNMENT = 8  # bytes; the largest item of a column
 _ZSTD_LEVEL = 1  # level 3 gains under 3.5 % here
 _INTEGERS = ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64")
 _DTYPES = {name: np.dtype(name).newbyteorder("<") for name in ("bool", *_INTEGERS, "float16", "float32", "float64")}
@@ -40,40 +45,41 @@ _DTYPE_NAMES = {np.dtype(name): name for name in _DTYPES}  # a dtype's own `name
 _local = threading.local()
 
 
-def pack(kind: int, meta: dict[str, Any], columns: Mapping[str, np.ndarray], limit: int) -> bytes:
+def pack(kind: int, meta: dict[str, Any], columns: Mapping[str, np.ndarray], limit: int, packing: int = ZSTD) -> bytes:
     """The bytes of one message.
 
     Raises:
         DecodeError: its receiver would refuse it (too large, a dtype that does not travel, not JSON).
     """
     described = []
-    parts = [b"", b""]
+    parts: list[bytes | np.ndarray] = [b""]
     for name, column in columns.items():
         dtype = _DTYPE_NAMES.get(column.dtype)
         if dtype is None:
-            raise DecodeError("dtype", f"column {name!r} is {dtype}")
+            raise DecodeError("dtype", f"column {name!r} is {column.dtype}")
         described.append([name, dtype, list(column.shape)])
-        parts.append(np.ascontiguousarray(column, dtype=_DTYPES[dtype]).tobytes())
+        parts += (np.ascontiguousarray(column, dtype=_DTYPES[dtype]), bytes(-column.nbytes % _ALIGNMENT))
     require_json(meta)
-    parts[1] = json.dumps({"meta": meta, "columns": described}, separators=(",", ":")).encode()
-    parts[0] = _SIZE.pack(len(parts[1]))
+    text = json.dumps({"meta": meta, "columns": described}, separators=(",", ":")).encode()
+    text += b" " * (-(_SIZE.size + len(text)) % _ALIGNMENT)
+    parts[0] = _SIZE.pack(len(text)) + text
     content = b"".join(parts)
     if len(content) > limit:
         raise DecodeError("size", f"{len(content)} bytes; at most {limit}")
-    return seal(kind, _compressor().compress(content))
+    return seal(kind, _compressor().compress(content) if packing == ZSTD else content, packing)
 
 
-def seal(kind: int, frame: bytes, version: int = VERSION) -> bytes:
-    """A header with its checksum before an already compressed frame."""
-    header = _HEADER.pack(MAGIC, version, kind, 0, len(frame), 0)[:_CHECKED]
-    return header + _SIZE.pack(zlib.crc32(frame, zlib.crc32(header))) + frame
+def seal(kind: int, body: bytes, packing: int = ZSTD, *, version: int = VERSION) -> bytes:
+    """A header with its checksum before a body that is packed already."""
+    header = _HEADER.pack(MAGIC, version, kind, packing, 0, len(body), 0)[:_CHECKED]
+    return header + _SIZE.pack(zlib.crc32(body, zlib.crc32(header))) + body
 
 
 def read_kind(payload: bytes) -> int:
     """The kind of a message, once its header and checksum are found right; raises `DecodeError`."""
     if len(payload) < _HEADER.size:
         raise DecodeError("short", f"{len(payload)} bytes")
-    magic, version, kind, zero, size, checksum = _HEADER.unpack_from(payload)
+    magic, version, kind, packing, zero, size, checksum = _HEADER.unpack_from(payload)
     if magic != MAGIC:
         raise DecodeError("magic")
     if version != VERSION:
@@ -83,7 +89,7 @@ def read_kind(payload: bytes) -> int:
     view = memoryview(payload)
     if zlib.crc32(view[_HEADER.size :], zlib.crc32(view[:_CHECKED])) != checksum:
         raise DecodeError("checksum")
-    if zero:
+    if zero or packing not in (PLAIN, ZSTD):
         raise DecodeError("header")
     return kind
 
@@ -96,12 +102,13 @@ def unpack(payload: bytes, limit: int) -> tuple[dict[str, Any], dict[str, np.nda
         limit: the most bytes it may inflate to.
 
     Returns:
-        The meta object, and the columns by name, each an array of its own.
+        The meta object, and the columns by name: parts of one buffer that is theirs alone and may be written to.
 
     Raises:
         DecodeError: whatever else is wrong with it.
     """
-    content = _inflate(memoryview(payload)[_HEADER.size :], limit)
+    body = memoryview(payload)[_HEADER.size :]
+    content = _inflate(body, limit) if payload[_PACKING_AT] == ZSTD else _copied(body, limit)
     if len(content) < _SIZE.size:
         raise DecodeError("content")
     (size,) = _SIZE.unpack_from(content)
@@ -109,6 +116,8 @@ def unpack(payload: bytes, limit: int) -> tuple[dict[str, Any], dict[str, np.nda
     if start > len(content):
         raise DecodeError("content")
     meta, listed = _parse_json(content[_SIZE.size : start])
+    if start % _ALIGNMENT:
+        raise DecodeError("alignment", f"columns begin at byte {start}")
     columns: dict[str, np.ndarray] = {}
     for item in listed:
         name, dtype, shape = _describe(item)
@@ -116,12 +125,16 @@ def unpack(payload: bytes, limit: int) -> tuple[dict[str, Any], dict[str, np.nda
             raise DecodeError("column", f"{name!r} twice")
         count = math.prod(shape)
         end = start + count * dtype.itemsize
-        if end > len(content):
+        padded = end + -end % _ALIGNMENT
+        if padded > len(content):
             raise DecodeError("shape", f"column {name!r} is longer than the message")
+        if padded != end and any(content[end:padded]):
+            raise DecodeError("padding", f"after column {name!r}")
         if dtype == np.bool_ and any(byte > 1 for byte in set(content[start:end])):
             raise DecodeError("boolean", f"column {name!r}")
-        columns[name] = np.frombuffer(content, dtype, count, start).reshape(shape).astype(dtype.newbyteorder("="))
-        start = end
+        column = np.frombuffer(content, dtype, count, start).reshape(shape)
+        columns[name] = column if dtype.isnative else column.astype(dtype.newbyteorder("="))
+        start = padded
     if start != len(content):
         raise DecodeError("trailing", f"{len(content) - start} bytes")
     return meta, columns
@@ -149,7 +162,14 @@ def require_json(value: object) -> None:
         raise DecodeError("json", f"a {type(value).__name__} is no JSON value")
 
 
-def _inflate(frame: memoryview, limit: int) -> bytes:
+def _copied(body: memoryview, limit: int) -> bytearray:
+    """Content that came as it is."""
+    if len(body) > limit:
+        raise DecodeError("size", f"{len(body)} bytes; at most {limit}")
+    return bytearray(body)
+
+
+def _inflate(frame: memoryview, limit: int) -> bytearray:
     """The content of exactly one zstd frame. The library ignores an output limit where a frame declares its size."""
     try:
         declared = zstandard.get_frame_parameters(frame).content_size
@@ -162,10 +182,10 @@ def _inflate(frame: memoryview, limit: int) -> bytes:
         raise DecodeError("zstd", str(error)) from error
     if len(content) != declared:
         raise DecodeError("zstd", "content is not of the declared size")
-    return content
+    return bytearray(content)
 
 
-def _parse_json(text: bytes) -> tuple[dict[str, Any], list[Any]]:
+def _parse_json(text: bytearray) -> tuple[dict[str, Any], list[Any]]:
     """The meta object, all sound JSON, and the list that describes the columns, of which nothing is known yet."""
 
     def refuse(word: str) -> None:
@@ -194,8 +214,9 @@ def _describe(item: object) -> tuple[str, np.dtype, tuple[int, ...]]:
         raise DecodeError("dtype", f"column {name!r} is {dtype!r}"[:80])
     if not isinstance(shape, list) or len(shape) > MAX_DIMENSIONS:
         raise DecodeError("shape", f"column {name!r}")
-    if any(not isinstance(size, int) or isinstance(size, bool) or not 0 <= size < 2**32 for size in shape):
-        raise DecodeError("shape", f"column {name!r}")
+    for size in shape:
+        if type(size) is not int or not 0 <= size < 2**32:
+            raise DecodeError("shape", f"column {name!r}")
     return name, _DTYPES[dtype], tuple(shape)
 
 

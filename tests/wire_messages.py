@@ -1,0 +1,116 @@
+"""One of every message, and what tests of their bytes share."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from zsdist.errors import DecodeError
+from zsdist.types import NO_GUIDE, Batch, Level, Trajectory, Weights
+from zsdist.wire.codec import decode
+from zsdist.wire.messages import (
+    EPISODES,
+    Ack,
+    AnyMessage,
+    Candidate,
+    Jobs,
+    Orders,
+    Push,
+    Records,
+    SampleReply,
+    SampleRequest,
+    State,
+    WeightsMessage,
+)
+
+STATE_SIZE, ACTIONS = 12, 11
+
+
+def trajectory(rng: np.random.Generator, transitions: int, level: Level = Level.LOW) -> Trajectory:
+    ahead = np.arange(1, transitions + 1)
+    return Trajectory(
+        level=level,
+        states=rng.normal(size=(transitions + 1, STATE_SIZE)).astype(np.float16).astype(np.float32),
+        actions=rng.integers(0, ACTIONS, transitions).astype(np.uint8),
+        rewards=rng.normal(size=transitions).astype(np.float32),
+        discounts=rng.random(transitions).astype(np.float32),
+        successors=(ahead if level is Level.LOW else np.full(transitions, transitions)).astype(np.uint16),
+        masks=rng.random((transitions + 1, ACTIONS)) < 0.8,
+        guides=rng.integers(NO_GUIDE, ACTIONS, transitions).astype(np.int8),
+        behaviours=rng.integers(0, 3, transitions).astype(np.uint8),
+        weight_version=int(rng.integers(0, 100)),
+    )
+
+
+def push(rng: np.random.Generator, level: Level = Level.LOW, **changes: object) -> Push:
+    trajectories = tuple(trajectory(rng, length, level) for length in (3, 1, 17))
+    return dataclasses.replace(Push(level, "a-0", 4, 2, 30, False, trajectories), **changes)
+
+
+def broken(rng: np.random.Generator, **columns: np.ndarray) -> Push:
+    """A push whose only trajectory has some columns replaced."""
+    return push(rng, trajectories=(dataclasses.replace(trajectory(rng, 4), **columns),))
+
+
+def batch(rng: np.random.Generator, rows: int = 16) -> Batch:
+    states = rng.normal(size=(2, rows, STATE_SIZE)).astype(np.float16).astype(np.float32)
+    return Batch(
+        states=states[0],
+        actions=rng.integers(0, ACTIONS, rows),
+        rewards=rng.normal(size=rows).astype(np.float32),
+        discounts=rng.random(rows).astype(np.float32),
+        next_states=states[1],
+        next_masks=rng.random((rows, ACTIONS)) < 0.5,
+        masks=rng.random((rows, ACTIONS)) < 0.5,
+        guides=rng.integers(NO_GUIDE, ACTIONS, rows),
+    )
+
+
+def parameters(rng: np.random.Generator) -> dict[str, np.ndarray]:
+    return {"hidden.0.weight": rng.normal(size=(8, 12)).astype(np.float32), "bias": np.zeros(8, np.float32)}
+
+
+def every_message(rng: np.random.Generator) -> list[AnyMessage]:
+    content = {"stop": False, "leases": [1, 2, 3], "share": 0.25, "none": None, "nested": {"a": "ä\u0000"}}
+    arrays = {
+        "best": np.array([-np.inf, np.nan, 1.0]),
+        "rng/key": np.arange(6, dtype=np.uint64).reshape(2, 3),
+        "flags": np.array([True, False]),
+        "scalar": np.array(7, np.int32),
+        "empty": np.zeros((0, 4), np.float16),
+    }
+    return [
+        push(rng),
+        push(rng, Level.HIGH),
+        Push(Level.LOW, "a-0", 4, 3, 30, True, ()),
+        Records(EPISODES, "a-0", 4, 0, 2, False, ({"number": 1, "outcome": "success"}, content)),
+        Ack(3, "a-0", 4, "low", 17, None),
+        Ack(3, "a-0", 4, EPISODES, 17, 5000),
+        SampleRequest(2, Level.HIGH, 900),
+        SampleReply(Level.LOW, batch(rng), {"size": 100}),
+        SampleReply(Level.LOW, None, {"why": "empty"}),
+        WeightsMessage(1, 2, "ab" * 32, Weights(Level.LOW, 12, parameters(rng))),
+        Candidate(1, Level.HIGH, 3, "distilled", parameters(rng)),
+        Orders(9, "actor", content),
+        Jobs(9, "a-0", content),
+        State("replay", content | {"rng": 2**120}, arrays),
+    ]
+
+
+def plain(value: object) -> object:
+    """A message as something `==` compares wholly: arrays as dtype, shape and bytes."""
+    if dataclasses.is_dataclass(value):
+        return type(value), {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, np.ndarray):
+        return value.dtype.name, value.shape, value.tobytes()
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [type(value), *map(plain, value)]
+    return type(value), value
+
+
+def reason(payload: bytes, **options: object) -> str:
+    with pytest.raises(DecodeError) as caught:
+        decode(payload, **options)
+    return caught.value.reason
