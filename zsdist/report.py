@@ -43,9 +43,11 @@ def main(options: argparse.Namespace) -> int:
 def _of_runs(options: argparse.Namespace) -> Path:
     from zsdist.reporting import page, runs  # import matplotlib and the simulator, which --help does without
 
-    material = runs.read(options.runs)
-    with Console(stderr=True).status("reading") as status:
-        return page.write(material, options.out, status.update)
+    material, console = runs.read(options.runs), Console(stderr=True)
+    if not console.is_terminal:
+        return page.write(material, options.out, lambda step: console.print(f"report: {step}", highlight=False))
+    with console.status("report") as status:
+        return page.write(material, options.out, lambda step: status.update(f"report: {step}"))
 
 
 def _of_vision(options: argparse.Namespace) -> Path:

@@ -128,7 +128,7 @@ def draw_merges(runs: Sequence[Run], folder: Path) -> str:
         ring = {"marker": "o", "markersize": 13, "markerfacecolor": "none", "markeredgecolor": style.BLACK}
         one.plot(*zip(*chosen, strict=True), linestyle="none", label="promoted", **ring)
         one.set(title=f"{run.method}, seed {run.settings.seed}", xlabel="finished training episodes")
-        one.set(ylim=(-1.08, 1.08))
+        one.set(ylim=(-1.15, 1.15))
         one.set_ylabel("success − collision, greedy")
         style.whole_numbers(one)
         one.set_xlim(left=0)
@@ -154,7 +154,7 @@ def _draw_greedy(axes: Axes, methods: Sequence[Method]) -> None:
             points = [(merge["episode"], merge["scores"][merge["chosen"]]) for merge in merges]
             if points:
                 axes.plot(*zip(*points, strict=True), "o-", color=colour, linewidth=1, markersize=5, alpha=0.8)
-    axes.set(title="c   greedy, at each merge", ylabel="success − collision, validation scenes", ylim=(-1.05, 1.05))
+    axes.set(title="c   greedy, at each merge", ylabel="success − collision, validation scenes", ylim=(-1.15, 1.15))
     if not axes.lines:
         axes.text(0.5, 0.5, "no merge yet", transform=axes.transAxes, ha="center", color=style.GREY)
 

@@ -1,7 +1,7 @@
 """Films of driven episodes: the car from behind, its camera with where it looks, and the map that it believes."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -34,6 +34,7 @@ FRAMES_AN_ACTION = 6
 FRAMES_A_SECOND = 12  # an action takes 0.45 to 1 s in the simulation, half a second here
 TURN_SHARE = 0.4  # of an action that turns and then moves
 LAST_FRAMES = 15
+STILL_QUALITY = 88
 _LOOKS = {Action.FORWARD: 0, Action.LEFT_45: 1, Action.TURN_LEFT_90: 1, Action.RIGHT_45: 2, Action.TURN_RIGHT_90: 2}
 _TITLES = (
     "from behind (the car does not see this)",
@@ -64,7 +65,7 @@ def film(
         simulation: in which; None: physics and the camera.
 
     Returns:
-        The files, named by number, scene and outcome.
+        The films, named by number, scene and outcome; beside each lies the picture of its middle, a JPEG.
 
     Raises:
         RunError: the folder or a film cannot be written.
@@ -81,7 +82,8 @@ def film(
         moments: list[Moment] = []
         record = examiner.drive(scene, np.random.default_rng([seed, index]), moments.append)
         file = folder / f"{index:02d}-{scene.name}-{record.outcome}.mp4"
-        write(frames(moments, entrant.config, visual_act), file)
+        middle = (len(moments) - 1) // 2 * FRAMES_AN_ACTION
+        write(frames(moments, entrant.config, visual_act), file, middle)
         files.append(file)
         on_film(file)
     return files
@@ -122,16 +124,27 @@ def frames(moments: Sequence[Moment], config: Config, visual_act: Any) -> Iterat
     camera.close()
 
 
-def write(pictures: Iterator[np.ndarray], file: Path) -> None:
-    """Writes frames of one size as an MP4; raises `RunError` where that fails."""
+def write(pictures: Iterable[np.ndarray], file: Path, still: int) -> None:
+    """Writes frames of one size as an MP4, and one of them as a JPEG of the same name.
+
+    Args:
+        pictures: `(height, width, 3)` uint8, sides even.
+        file: MP4 to write.
+        still: number of the frame that is a picture as well, from 0.
+
+    Raises:
+        RunError: it cannot be written.
+    """
     writer = None
-    for picture in pictures:
+    for number, picture in enumerate(pictures):
         if writer is None:
             size = (picture.shape[1], picture.shape[0])
             writer = cv2.VideoWriter(str(file), cv2.VideoWriter_fourcc(*"mp4v"), FRAMES_A_SECOND, size)
             if not writer.isOpened():
                 raise RunError(f"film {file} cannot be written by OpenCV as mp4v")
         writer.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+        if number == still:
+            Image.fromarray(picture).save(file.with_suffix(".jpg"), quality=STILL_QUALITY)
     if writer is not None:
         writer.release()
 

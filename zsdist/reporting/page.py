@@ -62,6 +62,7 @@ def _lines(material: Material, out: Path, on_step: Callable[[str], None], simula
     ]
     lines += _driven(material, out, on_step, simulation)
     on_step("tables")
+    reference = material.methods[0].name if material.methods else None
     lines += [
         "## Unseen environments (Table 4)",
         "",
@@ -70,7 +71,10 @@ def _lines(material: Material, out: Path, on_step: Callable[[str], None], simula
         "",
         "## Baselines and ablations",
         "",
-        *tables.every_policy(material.evaluations),
+        *tables.every_policy(material.evaluations, reference),
+        "## What limits the policy: oracles",
+        "",
+        *tables.oracles(material.evaluations, reference),
         "## Size of replay and batch (Eqs. 21 to 23)",
         "",
         *_sizes(material.runs, out),

@@ -1,38 +1,56 @@
 """What a report is made from: run directories and the evaluations found in them, read and grouped into methods."""
 
+import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from zsdist import config
 from zsdist.config import Config
 from zsdist.errors import RunError
+from zsdist.evaluation import ledger
+from zsdist.evaluation.entrants import FULL
+from zsdist.evaluation.metrics import summarise
+from zsdist.types import Level
 
 Row = dict[str, Any]
 _EVALUATED = {"policy", "weights_sha256", "scenes", "episodes", "success", "collision", "timeout", "confidence_95"}
-_NO_EVALUATIONS = {"checkpoints", "tensorboard", "logs", "figures"}  # folders that are not searched
+_NOT_EVALUATIONS = {"checkpoints", "tensorboard", "logs", "figures"}  # folders that are not searched
+_OF_THE_RUN = {"summary.json", "metrics.jsonl", "episodes.jsonl"}
+_ASKED = ("policy", "variant", "shielded", "scenes", "seed", "weights_sha256")  # what makes episodes one evaluation
+NO_SHIELD = ", no shield"
 _OF_ONE_RUN = ("seed", "run.", "placement", "transport.")  # settings that may differ between the runs of a method
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """One evaluation's JSON with whose it is: `method` and training `seed`, both None of a baseline on its own."""
+    """One evaluation's JSON, and whose it is.
+
+    Attributes:
+        result: as `zsdist.evaluate --json` writes it.
+        label: who drove, as tables name it: a method, with its variant where it is one, or a baseline.
+        method: whose networks drove; None of a baseline, and of a policy whose run is not among those given.
+        seed: of their training; None as above.
+    """
 
     result: Row
+    label: str
     method: str | None = None
     seed: int | None = None
 
     @property
-    def label(self) -> str:
-        """Who drove, as tables name it: the method for what it trained, else the policy's own name."""
-        policy = str(self.result["policy"])
-        if self.result["weights_sha256"] is None:
-            return policy
-        if self.method is None:
-            return Path(policy).name
-        return f"{self.method}, untrained" if policy == "untrained" else self.method
+    def scenes(self) -> str:
+        """What was driven."""
+        return str(self.result["scenes"])
+
+    @property
+    def variant(self) -> str:
+        """What was replaced in a learned policy: by the name of `zsdist.evaluate --variant`."""
+        return str(self.result.get("variant", FULL)) + ("" if self.result.get("shielded", True) else NO_SHIELD)
 
 
 @dataclass(frozen=True)
@@ -45,7 +63,6 @@ class Run:
         episodes: lines of `episodes.jsonl`, in the order in which they finished.
         metrics: lines of `metrics.jsonl`.
         summary: `summary.json`; None while it goes on, or where it ended badly.
-        evaluations: found in its folder.
     """
 
     folder: Path
@@ -53,7 +70,14 @@ class Run:
     episodes: Sequence[Row] = field(repr=False)
     metrics: Sequence[Row] = field(repr=False)
     summary: Row | None = field(repr=False)
-    evaluations: Sequence[Evaluation] = field(repr=False)
+
+    @property
+    def weights_sha256(self) -> str | None:
+        """Of both networks at its end, as evaluations name them; None before that."""
+        if self.summary is None:
+            return None
+        of_level = self.summary["weights"]["sha256"]
+        return hashlib.sha256("".join(of_level[level] for level in Level).encode()).hexdigest()
 
     @property
     def method(self) -> str:
@@ -95,20 +119,20 @@ def read(places: Sequence[Path]) -> Material:
     Raises:
         RunError: a place is not there, holds neither, or a file in it is damaged.
     """
-    runs, evaluations = [], []
+    runs: list[Run] = []
+    found: list[tuple[Row, Run | None]] = []
     for place in dict.fromkeys(place.resolve() for place in places):
-        if (place / "config.yaml").is_file():
-            runs.append(read_run(place))
-            evaluations += runs[-1].evaluations
-            continue
-        found = list(_evaluations(place, None, None)) if place.exists() else []
-        if not found:
+        home = read_run(place) if (place / "config.yaml").is_file() else None
+        results = list(_results(place)) if place.exists() else []
+        if home is not None:
+            runs.append(home)
+        elif not results:
             raise RunError(
                 f"{place} holds neither a run nor an evaluation; allowed are run directories, files that "
-                "zsdist.evaluate --json wrote, and folders of these"
+                "zsdist.evaluate --json or --out wrote, and folders of these"
             )
-        evaluations += found
-    return Material(_methods(runs), evaluations)
+        found += [(result, home) for result in results]
+    return Material(_methods(runs), [_evaluation(result, home, runs) for result, home in found])
 
 
 def read_run(folder: Path) -> Run:
@@ -116,14 +140,8 @@ def read_run(folder: Path) -> Run:
     settings = config.load(folder / "config.yaml")
     episodes = _lines(folder / "episodes.jsonl")
     summary = _json(folder / "summary.json") if (folder / "summary.json").exists() else None
-    return Run(
-        folder,
-        settings,
-        sorted(episodes, key=lambda episode: episode["finished_as"]),
-        _lines(folder / "metrics.jsonl"),
-        summary,
-        list(_evaluations(folder, settings.run.name, settings.seed)),
-    )
+    in_order = sorted(episodes, key=lambda episode: episode["finished_as"])
+    return Run(folder, settings, in_order, _lines(folder / "metrics.jsonl"), summary)
 
 
 def _methods(runs: Sequence[Run]) -> list[Method]:
@@ -147,15 +165,59 @@ def _flat(tree: Row, prefix: str = "") -> Row:
     return flat
 
 
-def _evaluations(place: Path, method: str | None, seed: int | None) -> Iterator[Evaluation]:
-    files = [place] if place.is_file() else sorted(place.rglob("*.json"))
+def _evaluation(result: Row, home: Run | None, runs: Sequence[Run]) -> Evaluation:
+    """An evaluation with its owner: the run that ended with these weights, else the one in whose folder it lies."""
+    sha256, name = result["weights_sha256"], Path(str(result.get("run", result["policy"]))).name
+    if sha256 is None:
+        return Evaluation(result, name)
+    owner = next((run for run in runs if run.weights_sha256 == sha256), None)
+    named = name if owner is home is None else owner.method if owner else f"{home.method}, {name}"
+    owner = owner or home
+    evaluation = Evaluation(result, named, owner and owner.method, owner and owner.settings.seed)
+    return evaluation if evaluation.variant == FULL else replace(evaluation, label=f"{named}, {evaluation.variant}")
+
+
+def _results(place: Path) -> Iterator[Row]:
+    """Results of evaluations in a file or under a folder, each JSON of several runs taken apart."""
+    files = [place] if place.is_file() else sorted([*place.rglob("*.json"), *place.rglob("*.jsonl")])
     for file in files:
-        if file.name == "summary.json" or _NO_EVALUATIONS & set(file.relative_to(place).parts):
+        inside = file.relative_to(place).parts
+        if _NOT_EVALUATIONS & set(inside) or (len(inside) == 1 and file.name in _OF_THE_RUN):
             continue
-        found = _json(file)
-        for result in found if isinstance(found, list) else [found]:
-            if isinstance(result, dict) and set(result) >= _EVALUATED:
-                yield Evaluation(result, method, seed)
+        told = _json(file) if file.suffix == ".json" else _summed_up(file)
+        for one in told if isinstance(told, list) else [told]:
+            for result in one.get("runs", [one]) if isinstance(one, dict) else []:
+                if set(result) >= _EVALUATED:
+                    yield from _with_and_without_shield(result)
+
+
+def _with_and_without_shield(result: Row) -> Iterator[Row]:
+    yield result
+    if bare := result.get("without_shield"):
+        kept = {key: result[key] for key in ("policy", "weights_sha256", "scenes", "episodes", "seed")}
+        about = {key: result[key] for key in ("run", "variant") if key in result}
+        yield kept | about | bare | {"shielded": False, "confidence_95": {"success": bare["success_95"]}}
+
+
+def _summed_up(file: Path) -> list[Row]:
+    """What the episodes in a file of `zsdist.evaluate --out` come to, those of the newest code of each evaluation."""
+    if not any('"scene_hash"' in line for line in file.read_text().splitlines()[:1]):
+        return []
+    lines = ledger.read(file)
+    groups: dict[tuple, dict[int, ledger.Line]] = {}
+    for line in lines:
+        asked = tuple(line.about[key] for key in _ASKED)
+        groups.setdefault(asked, {})
+        if any(other.about["code"] != line.about["code"] for other in groups[asked].values()):
+            groups[asked] = {}
+        groups[asked][line.about["index"]] = line
+    results = []
+    for asked, of_it in groups.items():
+        about = dict(zip(_ASKED, asked, strict=True))
+        records = [of_it[index].record for index in sorted(of_it)]
+        summed = summarise(records, np.random.default_rng(about["seed"]))
+        results.append(about | {"run": about["policy"], "episodes": len(records)} | summed)
+    return results
 
 
 def _json(file: Path) -> Any:

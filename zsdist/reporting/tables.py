@@ -1,9 +1,13 @@
 """Tables of evaluations: the paper's Table 4 beside ours, baselines and ablations, the singleton case, merges."""
 
 import statistics
+from collections import Counter
 from collections.abc import Sequence
 
-from zsdist.evaluation.statistics import wilson_95
+import numpy as np
+
+from zsdist.evaluation.entrants import FULL
+from zsdist.evaluation.statistics import bootstrap_95, wilson_95
 from zsdist.reporting.convergence import converged, fluctuation, per_action, per_episode
 from zsdist.reporting.markdown import missing, table
 from zsdist.reporting.runs import Evaluation, Method, Run
@@ -25,36 +29,70 @@ PAPER_CONVERGENCE = (  # Sec. 4.4: method, final value, episodes to converge
     ("paper: proposed", "297", "480"),
 )
 RATES = ("success", "collision")
+DRIVEN = (FULL, "hybrid")  # variants that would be deployed
+ORACLE = "oracle-"
 
 
 def table_4(evaluations: Sequence[Evaluation]) -> list[str]:
-    """The paper's Table 4 beside ours, a row for each kind of scene and each policy that drove it."""
+    """The paper's Table 4 beside ours, a row for each kind of scene and each trained policy that drove it."""
+    trained = [
+        evaluation for evaluation in evaluations if evaluation.variant in DRIVEN and not _is_baseline(evaluation)
+    ]
     rows = []
     for split, (name, *paper) in TABLE_4.items():
         rows.append([name, "paper: traditional HRL", f"{paper[0]}%", f"{paper[1]}%", "-", "-"])
         rows.append([name, "paper: proposed", f"{paper[2]}%", f"{paper[3]}%", "-", "-"])
-        for label, of_it in _by_label(evaluations, split).items():
+        for label, of_it in _by_label(trained, split).items():
             rows.append([f"`{split}`", label, *(_rate(of_it, rate) for rate in RATES), _mean(of_it, "spl"), _n(of_it)])
     lines = [*table(("scenes", "policy", "success", "collision", "SPL", "n"), rows), NOT_THE_SAME_TEST, ""]
-    if not _of(evaluations, *TABLE_4):
-        lines += missing(f"our figures, as no evaluation on {', '.join(TABLE_4)} was given")
+    if not _of(trained, *TABLE_4):
+        lines += missing(f"our figures, as no evaluation of a trained policy on {', '.join(TABLE_4)} was given")
     return lines
 
 
-def every_policy(evaluations: Sequence[Evaluation]) -> list[str]:
-    """Success, collision and SPL of every policy on every kind of scenes that any of them drove."""
-    labels = list(dict.fromkeys(evaluation.label for evaluation in evaluations))
-    if len(labels) < 2:
+def every_policy(evaluations: Sequence[Evaluation], reference: str | None) -> list[str]:
+    """Success, collision and SPL of every policy on every kind of scenes that any of them drove, best first.
+
+    Args:
+        evaluations: of policies, baselines, ablations and variants.
+        reference: label of the policy that the others are compared with, scene by scene; None: none is.
+    """
+    compared = [evaluation for evaluation in evaluations if not evaluation.variant.startswith(ORACLE)]
+    if len({evaluation.label for evaluation in compared}) < 2:
         return missing("the comparison, as evaluations of fewer than two policies were given")
     lines = []
-    for split in dict.fromkeys(str(evaluation.result["scenes"]) for evaluation in evaluations):
-        rows = [
-            [label, *(_rate(of_it, rate) for rate in (*RATES, "timeout")), _mean(of_it, "spl"), _n(of_it)]
-            for label, of_it in _by_label(evaluations, split).items()
-        ]
-        rows.sort(key=lambda row: -float(row[1].split("%")[0]))
-        lines += [f"### `{split}`", "", *table(("policy", "success", "collision", "timeout", "SPL", "n"), rows)]
+    for split in dict.fromkeys(evaluation.scenes for evaluation in compared):
+        lines += [f"### `{split}`", "", *_compared(_by_label(compared, split), reference)]
     return lines
+
+
+def oracles(evaluations: Sequence[Evaluation], reference: str | None) -> list[str]:
+    """What limits a policy: the same with one part at a time replaced by its oracle."""
+    splits = dict.fromkeys(evaluation.scenes for evaluation in evaluations if evaluation.variant.startswith(ORACLE))
+    if not splits:
+        return missing("oracles, as no evaluation with an --variant oracle-... was given")
+    lines = []
+    for split in splits:
+        shown = [
+            evaluation
+            for evaluation in _of(evaluations, split)
+            if evaluation.variant.startswith(ORACLE) or evaluation.label == reference
+        ]
+        lines += [f"### `{split}`", "", *_compared(_by_label(shown, split), reference)]
+    return lines
+
+
+def paired_success(ours: Sequence[Evaluation], theirs: Sequence[Evaluation]) -> tuple[float, float, float, int] | None:
+    """Difference of success on the scenes that both drove, the ends of its 95% interval, and their number.
+
+    Several seeds count with their mean in each scene; the interval is a bootstrap over scenes. None without any.
+    """
+    first, second = _successes(ours), _successes(theirs)
+    differences = np.array([first[scene] - second[scene] for scene in first if scene in second])
+    if not len(differences):
+        return None
+    low, high = bootstrap_95(differences, np.random.default_rng(0))
+    return float(differences.mean()), low, high, len(differences)
 
 
 def singleton(methods: Sequence[Method], evaluations: Sequence[Evaluation]) -> list[str]:
@@ -126,8 +164,46 @@ def _efficiency(run: Run, evaluations: Sequence[Evaluation]) -> list[str]:
     return [_mean(of_it, "step_efficiency")]
 
 
+def _compared(by_label: dict[str, list[Evaluation]], reference: str | None) -> list[str]:
+    head = ["policy", "success", "collision", "timeout", "SPL", "shield changed", "n"]
+    against = by_label.get(reference) if reference else None
+    rows = []
+    for label, of_it in by_label.items():
+        rates = (_rate(of_it, rate) for rate in (*RATES, "timeout"))
+        row = [label, *rates, _mean(of_it, "spl"), _share(of_it), _n(of_it)]
+        rows.append([*row, _paired(of_it, against)] if against else row)
+    rows.sort(key=lambda row: -float(row[1].split("%")[0]))
+    return table([*head, f"success − {reference}, paired (scenes)"] if against else head, rows)
+
+
+def _paired(of_it: Sequence[Evaluation], against: Sequence[Evaluation]) -> str:
+    if of_it is against:
+        return "-"
+    found = paired_success(of_it, against)
+    if found is None:
+        return "no scene in common"
+    difference, low, high, scenes = (100 * value for value in found)
+    return f"{difference:+.1f} ({low:+.1f} to {high:+.1f}; {scenes / 100:.0f})"
+
+
+def _successes(evaluations: Sequence[Evaluation]) -> dict[tuple[str, int], float]:
+    """Mean success by scene; of a scene that is driven more than once, each time apart."""
+    found: dict[tuple[str, int], list[bool]] = {}
+    for evaluation in evaluations:
+        times: Counter[str] = Counter()
+        for row in evaluation.result.get("per_scene", ()):
+            scene = (row["scene"], times[row["scene"]])
+            times[row["scene"]] += 1
+            found.setdefault(scene, []).append(row["outcome"] == Outcome.SUCCESS)
+    return {scene: float(np.mean(outcomes)) for scene, outcomes in found.items()}
+
+
+def _is_baseline(evaluation: Evaluation) -> bool:
+    return evaluation.result["weights_sha256"] is None
+
+
 def _of(evaluations: Sequence[Evaluation], *splits: str) -> list[Evaluation]:
-    return [evaluation for evaluation in evaluations if evaluation.result["scenes"] in splits]
+    return [evaluation for evaluation in evaluations if evaluation.scenes in splits]
 
 
 def _by_label(evaluations: Sequence[Evaluation], split: str) -> dict[str, list[Evaluation]]:
@@ -146,8 +222,17 @@ def _rate(evaluations: Sequence[Evaluation], key: str) -> str:
     values = [100 * evaluation.result[key] for evaluation in evaluations]
     if len(values) > 1:
         return f"{statistics.fmean(values):.1f}% (seeds {min(values):.1f}-{max(values):.1f})"
-    low, high = evaluations[0].result["confidence_95"][key]
+    result = evaluations[0].result
+    interval = result["confidence_95"].get(key)
+    low, high = interval or wilson_95(round(result[key] * result["episodes"]), result["episodes"])
     return f"{values[0]:.1f}% ({100 * low:.1f}-{100 * high:.1f})"
+
+
+def _share(evaluations: Sequence[Evaluation]) -> str:
+    """Share of actions that the shield changed."""
+    values = [evaluation.result["shield_changed_share"] for evaluation in evaluations
+              if "shield_changed_share" in evaluation.result]  # fmt: skip
+    return f"{100 * statistics.fmean(values):.1f}%" if values else "-"
 
 
 def _mean(evaluations: Sequence[Evaluation], key: str) -> str:

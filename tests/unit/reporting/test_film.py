@@ -8,8 +8,10 @@ from fakes import FakeVisualAct, LatticeEnv
 from zsdist import config
 from zsdist.errors import RunError
 from zsdist.evaluation.drivers import LearnedDriver, Sees
+from zsdist.evaluation.entrants import Entrant
 from zsdist.evaluation.episodes import Examiner
 from zsdist.evaluation.sight import by_camera
+from zsdist.evaluation.workers import Simulation
 from zsdist.reporting import film
 from zsdist.run import program
 from zsdist.sim.scene import Obstacle, Scene, Start
@@ -60,13 +62,15 @@ def test_every_action_has_its_frames_and_the_end_stays_a_while(moments):
 
 def test_a_film_read_back_shows_what_was_written(moments, tmp_path):
     pictures = list(film.frames(moments, CONFIG, None))
-    film.write(iter(pictures), tmp_path / "film.mp4")
+    film.write(iter(pictures), tmp_path / "film.mp4", still=7)
     reader = cv2.VideoCapture(str(tmp_path / "film.mp4"))
     read = []
     while (got := reader.read())[0]:
         read.append(cv2.cvtColor(got[1], cv2.COLOR_BGR2RGB))
     assert len(read) == len(pictures)
     assert np.abs(read[0].astype(int) - pictures[0]).mean() < 6
+    still = cv2.cvtColor(cv2.imread(str(tmp_path / "film.jpg")), cv2.COLOR_BGR2RGB)
+    assert np.abs(still.astype(int) - pictures[7]).mean() < 3
 
 
 def test_attention_lies_where_the_network_looks_for_the_action_taken(moments):
@@ -111,3 +115,16 @@ def test_a_folder_that_cannot_be_made_is_refused_in_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(RunError, match=r"--video .* cannot be written"):
         film.film(None, [SCENE], 0, tmp_path / "file" / "films", print)
+
+
+def test_each_scene_becomes_a_film_and_a_still_named_by_its_outcome(tmp_path):
+    simulation = Simulation(lambda config, **_: LatticeEnv(config=config), lambda config: FakeVisualAct())
+    told = []
+    files = film.film(
+        Entrant(CONFIG, baseline="random"), [SCENE, SCENE], 0, tmp_path / "films", told.append, simulation
+    )
+    assert told == files and all(file.stat().st_size > 1000 for file in files)
+    names = [file.stem.rpartition("-") for file in files]
+    assert [name[0] for name in names] == ["00-made", "01-made"]
+    assert {name[2] for name in names} <= {"timeout", "collision", "success"}
+    assert sorted(tmp_path.glob("films/*.jpg")) == [file.with_suffix(".jpg") for file in files]

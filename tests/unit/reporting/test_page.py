@@ -51,7 +51,8 @@ def test_what_a_run_does_not_give_is_said_and_not_filled_in(tmp_path):
     found = sections(written([folder], tmp_path / "page")[0])
     assert "no run without vision was given" in found["Reward during training (Fig. 9)"]
     assert "has no weights to drive with" in found["High-level guidance and path (Fig. 10)"]
-    assert "no evaluation on ood-start-goal" in found["Unseen environments (Table 4)"]
+    assert "no evaluation of a trained policy on ood-start-goal" in found["Unseen environments (Table 4)"]
+    assert "--variant oracle-" in found["What limits the policy: oracles"]
     assert "fewer than two policies" in found["Baselines and ablations"]
     assert "no run with a merge was given" in found["The global policy's merges"]
     assert "fewer than 20 episodes" in found["The singleton case (Sec. 4.4)"]

@@ -1,10 +1,18 @@
 import json
+from dataclasses import replace
 
 import pytest
-from made_runs import RESULT, make_run
+from made_runs import RESULT, WEIGHTS_SHA256, make_run
 
+from zsdist.config import Config
 from zsdist.errors import RunError
+from zsdist.evaluation import ledger
+from zsdist.evaluation.entrants import Entrant
+from zsdist.evaluation.identity import code_sha256
+from zsdist.evaluation.records import EpisodeRecord
 from zsdist.reporting import runs
+from zsdist.sim import families
+from zsdist.types import Outcome
 
 
 def test_runs_of_one_configuration_are_the_seeds_of_a_method(tmp_path):
@@ -44,13 +52,21 @@ def test_a_damaged_line_is_named(tmp_path):
         runs.read_run(folder)
 
 
-def test_evaluations_of_a_run_bear_the_name_of_its_method(tmp_path):
-    untrained = RESULT | {"policy": "untrained", "weights_sha256": "cd" * 32}
+def test_evaluations_in_a_runs_folder_bear_the_name_of_its_method(tmp_path):
+    own = RESULT | {"weights_sha256": WEIGHTS_SHA256}
+    earlier = RESULT | {"policy": "untrained"}
     baseline = RESULT | {"policy": "random", "weights_sha256": None}
-    summary = {"merges": [], **{key: 0 for key in RESULT}}
-    folder = make_run(tmp_path / "a", "run.name=full", summary=summary, results=(RESULT, untrained, baseline))
+    folder = make_run(tmp_path / "a", "run.name=mine", "seed=3", summary={}, results=(own, earlier, baseline))
     evaluations = runs.read([folder]).evaluations
-    assert [evaluation.label for evaluation in evaluations] == ["full", "full, untrained", "random"]
+    assert [evaluation.label for evaluation in evaluations] == ["mine", "mine, untrained", "random"]
+    assert [evaluation.seed for evaluation in evaluations] == [3, 3, None]
+
+
+def test_evaluations_that_lie_elsewhere_find_their_run_by_its_weights(tmp_path):
+    folder = make_run(tmp_path / "a", "run.name=mine", summary={})
+    (tmp_path / "far.json").write_text(json.dumps(RESULT | {"weights_sha256": WEIGHTS_SHA256}))
+    (evaluation,) = runs.read([folder, tmp_path / "far.json"]).evaluations
+    assert (evaluation.label, evaluation.method, evaluation.seed) == ("mine", "mine", 0)
 
 
 def test_evaluations_lie_in_files_and_folders_of_their_own_as_well(tmp_path):
@@ -61,6 +77,43 @@ def test_evaluations_lie_in_files_and_folders_of_their_own_as_well(tmp_path):
     one.write_text(json.dumps(RESULT | {"policy": "astar", "weights_sha256": None}))
     evaluations = runs.read([tmp_path / "many", one]).evaluations
     assert [evaluation.label for evaluation in evaluations] == ["mine", "astar"]
+
+
+def test_a_variant_is_named_after_its_method(tmp_path):
+    result = RESULT | {"policy": "hybrid", "run": "runs/mine", "variant": "hybrid", "weights_sha256": WEIGHTS_SHA256}
+    folder = make_run(tmp_path / "a", "run.name=full", summary={}, results=[result])
+    (evaluation,) = runs.read([folder]).evaluations
+    assert (evaluation.label, evaluation.variant) == ("full, hybrid", "hybrid")
+
+
+def test_what_drove_without_the_shield_is_a_policy_of_its_own(tmp_path):
+    bare = {"success": 0.5, "collision": 0.5, "timeout": 0.0, "spl": 0.3, "success_95": [0.2, 0.8]}
+    result = RESULT | {"weights_sha256": WEIGHTS_SHA256, "without_shield": bare}
+    folder = make_run(tmp_path / "a", "run.name=mine", summary={}, results=[result])
+    shielded, without = runs.read([folder]).evaluations
+    assert (shielded.label, shielded.result["success"]) == ("mine", 0.9)
+    assert (without.label, without.result["success"]) == ("mine, full, no shield", 0.5)
+
+
+def test_several_runs_in_one_file_are_taken_apart(tmp_path):
+    together = {"policies": ["a", "b"], "runs": [RESULT | {"policy": "a"}, RESULT | {"policy": "b"}]}
+    (tmp_path / "both.json").write_text(json.dumps(together))
+    assert [evaluation.label for evaluation in runs.read([tmp_path / "both.json"]).evaluations] == ["a", "b"]
+
+
+def test_episodes_on_file_are_summed_up_by_who_drove_what_and_older_code_is_left_out(tmp_path):
+    scenes = [families.draw("iid", "test", index) for index in range(3)]
+    file, entrant = tmp_path / "episodes.jsonl", Entrant(Config(), baseline="random")
+    record = EpisodeRecord("made", Outcome.SUCCESS, 10, 8, 6.0, 5.0, 0.0, 0.4, True, (1.0,) * 10, 0, ())
+    book = ledger.Ledger(file, entrant, "random", None, "iid", 0, scenes)
+    book.add(0, replace(record, outcome=Outcome.COLLISION))
+    old = file.read_text().replace(code_sha256(), "0" * 16)
+    book.add(1, record)
+    book.add(0, record)
+    file.write_text(old + "".join(file.read_text().splitlines(keepends=True)[1:]))
+    (evaluation,) = runs.read([file]).evaluations
+    assert (evaluation.label, evaluation.scenes) == ("random", "iid")
+    assert (evaluation.result["episodes"], evaluation.result["success"]) == (2, 1.0)
 
 
 @pytest.mark.parametrize("place", ["nowhere", "empty"])

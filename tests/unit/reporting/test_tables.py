@@ -4,9 +4,13 @@ from zsdist.reporting import runs, tables
 from zsdist.reporting.runs import Evaluation
 
 
-def evaluation(scenes, policy="trained", method="full", seed=0, **changes):
-    sha256 = None if method is None else RESULT["weights_sha256"]
-    return Evaluation(RESULT | {"scenes": scenes, "policy": policy, "weights_sha256": sha256} | changes, method, seed)
+def evaluation(scenes, label="full", seed=0, learned=True, **changes):
+    about = {"scenes": scenes, "policy": label, "weights_sha256": RESULT["weights_sha256"] if learned else None}
+    return Evaluation(RESULT | about | changes, label, label if learned else None, seed)
+
+
+def outcomes(*succeeded):
+    return [{"scene": f"s{index}", "outcome": "success" if one else "timeout"} for index, one in enumerate(succeeded)]
 
 
 def rows_of(lines):
@@ -44,23 +48,75 @@ def test_of_two_evaluations_of_one_policy_the_longer_one_counts():
         assert row[2].startswith("50.0%") and row[-1] == "50"
 
 
+def test_table_4_is_of_trained_policies_and_leaves_variants_and_baselines_to_other_tables():
+    drove = [
+        evaluation("ood-layout", "full, hybrid", variant="hybrid"),
+        evaluation("ood-layout", "full, oracle-depth", variant="oracle-depth"),
+        evaluation("ood-layout", "astar", learned=False),
+    ]
+    assert [row[1] for row in rows_of(tables.table_4(drove)) if row[0].startswith("`")] == ["full, hybrid"]
+
+
 def test_policies_are_compared_on_each_kind_of_scenes_best_first():
-    lines = tables.every_policy(
-        [evaluation("iid"), evaluation("iid", "astar", None, None, success=1.0), evaluation("ood-all", "b", None, None)]
-    )
+    best = evaluation("iid", "astar", learned=False, success=1.0)
+    lines = tables.every_policy([evaluation("iid"), best, evaluation("ood-all", "b", learned=False)], None)
     assert [line for line in lines if line.startswith("###")] == ["### `iid`", "### `ood-all`"]
     assert [row[0] for row in rows_of(lines)] == ["policy", "astar", "full", "policy", "b"]
 
 
 def test_one_policy_alone_is_no_comparison():
-    assert tables.every_policy([evaluation("iid")])[0].startswith("Left out: the comparison")
+    assert tables.every_policy([evaluation("iid")], None)[0].startswith("Left out: the comparison")
+
+
+def test_policies_are_held_against_the_reference_on_the_scenes_that_both_drove():
+    ours = evaluation("iid", per_scene=outcomes(1, 1, 1, 0))
+    theirs = evaluation("iid", "other", per_scene=outcomes(1, 0, 0, 0)[:3])
+    rows = {row[0]: row[-1] for row in rows_of(tables.every_policy([ours, theirs], "full"))}
+    assert rows["full"] == "-" and rows["other"].startswith("-66.7 (") and rows["other"].endswith("; 3)")
+
+
+def test_a_paired_difference_of_equals_is_nothing_and_its_interval_has_no_width():
+    same = [evaluation("iid", per_scene=outcomes(1, 0, 1))]
+    assert tables.paired_success(same, same) == (0.0, 0.0, 0.0, 3)
+
+
+def test_a_scene_that_was_driven_twice_is_paired_each_time():
+    twice = [{"scene": "s", "outcome": how} for how in ("success", "timeout")]
+    ours, theirs = [evaluation("a", per_scene=twice)], [evaluation("a", per_scene=twice[::-1])]
+    assert tables.paired_success(ours, theirs)[0] == 0.0 and tables.paired_success(ours, theirs)[3] == 2
+    assert tables.paired_success(ours, [evaluation("a", per_scene=outcomes(1))]) is None
+
+
+def test_seeds_count_with_their_mean_in_each_scene():
+    two = [evaluation("iid", seed=seed, per_scene=outcomes(seed, 1)) for seed in range(2)]
+    assert tables.paired_success(two, [evaluation("iid", per_scene=outcomes(0, 0))])[0] == 0.75
+
+
+def test_oracles_stand_beside_the_policy_that_they_are_of_and_nowhere_else():
+    drove = [
+        evaluation("iid"),
+        evaluation("iid", "full, oracle-depth", variant="oracle-depth"),
+        evaluation("iid", "astar", learned=False),
+        evaluation("ood-all"),
+    ]
+    lines = tables.oracles(drove, "full")
+    assert [line for line in lines if line.startswith("###")] == ["### `iid`"]
+    assert {row[0] for row in rows_of(lines)} == {"policy", "full", "full, oracle-depth"}
+    assert "full, oracle-depth" not in "".join(tables.every_policy(drove, "full"))
+    assert tables.oracles(drove[:1], "full")[0].startswith("Left out: oracles")
+
+
+def test_a_rate_without_an_interval_of_its_own_gets_one():
+    bare = evaluation("iid", "full, no shield", shielded=False, confidence_95={}, success=0.5)
+    (row,) = [row for row in rows_of(tables.every_policy([evaluation("iid"), bare], None)) if "no shield" in row[0]]
+    assert row[1] == "50.0% (23.7-76.3)"
 
 
 def test_the_singleton_table_has_the_papers_values_and_the_runs_of_enough_episodes(tmp_path):
     long = make_run(tmp_path / "a", episodes=40)
     short = make_run(tmp_path / "b", "seed=1")
     material = runs.read([long, short])
-    seen = [evaluation("singleton", method="default", seed=0)]
+    seen = [evaluation("singleton", "default")]
     rows = {row[0]: row[1:] for row in rows_of(tables.singleton(material.methods, seen))}
     assert rows["paper: proposed"][1] == "297" and rows["paper: proposed"][3] == "480"
     assert rows["default, seed 0"][0] == "2.0" and rows["default, seed 0"][-1] == "0.70"
