@@ -20,6 +20,7 @@ from zsdist.evaluation.baselines import BASELINES
 from zsdist.evaluation.comparison import compare
 from zsdist.evaluation.entrants import FULL, VARIANTS, Entrant
 from zsdist.evaluation.report import Report, evaluate, show_together, together
+from zsdist.evaluation.selection import select
 from zsdist.run.checkpoint import check_vision, load_policy
 
 
@@ -39,6 +40,8 @@ def make_parser() -> argparse.ArgumentParser:
     add("--variant", default=FULL, metavar="NAME", help=f"of a learned policy: {', '.join(VARIANTS)}")
     add("--no-shield", action="store_true", help="drive a learned policy without the shield as well")
     add("--compare", nargs=2, type=Path, metavar="FILE.jsonl", help="paired differences between two files of episodes")
+    add("--video", type=Path, metavar="DIR", help="film the first episodes into this folder, MP4 and a still of each")
+    add("--video-episodes", type=cli.count, default=3, metavar="N", help="how many of them (default: 3)")
     add("--config", type=Path, metavar="FILE", help="world of a baseline; a run brings its own")
     add("--workers", type=cli.count, default=os.cpu_count() or 1, help="processes (default: all cores)")
     return parser
@@ -64,11 +67,15 @@ def main(options: argparse.Namespace) -> int:
     if not options.policy:
         raise RunError(f"no policy was named; allowed are a run directory, a checkpoint and {', '.join(BASELINES)}")
     _check_out(options.out, options.resume)
+    if options.video is not None and options.video.is_file():
+        raise RunError(f"--video {options.video} is a file; allowed is a folder, which is made where it is not there")
     found = [(name, *find_policy(name, options.config, options.variant)) for name in options.policy]
     reports = []
     for name, entrant, sha256 in found:
         reports.append(_drive(options, name, entrant, sha256))
         reports[-1].show(console)
+        if options.video is not None:
+            _film(options, entrant, options.video if len(found) == 1 else options.video / Path(name).name)
     if len(reports) == 1:
         _write(options.json, reports[0].result)
         return 0
@@ -122,6 +129,14 @@ def _drive(options: argparse.Namespace, name: str, entrant: Entrant, sha256: str
         for who in (entrant, *((replace(entrant, shielded=False),) if options.no_shield else ()))
     ]
     return reports[0] if len(reports) == 1 else reports[0].beside(reports[1])
+
+
+def _film(options: argparse.Namespace, entrant: Entrant, folder: Path) -> None:
+    """Films the first episodes, which are driven once more for it: what was measured was not slowed."""
+    from zsdist.reporting.film import film  # imports matplotlib, which an evaluation does without
+
+    scenes = select(options.scenes, entrant.config, options.episodes, options.seed)[: options.video_episodes]
+    film(entrant, scenes, options.seed, folder, lambda file: print(f"film: {file}", flush=True))
 
 
 def _check_out(out: Path | None, resume: bool) -> None:

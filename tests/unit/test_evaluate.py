@@ -60,6 +60,7 @@ def test_a_folder_is_driven_once_and_the_json_is_the_documented_one(folder, tmp_
         ((), "no policy was named"),
         (("nowhere",), "'nowhere' is no folder; allowed are a run directory, a checkpoint and random"),
         (("astar", "--scenes", "mars"), "scenes is 'mars'"),
+        (("astar", "--video", __file__), "is a file; allowed is a folder"),
         (("astar", "--episodes", "0"), "allowed is a whole number of 1 or more"),
         (("astar", "--seed", "-1"), "--seed"),
         (("astar", "--json", "/nowhere/result.json"), "allowed is a file in a folder that exists"),
@@ -136,3 +137,13 @@ def test_two_files_of_episodes_are_compared_scene_by_scene(folder, tmp_path, cap
     assert figures["success"]["pairs"] == 3 and figures["success"]["a"] == 1.0
     assert figures["spl"]["difference"] == pytest.approx(figures["spl"]["a"] - figures["spl"]["b"])
     assert "difference" in capsys.readouterr().out
+
+
+def test_films_are_of_the_first_episodes_and_say_how_they_ended(folder, tmp_path, capsys):
+    (tmp_path / "short.yaml").write_text("sim: {max_steps: 2}\ncamera: {size_px: 64}\n")
+    options = ("--scenes", str(folder), "--config", str(tmp_path / "short.yaml"), "--workers", "1")
+    assert run("astar", *options, "--video", str(tmp_path / "films"), "--video-episodes", "2") == 0
+    films = sorted((tmp_path / "films").glob("*.mp4"))
+    assert [film.stem.rpartition("-")[2] for film in films] == ["timeout"] * 2
+    told = capsys.readouterr().out
+    assert all(f"film: {film}" in told for film in films)
