@@ -6,8 +6,8 @@ import numpy as np
 
 from zsdist.config import Config
 from zsdist.planning.grid import Grid
-from zsdist.sim.car import Manoeuvre
 from zsdist.sim.collision import touching
+from zsdist.sim.controller import Manoeuvre
 from zsdist.sim.env import CarNavigation
 from zsdist.sim.world import DriveResult, World
 from zsdist.types import Pose

@@ -9,14 +9,16 @@ from zsdist.errors import SceneError
 from zsdist.planning.footprint import ADVANCES, TURNS, successor
 from zsdist.planning.grid import HEADINGS, Grid
 from zsdist.sim.bullet import pybullet
-from zsdist.sim.car import GROUND_GROUP, OBSTACLE_GROUP, SKIN_GROUP, WHEEL_GROUP, Car, Manoeuvre
-from zsdist.sim.collision import NO_BOXES, NO_CIRCLES, touching
+from zsdist.sim.car import GROUND_GROUP, OBSTACLE_GROUP, SKIN_GROUP, WHEEL_GROUP, Car
+from zsdist.sim.collision import NO_BOXES, NO_CIRCLES, clearance_m, touching
+from zsdist.sim.controller import Manoeuvre
 from zsdist.sim.scene import Scene
 from zsdist.sim.walkers import Walker
 from zsdist.types import LatticeState, Pose
 
 MOST_STEPS = 80  # of one manoeuvre: the slowest take about half
 SETTLE_STEPS = 4  # of the car on its wheels before an episode
+CONTACT_WITHIN_M = 0.15  # with more room by our box test PyBullet need not be asked
 ON_LATTICE_M = 0.10  # a start this near to a lattice state, and with this heading, is on it
 ON_LATTICE_RAD = math.radians(5.0)
 
@@ -142,13 +144,14 @@ class World:
         motion = self._car.motion()
         while steps < MOST_STEPS and (rates := manoeuvre.rates(motion)) is not None:
             self._car.command(rates)
-            self._walk(motion.pose)
+            if self._walkers:
+                self._walk(motion.pose)
             pybullet.stepSimulation(physicsClientId=self._client)
             steps += 1
             motion = self._car.motion()
-            ours = touching(motion.pose, self._circles, self._boxes, arena_m=self.grid.arena_m)
-            if ours or self._car.contact():
-                return DriveResult(motion.pose, steps, True, self.contact() == ours)
+            room_m = clearance_m(motion.pose, self._circles, self._boxes, arena_m=self.grid.arena_m)
+            if room_m <= 0.0 or (room_m < CONTACT_WITHIN_M and self._car.contact()):
+                return DriveResult(motion.pose, steps, True, self.contact() == (room_m <= 0.0))
         return DriveResult(motion.pose, steps, False, True)
 
     def _walk(self, car: Pose) -> None:
