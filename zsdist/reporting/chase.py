@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from zsdist.planning.footprint import CAR_LENGTH_M, CAR_WIDTH_M
@@ -14,6 +15,7 @@ from zsdist.types import Pose
 
 BEHIND_M, HEIGHT_M, PITCH_DEG, FIELD_OF_VIEW_DEG = 5.6, 6.6, 40.0, 75.0  # above the trees
 WALL_GAP_M = 0.5  # the camera keeps so far inside the arena's walls
+SMOOTHING_PX = 0.8  # the grain of the ground would make half of a film's bytes
 CABINET_M = (2.0, 0.7, 0.8)
 WHEEL_M, WHEELBASE_M = (0.72, 0.16, 0.5), 1.1
 MAST_RADIUS_M = 0.09
@@ -46,7 +48,7 @@ class ChaseCamera:
         shown = replace(self._scene, obstacles=(*self._scene.obstacles, *self._mast(), *_car(pose)))
         picture = self._camera.render(shown, _behind(pose), pitch_rad=self._pitch_rad, people=people)
         self._camera.close()  # this scene is never drawn again
-        return picture
+        return cv2.GaussianBlur(picture, (0, 0), SMOOTHING_PX)
 
     def _mast(self) -> tuple[Obstacle]:
         return (Obstacle("pole", *self._scene.goal, radius_m=MAST_RADIUS_M),)

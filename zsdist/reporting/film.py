@@ -30,8 +30,8 @@ from zsdist.types import Action, Pose
 from zsdist.vision.labels import DIRECTIONS
 
 PANEL_PX, GAP_PX, CAPTION_PX = 480, 6, 78
-FRAMES_AN_ACTION = 6
-FRAMES_A_SECOND = 12  # an action takes 0.45 to 1 s in the simulation, half a second here
+FRAMES_AN_ACTION = 5
+FRAMES_A_SECOND = 10  # an action takes 0.45 to 1 s in the simulation, half a second here
 TURN_SHARE = 0.4  # of an action that turns and then moves
 LAST_FRAMES = 15
 STILL_QUALITY = 88

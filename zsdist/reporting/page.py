@@ -71,6 +71,7 @@ def _lines(material: Material, out: Path, on_step: Callable[[str], None], simula
         "",
         "## Baselines and ablations",
         "",
+        *_reference(reference),
         *tables.every_policy(material.evaluations, reference),
         "## What limits the policy: oracles",
         "",
@@ -83,6 +84,16 @@ def _lines(material: Material, out: Path, on_step: Callable[[str], None], simula
         *_merges(material.runs, out),
     ]
     return lines
+
+
+def _reference(name: str | None) -> list[str]:
+    if name is None:
+        return []
+    return [
+        f"`{name}`, the first method given, is what the others are held against: the last column is success less that "
+        f"of `{name}` on the scenes that both drove, with a bootstrap over scenes.",
+        "",
+    ]
 
 
 def _made_from(material: Material) -> list[str]:
@@ -100,6 +111,7 @@ def _made_from(material: Material) -> list[str]:
         for run in material.runs
     ]
     lines = table(("run", "method", "seed", "trained on", "episodes", "env steps", "minutes", "ended"), rows)
+    lines += ["Figs. 5 to 7 and Table 3 are of vision: `python -m zsdist.report --vision` writes them.", ""]
     for method in material.methods:
         if method.differing:
             lines += [f"**The runs of {method.name} differ in more than the seed:** {', '.join(method.differing)}.", ""]

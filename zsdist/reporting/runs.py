@@ -22,7 +22,7 @@ _EVALUATED = {"policy", "weights_sha256", "scenes", "episodes", "success", "coll
 _NOT_EVALUATIONS = {"checkpoints", "tensorboard", "logs", "figures"}  # folders that are not searched
 _OF_THE_RUN = {"summary.json", "metrics.jsonl", "episodes.jsonl"}
 _ASKED = ("policy", "variant", "shielded", "scenes", "seed", "weights_sha256")  # what makes episodes one evaluation
-NO_SHIELD = ", no shield"
+NO_SHIELD = "no shield"
 _OF_ONE_RUN = ("seed", "run.", "placement", "transport.")  # settings that may differ between the runs of a method
 
 
@@ -49,8 +49,11 @@ class Evaluation:
 
     @property
     def variant(self) -> str:
-        """What was replaced in a learned policy: by the name of `zsdist.evaluate --variant`."""
-        return str(self.result.get("variant", FULL)) + ("" if self.result.get("shielded", True) else NO_SHIELD)
+        """What was replaced in a learned policy: by the name of `zsdist.evaluate --variant`, or the shield."""
+        variant = str(self.result.get("variant", FULL))
+        if self.result.get("shielded", True):
+            return variant
+        return NO_SHIELD if variant == FULL else f"{variant}, {NO_SHIELD}"
 
 
 @dataclass(frozen=True)

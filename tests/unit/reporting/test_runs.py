@@ -92,7 +92,7 @@ def test_what_drove_without_the_shield_is_a_policy_of_its_own(tmp_path):
     folder = make_run(tmp_path / "a", "run.name=mine", summary={}, results=[result])
     shielded, without = runs.read([folder]).evaluations
     assert (shielded.label, shielded.result["success"]) == ("mine", 0.9)
-    assert (without.label, without.result["success"]) == ("mine, full, no shield", 0.5)
+    assert (without.label, without.result["success"]) == ("mine, no shield", 0.5)
 
 
 def test_several_runs_in_one_file_are_taken_apart(tmp_path):
