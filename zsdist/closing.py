@@ -67,7 +67,8 @@ def compare(folder: Path, settings: Config, console: Console) -> None:
             ]
             draw_paths(panels, settings.grid.arena_m, folder / "figures", f"paths-{trial.scenes}")
     console.print(_table(reports, settings))
-    console.print(f"figures: {folder / 'figures'}", highlight=False, soft_wrap=True)
+    told = f"figures: {folder / 'figures'}; those of the paper: python -m zsdist.report {folder}"
+    console.print(told, highlight=False, soft_wrap=True)
 
 
 def _trials(trained: Policy, settings: Config, episodes: int) -> Iterator[Trial]:

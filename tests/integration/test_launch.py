@@ -133,7 +133,7 @@ def test_a_stranger_sees_every_role_and_a_killed_actor_is_replaced(tmp_path):
     assert sorted(record["episode"] for record in episodes(folder)) == list(range(1, 11))
     for books in summary["transitions"].values():
         assert books["produced"] == books["stored"] + books["rejected"] > 0
-    assert (folder / "figures" / "training.png").stat().st_size > 0
+    assert (folder / "figures" / "fig09-rewards.png").stat().st_size > 0
 
 
 def test_ctrl_c_saves_and_says_how_to_go_on_and_resume_does(tmp_path):
