@@ -106,7 +106,9 @@ def plain_torch(state_size: int, config: LevelConfig, device: str) -> Update:
                 columns["next_masks"],
                 online(columns["next_states"]),
             )
-        loss = losses.td_loss(online(columns["states"]), columns["actions"], targets, config.huber)
+        columns |= {"q": online(columns["states"])}
+        values = columns["q"].gather(1, columns["actions"][:, None])[:, 0]
+        loss = torch.nn.functional.smooth_l1_loss(values, targets)
         optimiser.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(online.parameters(), config.max_gradient_norm)

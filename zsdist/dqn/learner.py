@@ -57,6 +57,7 @@ class DqnLearner:
         device: str | torch.device | None = None,
     ) -> None:
         self.updates = 0
+        self._figures: dict[str, torch.Tensor] = {}
         self._state_size, self._actions = state_size, actions
         self._config = config
         self._mirror = mirror
@@ -69,19 +70,22 @@ class DqnLearner:
         self._target_weights, _ = _flatten(self._target)
         self._restart_optimiser()
 
-    def update(self, batch: Batch) -> dict[str, float]:
+    def update(self, batch: Batch) -> None:
         """One gradient step of the policy network on `batch`, then a soft copy into the target network: Eq. (11).
 
         Deviation: Adam with a clipped gradient in place of the plain step; Huber loss where so configured.
-
-        Returns:
-            `loss`, `q_mean` (mean value of all actions) and `gradient_norm` (before clipping).
         """
-        figures = self._step(batch, self._config.guide_margin_weight)
+        self._figures = self._step(batch, self._config.guide_margin_weight)
         if self._config.target_tau:
             self._target_weights.lerp_(self._weights, self._config.target_tau)
         self.updates += 1
-        return dict(zip(("loss", "q_mean", "gradient_norm"), figures.tolist(), strict=True))
+
+    def figures(self) -> dict[str, float]:
+        """Of the last update: `loss`, `q_mean` (of all actions), `gradient_norm` before clipping. Before any: nothing.
+
+        Asked for apart, since on a GPU the answer has to be waited for.
+        """
+        return {name: float(value) for name, value in self._figures.items()}
 
     def distilled(self, batches: Iterable[Batch]) -> Parameters:
         """Parameters of a copy that took one step on each of `batches` with the large-margin loss on guide actions.
@@ -144,40 +148,44 @@ class DqnLearner:
         self.updates = int(state["updates"])
         _set_generator(self._rng, state["generator"])
 
-    def _step(self, batch: Batch, margin_weight: float) -> torch.Tensor:
+    @torch.no_grad()
+    def _step(self, batch: Batch, margin_weight: float) -> dict[str, torch.Tensor]:
         config = self._config
         if self._mirror is not None:
             batch = reflected(batch, self._mirror, self._rng.random(len(batch)) < 0.5)
-        states, next_states, actions, rewards, discounts, next_masks = (
+        size = len(batch)
+        states, actions, rewards, discounts, next_masks, masks, guides = (
             torch.from_numpy(column).to(self._device)
             for column in (
-                batch.states,
-                batch.next_states,
+                np.concatenate((batch.states, batch.next_states)),
                 batch.actions,
                 batch.rewards,
                 batch.discounts,
                 batch.next_masks,
+                batch.masks,
+                batch.guides,
             )
         )
-        with torch.no_grad():
-            targets = losses.td_targets(
-                rewards * config.reward_scale,
-                discounts,
-                self._target(next_states),
-                next_masks,
-                self._online(next_states) if config.double else None,
-            )
-        q = self._online(states)
-        loss = losses.td_loss(q, actions, targets, config.huber)
+        # Double Q-learning asks the policy network of the next states too: one pass for both.
+        values, trace = self._online.traced(states if config.double else states[:size])
+        q = values[:size]
+        targets = losses.td_targets(
+            rewards * config.reward_scale,
+            discounts,
+            self._target(states[size:]),
+            next_masks,
+            values[size:] if config.double else None,
+        )
+        loss, gradient = losses.td_loss(q, actions, targets, config.huber)
         if margin_weight:
-            masks, guides = (torch.from_numpy(column).to(self._device) for column in (batch.masks, batch.guides))
-            loss = loss + margin_weight * losses.margin_loss(q, masks, guides, config.guide_margin)
-        self._gradient.zero_()
-        loss.backward()
+            margin, margin_gradient = losses.margin_loss(q, masks, guides, config.guide_margin)
+            loss += margin_weight * margin
+            gradient.add_(margin_gradient, alpha=margin_weight)
+        self._online.backward(gradient, trace)
         norm = torch.linalg.vector_norm(self._gradient)
-        self._gradient.mul_((config.max_gradient_norm / (norm + 1e-6)).clamp(max=1.0))
+        self._gradient.mul_((config.max_gradient_norm / (norm + 1e-6)).clamp_(max=1.0))
         self._optimiser.step()
-        return torch.stack((loss.detach(), q.detach().mean(), norm))
+        return {"loss": loss, "q_mean": q.mean(), "gradient_norm": norm}
 
     def _load(self, module: network.QNetwork, parameters: Parameters) -> None:
         network.check(parameters, self._state_size, self._actions)
@@ -199,21 +207,23 @@ class DqnLearner:
 
 def reflected(batch: Batch, mirror: Mirror, rows: np.ndarray) -> Batch:
     """`batch` with the given rows (`(B,)` bool) reflected left to right."""
-    chosen = rows[:, None]
-    swap = mirror.action_index
+    swap, chosen = mirror.action_index, np.flatnonzero(rows)
+
+    def columns(array: np.ndarray, index: np.ndarray, sign: np.ndarray | None = None) -> np.ndarray:
+        array = array.copy()
+        turned = array[chosen].take(index, axis=1)
+        array[chosen] = turned if sign is None else turned * sign
+        return array
+
     guides = np.where(batch.guides >= 0, swap[batch.guides], NO_GUIDE)
-
-    def state(columns: np.ndarray) -> np.ndarray:
-        return np.where(chosen, columns[:, mirror.state_index] * mirror.state_sign, columns)
-
     return Batch(
-        states=state(batch.states),
+        states=columns(batch.states, mirror.state_index, mirror.state_sign),
         actions=np.where(rows, swap[batch.actions], batch.actions),
         rewards=batch.rewards,
         discounts=batch.discounts,
-        next_states=state(batch.next_states),
-        next_masks=np.where(chosen, batch.next_masks[:, swap], batch.next_masks),
-        masks=np.where(chosen, batch.masks[:, swap], batch.masks),
+        next_states=columns(batch.next_states, mirror.state_index, mirror.state_sign),
+        next_masks=columns(batch.next_masks, swap),
+        masks=columns(batch.masks, swap),
         guides=np.where(rows, guides, batch.guides),
     )
 

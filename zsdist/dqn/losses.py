@@ -1,10 +1,9 @@
-"""Losses of deep Q-learning as pure functions of tensors.
+"""Losses of deep Q-learning and their gradients as pure functions of tensors.
 
 `_t` is the time of the state acted in, `_tp1` the time of its successor. Shapes: `B` transitions, `A` actions.
 """
 
 import torch
-from torch.nn import functional
 
 
 def td_targets(
@@ -40,8 +39,10 @@ def td_targets(
     return reward_t + discount_t * value_tp1
 
 
-def td_loss(q_t: torch.Tensor, action_t: torch.Tensor, target_t: torch.Tensor, huber: bool) -> torch.Tensor:
-    """Mean loss of `target_t - Q(s_t, a_t)`, a scalar: Huber with its bend at 1, or half the square.
+def td_loss(
+    q_t: torch.Tensor, action_t: torch.Tensor, target_t: torch.Tensor, huber: bool
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Mean loss of `target_t - Q(s_t, a_t)` and its gradient `(B, A)`: Huber with its bend at 1, or half the square.
 
     Args:
         q_t: `(B, A)` float32.
@@ -52,14 +53,17 @@ def td_loss(q_t: torch.Tensor, action_t: torch.Tensor, target_t: torch.Tensor, h
     _check(q_t, 2, torch.float32)
     _check(action_t, 1, torch.int64)
     _check(target_t, 1, torch.float32)
-    value_t = q_t.gather(1, action_t.unsqueeze(1)).squeeze(1)
-    if huber:
-        return functional.smooth_l1_loss(value_t, target_t.detach())
-    return 0.5 * functional.mse_loss(value_t, target_t.detach())
+    action = action_t.unsqueeze(1)
+    error = q_t.gather(1, action).squeeze(1) - target_t
+    bounded = error.clamp(-1.0, 1.0) if huber else error
+    loss = (bounded * (error - 0.5 * bounded)).mean()
+    return loss, torch.zeros_like(q_t).scatter_(1, action, (bounded / len(error)).unsqueeze(1))
 
 
-def margin_loss(q_t: torch.Tensor, mask_t: torch.Tensor, guide_t: torch.Tensor, margin: float) -> torch.Tensor:
-    """How far guide actions are from being best by `margin`, a scalar, averaged over the batch.
+def margin_loss(
+    q_t: torch.Tensor, mask_t: torch.Tensor, guide_t: torch.Tensor, margin: float
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """How far guide actions are from being best by `margin`, averaged over the batch, and its gradient `(B, A)`.
 
     `max_a [Q(s, a) + margin * (a != guide)] - Q(s, guide)` over allowed actions: the large-margin loss of deep
     Q-learning from demonstrations. Rows count nothing where there is no guide action or it is not allowed.
@@ -74,10 +78,12 @@ def margin_loss(q_t: torch.Tensor, mask_t: torch.Tensor, guide_t: torch.Tensor, 
     _check(mask_t, 2, torch.bool)
     _check(guide_t, 1, torch.int64)
     guide = guide_t.clamp_min(0).unsqueeze(1)
-    counts = (guide_t >= 0) & mask_t.gather(1, guide).squeeze(1)
-    lifted = (q_t + margin).scatter(1, guide, q_t.gather(1, guide)).masked_fill(~mask_t, -torch.inf)
-    gap = lifted.amax(dim=1) - q_t.gather(1, guide).squeeze(1)
-    return torch.where(counts, gap, torch.zeros_like(gap)).mean()
+    counts = (guide_t.unsqueeze(1) >= 0) & mask_t.gather(1, guide)
+    guided = q_t.gather(1, guide)
+    lifted, rival = (q_t + margin).scatter_(1, guide, guided).masked_fill_(~mask_t, -torch.inf).max(dim=1, keepdim=True)
+    gap = torch.where(counts, lifted - guided, 0.0)
+    share = counts.to(q_t.dtype) / len(q_t)
+    return gap.mean(), torch.zeros_like(q_t).scatter_add_(1, rival, share).scatter_add_(1, guide, -share)
 
 
 def _check(tensor: torch.Tensor, rank: int, dtype: torch.dtype) -> None:

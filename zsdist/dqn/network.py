@@ -14,6 +14,10 @@ from torch.nn import functional
 from zsdist.errors import WeightsError
 from zsdist.types import Parameters
 
+Trace = list[
+    tuple[torch.Tensor, ...]
+]  # of each hidden layer: input, linear, mean and 1 / spread of it; last: its output
+
 _NORM_EPSILON = 1e-5
 _OUTPUT_SCALE = 0.1  # initial values near zero, so that the first targets are the rewards
 
@@ -35,11 +39,43 @@ class QNetwork(torch.nn.Module):
 
     def forward(self, states: torch.Tensor) -> torch.Tensor:
         """Values of all actions `(B, A)` in `states` `(B, D)`."""
-        x = states
+        return self.traced(states)[0]
+
+    def traced(self, states: torch.Tensor) -> tuple[torch.Tensor, Trace]:
+        """Values of all actions `(B, A)` in `states` `(B, D)`, and what `backward` needs of how they came about."""
+        trace, x = [], states
         for weight, bias, scale, shift in self._layers:
-            x = functional.linear(x, weight, bias)
-            x = functional.relu(functional.layer_norm(x, bias.shape, scale, shift, _NORM_EPSILON))
-        return functional.linear(x, *self._head)
+            linear = functional.linear(x, weight, bias)
+            normal, mean, spread = torch.native_layer_norm(linear, bias.shape, scale, shift, _NORM_EPSILON)
+            trace.append((x, linear, mean, spread))
+            x = functional.relu(normal)
+        trace.append((x,))
+        return functional.linear(x, *self._head), trace
+
+    def backward(self, gradient: torch.Tensor, trace: Trace) -> None:
+        """Writes the gradient of every parameter into its `grad`, which must be there.
+
+        By hand: for networks of this size recording the operations takes about as long as doing them.
+
+        Args:
+            gradient: `(b, A)` with respect to the values of the first `b` of the traced states.
+            trace: of `traced`, of parameters that have not changed since.
+        """
+        b, (weight, bias), (active,) = len(gradient), self._head, trace[-1]
+        for depth in range(len(self._layers), -1, -1):
+            torch.mm(gradient.t(), active[:b], out=weight.grad)
+            torch.sum(gradient, 0, out=bias.grad)
+            if depth == 0:
+                return
+            gradient = torch.ops.aten.threshold_backward(gradient @ weight, active[:b], 0)
+            weight, bias, scale, shift = self._layers[depth - 1]
+            active, *normalised = trace[depth - 1]
+            linear, mean, spread = (tensor[:b] for tensor in normalised)
+            gradient, scale_gradient, shift_gradient = torch.ops.aten.native_layer_norm_backward(
+                gradient, linear, bias.shape, mean, spread, scale, shift, [True, True, True]
+            )
+            scale.grad.copy_(scale_gradient)
+            shift.grad.copy_(shift_gradient)
 
     def parameters_numpy(self) -> Parameters:
         """A copy of the parameters, by name."""

@@ -37,7 +37,7 @@ class Learner(Role):
         self._recent_batches: deque[Batch] = deque(maxlen=DISTIL_BATCHES)
         self._ready: deque[Batch] = deque()
         self._asked_s: deque[float] = deque()
-        self._last: dict[str, float] = {}
+        self._batch_size = 0  # of the last update
         self._starved_since_s: float | None = None
         self._published_updates = -1
         self._published_s = -REPEAT_EVERY_S
@@ -77,7 +77,8 @@ class Learner(Role):
             "weight_version": self.version,
             "merges": self.merge,
             "waiting_data_s": round(self.waiting_data_s, 3),
-            **self._last,
+            **{name: round(value, 6) for name, value in self.dqn.figures().items()},
+            **({"batch_size": self._batch_size} if self._batch_size else {}),
         }
 
     def state(self) -> State:
@@ -121,8 +122,8 @@ class Learner(Role):
                 return
             batch = self._ready.popleft()
             self._recent_batches.append(batch)
-            self._last = {name: round(value, 6) for name, value in self.dqn.update(batch).items()}
-            self._last["batch_size"] = len(batch)
+            self.dqn.update(batch)
+            self._batch_size = len(batch)
             self.updates += 1
 
     def _ask(self, now: float) -> None:

@@ -48,6 +48,12 @@ def learner(config=CONFIG, seed=0, mirror=None):
     return DqnLearner(STATE_SIZE, ACTIONS, config, seed, mirror=mirror, device="cpu")
 
 
+def updated(dqn, data):
+    """Figures of one update."""
+    dqn.update(data)
+    return dqn.figures()
+
+
 def equal(one, other):
     return one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
 
@@ -83,6 +89,45 @@ def test_eq11_its_first_step_follows_the_sign_of_the_gradient():
     assert clear.any() and (np.sign(moved[clear]) == np.sign(expected[clear])).all()
 
 
+def test_eq11_the_gradient_is_that_of_the_losses_through_the_network_as_recorded_by_torch():
+    data = batch(4)
+    config = LevelConfig(hidden=(16, 12), guide_margin_weight=0.3, max_gradient_norm=1e9)
+    dqn = learner(config)
+    network_t = network.policy_network(dqn.parameters())
+    q, q_tp1, q_target = (
+        network_t(torch.from_numpy(data.states)),
+        network.apply(dqn.parameters(), data.next_states),
+        network.apply(dqn.target_parameters(), data.next_states),
+    )
+    targets = data.rewards + data.discounts * q_target[np.arange(len(data)), q_tp1.argmax(1)]
+    loss = torch.nn.functional.smooth_l1_loss(
+        q.gather(1, torch.from_numpy(data.actions)[:, None])[:, 0], torch.from_numpy(targets)
+    )
+    guided = q[:, 0]
+    lifted = torch.cat([guided[:, None], q[:, 1:] + config.guide_margin], 1)
+    lifted = lifted.masked_fill(torch.from_numpy(~data.masks), -torch.inf)
+    loss = loss + 0.3 * torch.where(torch.from_numpy(data.guides == 0), lifted.amax(1) - guided, 0.0).mean()
+    loss.backward()
+    figures = updated(dqn, data)
+    assert figures["loss"] == pytest.approx(loss.item(), rel=1e-5)
+    expected = torch.cat([tensor.grad.reshape(-1) for tensor in network_t.tensors])
+    torch.testing.assert_close(dqn._gradient, expected, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_a_gpu_learns_what_the_cpu_learns():
+    here, there = learner(mirror=MIRROR), DqnLearner(STATE_SIZE, ACTIONS, CONFIG, 0, mirror=MIRROR, device="cuda")
+    for seed in range(20):
+        here.update(batch(seed))
+        there.update(batch(seed))
+    for name, value in here.parameters().items():
+        np.testing.assert_allclose(there.parameters()[name], value, atol=1e-3)
+
+
+def test_before_any_update_there_are_no_figures():
+    assert learner().figures() == {}
+
+
 def test_a_learner_finds_the_optimal_values_of_a_small_chain():
     # Five cells in a row; action 1 goes right, action 0 left; the right end pays 1 and ends the episode.
     config = LevelConfig(hidden=(32,), discount=0.9, target_tau=0.05)
@@ -111,7 +156,7 @@ def test_a_learner_finds_the_optimal_values_of_a_small_chain():
 def test_equal_seeds_and_batches_give_equal_bits():
     one, other = learner(mirror=MIRROR), learner(mirror=MIRROR)
     for seed in range(10):
-        assert one.update(batch(seed)) == other.update(batch(seed))
+        assert updated(one, batch(seed)) == updated(other, batch(seed))
     assert equal(one.state(), other.state())
     assert network.sha256(learner(seed=1).parameters()) != network.sha256(learner(seed=2).parameters())
 
@@ -126,7 +171,7 @@ def test_a_restored_learner_goes_on_bit_for_bit_as_if_it_had_never_stopped(stop)
     resumed.update(batch(1000))
     resumed.restore(stopped.state())
     for seed in range(stop, stop + 8):
-        assert straight.update(batch(seed)) == resumed.update(batch(seed))
+        assert updated(straight, batch(seed)) == updated(resumed, batch(seed))
     assert equal(straight.state(), resumed.state()) and resumed.updates == stop + 8
 
 
@@ -161,7 +206,7 @@ def test_the_reward_scale_scales_what_is_learned():
     one, scaled = learner(LevelConfig(hidden=())), learner(LevelConfig(hidden=(), reward_scale=0.01))
     data = batch(0)
     smaller = Batch(**{**data.__dict__, "rewards": data.rewards * np.float32(0.01)})
-    assert one.update(smaller)["loss"] == pytest.approx(scaled.update(data)["loss"], rel=1e-5)
+    assert updated(one, smaller)["loss"] == pytest.approx(updated(scaled, data)["loss"], rel=1e-5)
 
 
 def test_no_step_is_larger_than_the_clipped_gradient_allows_and_the_norm_is_reported_unclipped():
@@ -169,7 +214,7 @@ def test_no_step_is_larger_than_the_clipped_gradient_allows_and_the_norm_is_repo
     data.rewards[:] = 1e4
     free = learner(LevelConfig(hidden=(), huber=False, max_gradient_norm=1e9, target_tau=0))
     clipped = learner(LevelConfig(hidden=(), huber=False, max_gradient_norm=1e-3, target_tau=0))
-    assert free.update(data)["gradient_norm"] == clipped.update(data)["gradient_norm"] > 1e3
+    assert updated(free, data)["gradient_norm"] == updated(clipped, data)["gradient_norm"] > 1e3
     for dqn, norm in ((free, None), (clipped, 1e-3)):
         moment = np.linalg.norm(dqn.state()["adam/exp_avg"]) / 0.1
         assert moment > 1e3 if norm is None else moment == pytest.approx(norm, rel=1e-3)
@@ -206,7 +251,7 @@ def test_distilling_does_not_change_what_the_learner_does_next():
     one.update(batch(0))
     other.update(batch(0))
     one.distilled([batch(5)] * 3)
-    assert one.update(batch(1)) == other.update(batch(1))
+    assert updated(one, batch(1)) == updated(other, batch(1))
     assert equal(one.state(), other.state())
 
 
