@@ -15,9 +15,10 @@ from zsdist.agent.situation import Situation
 from zsdist.config import Config
 from zsdist.dqn import network
 from zsdist.planning.belief import BeliefMap
+from zsdist.planning.footprint import successor
 from zsdist.planning.grid import HEADINGS, Grid
 from zsdist.planning.rewards import RewardTerms
-from zsdist.planning.shortest_path import cost_to_go, goal_mask, path
+from zsdist.planning.shortest_path import cost_to_go, goal_mask
 from zsdist.types import Action, Behaviour, LatticeState, Level, Parameters, Pose, Trajectory, View
 from zsdist.vision.limited import limited
 
@@ -286,9 +287,14 @@ class HierarchicalAgent:
         if policy == "learned" or (policy == "mixed" and situation.visits[_index(situation)] <= 1):
             return None
         if policy == "planner":
-            cost = self._cost_to_subgoal(self._option, situation.state)
-            if 0 < cost[_index(situation)] < np.inf:
-                return path(cost, situation.blocked, situation.state, self._costs).actions[0]
+            ends = [successor(situation.state, action) for action in Action]
+            cost = self._cost_to_subgoal(self._option, *(end for end in ends if self._grid.on_grid(end.ix, end.iy)))
+            totals = [
+                cost[end.iy, end.ix, end.heading] + self._costs[situation.state.heading, action] if allowed else np.inf
+                for action, end, allowed in zip(Action, ends, self._shield_mask, strict=True)
+            ]
+            if min(totals) < np.inf:
+                return Action(int(np.argmin(totals)))
         return guided
 
     def _cost_to_subgoal(self, option: Option, *states: LatticeState) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Policies without learning that every learned one is held against, by name and one line each."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -9,10 +10,13 @@ from zsdist.agent.blocks import HIGH_ACTIONS
 from zsdist.agent.features import HIGH_STATE_SIZE, LOW_ACTIONS, LOW_STATE_SIZE
 from zsdist.config import Config
 from zsdist.evaluation.drivers import Driver, LearnedDriver, Observed, See, Sees
-from zsdist.evaluation.planners import AStar, FrontierAStar
-from zsdist.planning import potential
+from zsdist.planning import potential, shortest_path
+from zsdist.planning.grid import Grid
 from zsdist.sim.scene import Scene
-from zsdist.types import Level, Pose
+from zsdist.sim.solvability import footprints
+from zsdist.types import Action, Level, Pose
+
+ARRIVAL_SLACK_M = 0.10  # A* aims this far inside the success radius: that near to a cell's centre the car ends
 
 _NOTHING_LEARNED = {
     level: {"output.weight": np.zeros((actions, size), np.float32), "output.bias": np.zeros(actions, np.float32)}
@@ -48,14 +52,39 @@ class GoalGreedy(Driver):
         return int(potential.decompose(direction, pose.heading_rad, observed.allowed))
 
 
-def _potential_field(config: Config, see: See) -> Driver:
-    """The agent itself with the field in the low level's place and the goal as its only subgoal; nothing is learned."""
-    agent = config.agent.model_copy(update={"high_policy": "goal", "low_policy": "field"})
-    return LearnedDriver(config.model_copy(update={"agent": agent}), _NOTHING_LEARNED, see)
+class AStar(Driver):
+    """The shortest way on the whole true map, without what walks on it: what is possible at best in a still scene."""
+
+    def __init__(self, config: Config) -> None:
+        self._grid = Grid.from_config(config.grid)
+        self._metres = shortest_path.metres_cost(self._grid)
+        self._radius_m = config.sim.success_radius_m - ARRIVAL_SLACK_M
+
+    def begin(self, pose: Pose, goal: tuple[float, float], truth: Scene | None, rng: np.random.Generator) -> None:
+        """Plans once; `truth` is the scene."""
+        if truth is None:
+            raise ValueError("A* on the true map needs the scene")
+        self._blocked = footprints(self._grid).blocked(truth.occupancy(self._grid))
+        goals = shortest_path.goal_mask(self._grid, goal, self._radius_m)
+        self._cost = shortest_path.cost_to_go(self._blocked, goals, self._metres)
+
+    def act(self, observed: Observed) -> int:
+        """The plan's action at the true pose; a turn in place where no way leads on."""
+        state = self._grid.lattice_state(observed.pose)
+        if not math.isfinite(self._cost[state.iy, state.ix, state.heading]):
+            return int(Action.TURN_LEFT_90)
+        way = shortest_path.path(self._cost, self._blocked, state, self._metres)
+        return int(way.actions[0]) if way.actions else int(Action.FORWARD)
 
 
-def _without_trail(config: Config, see: See) -> Driver:
-    return _potential_field(config.model_copy(update={"agent": config.agent.model_copy(update={"trail": 0.0})}), see)
+def _unlearned(low_policy: str, **agent: float) -> Callable[[Config, See], Driver]:
+    """The agent itself with the goal as its only subgoal and `low_policy` in the low level's place."""
+
+    def make(config: Config, see: See) -> Driver:
+        settings = config.agent.model_copy(update={"high_policy": "goal", "low_policy": low_policy, **agent})
+        return LearnedDriver(config.model_copy(update={"agent": settings}), _NOTHING_LEARNED, see)
+
+    return make
 
 
 @dataclass(frozen=True)
@@ -70,11 +99,17 @@ class Baseline:
 BASELINES: dict[str, Baseline] = {
     "random": Baseline("any action that stays on the grid", Sees.NOTHING, lambda config, see: Random()),
     "goal-greedy": Baseline("straight at the goal", Sees.NOTHING, lambda config, see: GoalGreedy()),
-    "potential-field": Baseline("the field's direction under the shield, no learning", Sees.CAMERA, _potential_field),
-    "potential-field-no-trail": Baseline("the same, not repelled from where it has been", Sees.CAMERA, _without_trail),
+    "potential-field": Baseline(
+        "down the field on the map of what it sees, under the shield", Sees.CAMERA, _unlearned("field")
+    ),
+    "potential-field-no-trail": Baseline(
+        "the same, not repelled from where it has been", Sees.CAMERA, _unlearned("field", trail=0.0)
+    ),
     "astar": Baseline("shortest way over (cell, heading), planned once", Sees.MAP, lambda config, see: AStar(config)),
     "astar-frontier": Baseline(
-        "shortest way on what it has seen so far, planned anew at each step", Sees.RANGES, FrontierAStar
+        "shortest way on the map of what it saw, planned anew at each step, under the shield",
+        Sees.RANGES,
+        _unlearned("planner"),
     ),
-    "astar-vision": Baseline("the same on what the visual-act model says", Sees.CAMERA, FrontierAStar),
+    "astar-vision": Baseline("the same by what the visual-act model says", Sees.CAMERA, _unlearned("planner")),
 }
