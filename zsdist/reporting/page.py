@@ -13,8 +13,8 @@ from zsdist.run.checkpoint import Policy, load_policy
 
 PAGE = "report.md"
 INTERVALS = (
-    "Intervals are 95%: Wilson's for rates, the bootstrap's for means; over several training seeds the mean is given, "
-    "with the least and the greatest of them."
+    "Intervals are 95%: Wilson's for rates, the bootstrap's for means. Over several training seeds rates are the "
+    "interquartile mean with a bootstrap over seeds and scenes, other figures the mean with the least and the greatest."
 )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from zsdist.evaluation.entrants import FULL
-from zsdist.evaluation.statistics import bootstrap_95, wilson_95
+from zsdist.evaluation.statistics import bootstrap_95, runs_95, wilson_95
 from zsdist.reporting.convergence import converged, fluctuation, per_action, per_episode
 from zsdist.reporting.markdown import missing, table
 from zsdist.reporting.runs import Evaluation, Method, Run
@@ -218,14 +218,24 @@ def _by_label(evaluations: Sequence[Evaluation], split: str) -> dict[str, list[E
 
 
 def _rate(evaluations: Sequence[Evaluation], key: str) -> str:
-    """A rate in percent: with its 95% interval, or over seeds with the least and greatest of them."""
+    """A rate in percent with its 95% interval.
+
+    Over seeds it is the interquartile mean with a bootstrap over seeds and scenes, or, where they did not all drive the
+    same scenes, the mean with the least and the greatest of them.
+    """
+    first = evaluations[0].result
     values = [100 * evaluation.result[key] for evaluation in evaluations]
-    if len(values) > 1:
+    if len(values) == 1:
+        interval = first["confidence_95"].get(key)
+        low, high = interval or wilson_95(round(first[key] * first["episodes"]), first["episodes"])
+        return f"{values[0]:.1f}% ({100 * low:.1f}-{100 * high:.1f})"
+    scenes = [[row["scene"] for row in evaluation.result.get("per_scene", ())] for evaluation in evaluations]
+    if not scenes[0] or any(one != scenes[0] for one in scenes):
         return f"{statistics.fmean(values):.1f}% (seeds {min(values):.1f}-{max(values):.1f})"
-    result = evaluations[0].result
-    interval = result["confidence_95"].get(key)
-    low, high = interval or wilson_95(round(result[key] * result["episodes"]), result["episodes"])
-    return f"{values[0]:.1f}% ({100 * low:.1f}-{100 * high:.1f})"
+    scores = np.array([[row["outcome"] == key for row in each.result["per_scene"]] for each in evaluations], float)
+    families = [scene.rpartition("-")[0] for scene in scenes[0]]
+    mean, low, high = (100 * value for value in runs_95(scores, families, np.random.default_rng(0)))
+    return f"{mean:.1f}% ({low:.1f}-{high:.1f}; {len(values)} seeds)"
 
 
 def _share(evaluations: Sequence[Evaluation]) -> str:

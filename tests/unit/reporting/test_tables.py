@@ -35,10 +35,22 @@ def test_table_4_without_evaluations_says_so_and_invents_none():
     assert len(rows_of(lines)) == 1 + 6 and any(line.startswith("Left out: our figures") for line in lines)
 
 
-def test_several_seeds_are_their_mean_with_the_least_and_the_greatest():
-    several = [evaluation("ood-layout", seed=seed, success=rate) for seed, rate in enumerate((0.8, 0.9, 1.0))]
+def test_several_seeds_are_their_interquartile_mean_with_an_interval_over_seeds_and_scenes():
+    several = [
+        evaluation("ood-layout", seed=seed, success=rate, per_scene=outcomes(1, 1, seed))
+        for seed, rate in enumerate((2 / 3, 1.0))
+    ]
     (row,) = [row for row in rows_of(tables.table_4(several)) if row[1] == "full"]
-    assert row[2] == "90.0% (seeds 80.0-100.0)" and row[-1] == "10 + 10 + 10"
+    assert row[2].startswith("83.3% (33.3-100.0; 2 seeds") and row[-1] == "10 + 10"
+
+
+def test_seeds_that_drove_different_scenes_are_their_mean_with_the_least_and_the_greatest():
+    several = [
+        evaluation("ood-layout", seed=seed, success=rate, per_scene=outcomes(*[1] * (seed + 1)))
+        for seed, rate in enumerate((0.8, 0.9, 1.0))
+    ]
+    (row,) = [row for row in rows_of(tables.table_4(several)) if row[1] == "full"]
+    assert row[2] == "90.0% (seeds 80.0-100.0)"
 
 
 def test_of_two_evaluations_of_one_policy_the_longer_one_counts():
