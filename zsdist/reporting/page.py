@@ -128,7 +128,7 @@ def _rewards(methods: Sequence[Method], out: Path) -> list[str]:
         "Cumulative average of the paper's reward over training, exploration included. "
         "a: mean return of the last episodes; b: mean reward of all actions so far, as in Eq. 21; c: what the promoted "
         f"networks score when they drive greedily. Runs: {seeds}. Where there are several seeds the line is their mean "
-        "and the band reaches from the least to the greatest."
+        "and the band reaches from the least to the greatest, over the episodes that all of them have."
     )
     lines = figure(curves.draw_rewards(methods, out), caption)
     if blind and seeing:

@@ -158,7 +158,8 @@ def _convergence(run: Run) -> list[str]:
 
 
 def _efficiency(run: Run, evaluations: Sequence[Evaluation]) -> list[str]:
-    of_it = [e for e in _of(evaluations, SINGLETON) if e.label == run.method and e.seed == run.settings.seed]
+    by_method = _by_label(evaluations, SINGLETON).get(run.method, ())
+    of_it = [evaluation for evaluation in by_method if evaluation.seed == run.settings.seed]
     if not of_it:
         return ["not evaluated"]
     return [_mean(of_it, "step_efficiency")]

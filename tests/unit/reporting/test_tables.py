@@ -128,7 +128,7 @@ def test_the_singleton_table_has_the_papers_values_and_the_runs_of_enough_episod
     long = make_run(tmp_path / "a", episodes=40)
     short = make_run(tmp_path / "b", "seed=1")
     material = runs.read([long, short])
-    seen = [evaluation("singleton", "default")]
+    seen = [evaluation("singleton", "default")] * 2  # as a JSON and as a file of episodes
     rows = {row[0]: row[1:] for row in rows_of(tables.singleton(material.methods, seen))}
     assert rows["paper: proposed"][1] == "297" and rows["paper: proposed"][3] == "480"
     assert rows["default, seed 0"][0] == "2.0" and rows["default, seed 0"][-1] == "0.70"
