@@ -11,15 +11,13 @@ from rich.console import Console
 from rich.table import Table
 
 from zsdist.config import Config
-from zsdist.evaluation.entrants import Entrant
+from zsdist.evaluation.entrants import FULL, Entrant
 from zsdist.evaluation.report import Report, evaluate
 from zsdist.evaluation.selection import select
 from zsdist.reporting import curves, runs
 from zsdist.reporting.maps import Track, draw_paths
-from zsdist.run import program
-from zsdist.run.checkpoint import Policy, check_vision, load_policy, make_policy
+from zsdist.run.checkpoint import Policy, check_vision, load_policy
 from zsdist.sim.families import SINGLETON_SCENES
-from zsdist.types import Level
 
 PATHS_SHOWN = 6
 EPISODES_A_DRIVE = 5  # training episodes for each final drive of a policy, so that the end is in proportion
@@ -73,12 +71,10 @@ def compare(folder: Path, settings: Config, console: Console) -> None:
 
 def _trials(trained: Policy, settings: Config, episodes: int) -> Iterator[Trial]:
     """The trained networks beside the same networks before training, then beside baselines where nobody has been."""
-    parameters = {level: program.make_learner(settings, level).parameters() for level in Level}
-    untrained = make_policy(settings, parameters, "before training")
     home = settings.scenes.train[0]
     at_home = min(episodes, SINGLETON_SCENES) if home == SINGLETON else episodes
-    for name, policy in (("trained", trained), ("untrained", untrained)):
-        yield Trial(name, Entrant(settings, policy.parameters), policy.sha256, home, at_home)
+    for name, variant in (("trained", FULL), ("untrained", "untrained")):
+        yield Trial(name, Entrant(settings, trained.parameters, variant=variant), trained.sha256, home, at_home)
     away = UNSEEN if home == SINGLETON else "test"
     yield Trial("trained", Entrant(settings, trained.parameters), trained.sha256, away, episodes)
     for baseline in ("random", "potential-field"):

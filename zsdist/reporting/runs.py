@@ -11,7 +11,7 @@ import numpy as np
 
 from zsdist import config
 from zsdist.config import Config
-from zsdist.errors import RunError
+from zsdist.errors import ConfigError, RunError
 from zsdist.evaluation import ledger
 from zsdist.evaluation.entrants import FULL
 from zsdist.evaluation.metrics import summarise
@@ -19,6 +19,7 @@ from zsdist.types import Level
 
 Row = dict[str, Any]
 _EVALUATED = {"policy", "weights_sha256", "scenes", "episodes", "success", "collision", "timeout", "confidence_95"}
+_FINISHED = {"finished_as", "outcome", "return", "steps"}
 _NOT_EVALUATIONS = {"checkpoints", "tensorboard", "logs", "figures"}  # folders that are not searched
 _OF_THE_RUN = {"summary.json", "metrics.jsonl", "episodes.jsonl"}
 _ASKED = ("policy", "variant", "shielded", "scenes", "seed", "weights_sha256")  # what makes episodes one evaluation
@@ -139,9 +140,14 @@ def read(places: Sequence[Path]) -> Material:
 
 
 def read_run(folder: Path) -> Run:
-    """One run directory; raises `RunError` or `ConfigError` where it is damaged."""
-    settings = config.load(folder / "config.yaml")
+    """One run directory; raises `RunError` where it is damaged."""
+    try:
+        settings = config.load(folder / "config.yaml")
+    except ConfigError as error:
+        raise RunError(f"run directory {folder}: {error}") from error
     episodes = _lines(folder / "episodes.jsonl")
+    if any(not set(episode) >= _FINISHED for episode in episodes):
+        raise RunError(f"{folder / 'episodes.jsonl'} has a line without one of {', '.join(sorted(_FINISHED))}")
     summary = _json(folder / "summary.json") if (folder / "summary.json").exists() else None
     in_order = sorted(episodes, key=lambda episode: episode["finished_as"])
     return Run(folder, settings, in_order, _lines(folder / "metrics.jsonl"), summary)
@@ -174,10 +180,14 @@ def _evaluation(result: Row, home: Run | None, runs: Sequence[Run]) -> Evaluatio
     if sha256 is None:
         return Evaluation(result, name)
     owner = next((run for run in runs if run.weights_sha256 == sha256), None)
-    named = name if owner is home is None else owner.method if owner else f"{home.method}, {name}"
-    owner = owner or home
-    evaluation = Evaluation(result, named, owner and owner.method, owner and owner.settings.seed)
-    return evaluation if evaluation.variant == FULL else replace(evaluation, label=f"{named}, {evaluation.variant}")
+    if owner is None and home is None:
+        evaluation = Evaluation(result, name)
+    else:
+        of = owner or home
+        evaluation = Evaluation(result, of.method if owner else f"{of.method}, {name}", of.method, of.settings.seed)
+    if evaluation.variant == FULL:
+        return evaluation
+    return replace(evaluation, label=f"{evaluation.label}, {evaluation.variant}")
 
 
 def _results(place: Path) -> Iterator[Row]:

@@ -45,20 +45,24 @@ def test_a_line_that_is_still_being_written_is_left_out(tmp_path):
     assert len(runs.read_run(folder).episodes) == 3
 
 
-def test_a_damaged_line_is_named(tmp_path):
+@pytest.mark.parametrize(
+    ("file", "content"),
+    [("metrics.jsonl", "{}\nnonsense\n"), ("episodes.jsonl", '{"steps": 3}\n'), ("config.yaml", "nothing: known\n")],
+)
+def test_a_damaged_file_of_a_run_is_refused_with_its_place(tmp_path, file, content):
     folder = make_run(tmp_path / "a")
-    (folder / "metrics.jsonl").write_text("{}\nnonsense\n")
-    with pytest.raises(RunError, match=r"metrics\.jsonl"):
+    (folder / file).write_text(content)
+    with pytest.raises(RunError, match=str(folder)):
         runs.read_run(folder)
 
 
 def test_evaluations_in_a_runs_folder_bear_the_name_of_its_method(tmp_path):
     own = RESULT | {"weights_sha256": WEIGHTS_SHA256}
-    earlier = RESULT | {"policy": "untrained"}
+    earlier = RESULT | {"policy": "checkpoints/00000050"}
     baseline = RESULT | {"policy": "random", "weights_sha256": None}
     folder = make_run(tmp_path / "a", "run.name=mine", "seed=3", summary={}, results=(own, earlier, baseline))
     evaluations = runs.read([folder]).evaluations
-    assert [evaluation.label for evaluation in evaluations] == ["mine", "mine, untrained", "random"]
+    assert [evaluation.label for evaluation in evaluations] == ["mine", "mine, 00000050", "random"]
     assert [evaluation.seed for evaluation in evaluations] == [3, 3, None]
 
 
