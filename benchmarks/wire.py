@@ -81,15 +81,19 @@ def make_trajectory(rng: np.random.Generator, state_size: int) -> Trajectory:
     states = rng.normal(size=state_size) + np.cumsum(rng.normal(size=(LENGTH + 1, state_size)) * 0.05, axis=0)
     flags = state_size // 3
     states[:, :flags] = rng.random((LENGTH + 1, flags)) < 0.2
+    actions, guides = rng.integers(0, ACTIONS, LENGTH), rng.integers(NO_GUIDE, ACTIONS, LENGTH)
+    masks = rng.random((LENGTH + 1, ACTIONS)) < 0.8
+    masks[np.arange(LENGTH), actions] = masks[np.arange(LENGTH), np.maximum(guides, 0)] = True  # so none is refused
+    masks[LENGTH, 0] = True
     return Trajectory(
         level=Level.LOW,
         states=states.astype(np.float32),
-        actions=rng.integers(0, ACTIONS, LENGTH).astype(np.uint8),
+        actions=actions.astype(np.uint8),
         rewards=rng.normal(size=LENGTH).astype(np.float32),
         discounts=np.full(LENGTH, 0.99, np.float32),
         successors=np.arange(1, LENGTH + 1, dtype=np.uint16),
-        masks=rng.random((LENGTH + 1, ACTIONS)) < 0.8,
-        guides=rng.integers(NO_GUIDE, ACTIONS, LENGTH).astype(np.int8),
+        masks=masks,
+        guides=guides.astype(np.int8),
         behaviours=rng.integers(0, len(Behaviour), LENGTH).astype(np.uint8),
         weight_version=3,
     )

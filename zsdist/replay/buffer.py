@@ -5,6 +5,9 @@ a trajectory of one transition has two states, so a ring of shared states needs 
 20,000 rows of 120 features are 19 MiB.
 """
 
+from collections.abc import Sequence
+from typing import NamedTuple, Self
+
 import numpy as np
 
 from zsdist.errors import RunError
@@ -65,33 +68,33 @@ class RingBuffer:
         """Weight version that chose the oldest stored transition; None: nothing is stored."""
         return int(self._columns["versions"][(self._head - self._size) % self.capacity]) if self._size else None
 
-    def insert(self, trajectory: Trajectory) -> tuple[int, dict[str, int]]:
-        """Stores the sound transitions of `trajectory`, evicting the oldest.
+    def insert(self, *trajectories: Trajectory) -> tuple[int, dict[str, int]]:
+        """Stores the sound transitions of `trajectories`, in order, evicting the oldest.
+
+        Several at once cost little more than one.
 
         Returns:
             `(stored, rejected)`: how many were stored, and how many were refused by reason (`REASONS`), together the
             number offered.
         """
-        offered = int(np.size(trajectory.actions))
-        reason = self._malformed(trajectory, offered)
-        if reason:
-            return 0, {reason: offered}
-        sound, rejected = self._judge(trajectory)
-        rows = np.flatnonzero(sound)
-        stored = len(rows)
-        rows = rows[-self.capacity :]
-        successors = trajectory.successors[rows]
-        places = (self._head + np.arange(len(rows))) % self.capacity
-        columns = self._columns
-        columns["states"][places] = trajectory.states[rows]
-        columns["next_states"][places] = trajectory.states[successors]
-        columns["masks"][places] = trajectory.masks[rows]
-        columns["next_masks"][places] = trajectory.masks[successors]
-        for name in ("actions", "rewards", "discounts", "guides"):
-            columns[name][places] = getattr(trajectory, name)[rows]
-        columns["versions"][places] = trajectory.weight_version
-        self._head = (self._head + len(rows)) % self.capacity
-        self._size = min(self._size + len(rows), self.capacity)
+        rejected: dict[str, int] = {}
+        formed = []
+        for trajectory in trajectories:
+            offered = int(np.size(trajectory.actions))
+            reason = self._malformed(trajectory, offered)
+            if reason:
+                rejected[reason] = rejected.get(reason, 0) + offered
+            elif offered:
+                formed.append(trajectory)
+        if not formed:
+            return 0, rejected
+        offer = _Offer.of(formed)
+        sound, refused = self._judge(offer)
+        for reason, count in refused.items():
+            rejected[reason] = rejected.get(reason, 0) + count
+        chosen = np.flatnonzero(sound)
+        stored = len(chosen)
+        self._write(offer, chosen[-self.capacity :])
         return stored, rejected
 
     def sample(self, rng: np.random.Generator, batch_size: int) -> Batch:
@@ -170,33 +173,85 @@ class RingBuffer:
             return "dtype"
         return None
 
-    def _judge(self, t: Trajectory) -> tuple[np.ndarray, dict[str, int]]:
+    def _judge(self, offer: "_Offer") -> tuple[np.ndarray, dict[str, int]]:
         """Which transitions to store, `(n,)` bool, and how many of the others were refused by reason."""
-        n, a = len(t.actions), self._actions
-        rows = np.arange(n)
-        known = t.successors <= n
-        successors = np.where(known, t.successors, 0)
-        finite = np.isfinite(t.states).all(axis=1)
-        allowed = t.masks[rows, np.minimum(t.actions, a - 1)]
-        guided = (t.guides >= 0) & (t.guides < a) & t.masks[rows, np.clip(t.guides, 0, a - 1)]
+        columns, masks = offer.columns, offer.masks[offer.rows]
+        own, a = np.arange(len(offer.rows)), self._actions
+        actions, guides, discounts = columns["actions"], columns["guides"], columns["discounts"]
+        finite = np.isfinite(offer.states).all(axis=1)
+        guided = (guides >= 0) & (guides < a) & masks[own, np.clip(guides, 0, a - 1)]
         checks = {
-            "successor": known,
-            "state": finite[:n] & finite[successors],
-            "reward": np.isfinite(t.rewards),
-            "discount": (t.discounts >= 0) & (t.discounts <= 1),
-            "action": t.actions < a,
-            "action_masked": allowed,
-            "guide": guided | (t.guides == NO_GUIDE),
-            "behaviour": t.behaviours < len(Behaviour),
-            "dead_end": t.masks[successors].any(axis=1) | (t.discounts == 0),  # nothing to bootstrap from
+            "successor": offer.known,
+            "state": finite[offer.rows] & finite[offer.successors],
+            "reward": np.isfinite(columns["rewards"]),
+            "discount": (discounts >= 0) & (discounts <= 1),
+            "action": actions < a,
+            "action_masked": masks[own, np.minimum(actions, a - 1)],
+            "guide": guided | (guides == NO_GUIDE),
+            "behaviour": columns["behaviours"] < len(Behaviour),
+            "dead_end": offer.masks.any(axis=1)[offer.successors] | (discounts == 0),  # nothing to bootstrap from
         }
-        sound, rejected = np.ones(n, bool), {}
+        sound, rejected = np.ones(len(offer.rows), bool), {}
         for reason, holds in checks.items():
             refused = int(np.count_nonzero(sound & ~holds))
             if refused:
                 rejected[reason] = refused
             sound &= holds
         return sound, rejected
+
+    def _write(self, offer: "_Offer", chosen: np.ndarray) -> None:
+        """Copies chosen transitions, no more than the capacity, to where the head is, around the end if need be."""
+        written = 0
+        while written < len(chosen):
+            part = chosen[written : written + self.capacity - self._head]
+            place = slice(self._head, self._head + len(part))
+            for name, source, index in (
+                ("states", offer.states, offer.rows[part]),
+                ("next_states", offer.states, offer.successors[part]),
+                ("masks", offer.masks, offer.rows[part]),
+                ("next_masks", offer.masks, offer.successors[part]),
+                *((name, offer.columns[name], part) for name in ("actions", "rewards", "discounts", "guides")),
+                ("versions", offer.versions, part),
+            ):
+                source.take(index, axis=0, out=self._columns[name][place], mode="clip")  # "raise" would copy twice
+            written += len(part)
+            self._head = place.stop % self.capacity
+        self._size = min(self._size + len(chosen), self.capacity)
+
+
+class _Offer(NamedTuple):
+    """Trajectories one after the other: `n` transitions in all, and a state more for each trajectory.
+
+    `rows` and `successors`, `(n,)`, are a transition's two rows among all states; where its successor is not `known`
+    it is some other state.
+    """
+
+    states: np.ndarray
+    masks: np.ndarray
+    rows: np.ndarray
+    successors: np.ndarray
+    known: np.ndarray
+    versions: np.ndarray
+    columns: dict[str, np.ndarray]
+
+    @classmethod
+    def of(cls, trajectories: Sequence[Trajectory]) -> Self:
+        """Joins well-formed trajectories of one transition or more."""
+        lengths = np.array([len(trajectory) for trajectory in trajectories])
+        ends = lengths.cumsum()
+        before = np.arange(len(lengths))  # each trajectory before this one has one more state than transitions
+        joined = {name: np.concatenate([getattr(trajectory, name) for trajectory in trajectories]) for name in _DTYPES}
+        steps = joined.pop("successors")
+        known = steps <= lengths.repeat(lengths)
+        return cls(
+            states=joined.pop("states"),
+            masks=joined.pop("masks"),
+            rows=np.arange(ends[-1]) + before.repeat(lengths),
+            successors=np.where(known, steps, 0) + (ends - lengths + before).repeat(lengths),
+            known=known,
+            versions=np.array([trajectory.weight_version for trajectory in trajectories]).repeat(lengths),
+            columns=joined,
+        )
 
 
 def row_bytes(state_size: int, actions: int) -> int:

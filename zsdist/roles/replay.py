@@ -62,12 +62,11 @@ class Shelf:
         """Stores what of a frame is new and in order."""
         for frame in self.inbox.receive(push, now):
             stream = f"{frame.actor}/{frame.epoch}"
-            for trajectory in frame.trajectories:
-                stored, reasons = self.buffer.insert(trajectory)
-                self.stored += stored
-                for reason, count in reasons.items():
-                    self.rejected[reason] = self.rejected.get(reason, 0) + count
-                self.limiter.inserted(stream, stored, rejected=sum(reasons.values()))
+            stored, reasons = self.buffer.insert(*frame.trajectories)
+            self.stored += stored
+            for reason, count in reasons.items():
+                self.rejected[reason] = self.rejected.get(reason, 0) + count
+            self.limiter.inserted(stream, stored, rejected=sum(reasons.values()))
             if frame.closes:
                 self.limiter.close(stream)
                 self._closed.add((frame.actor, frame.epoch))

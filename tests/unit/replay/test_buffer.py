@@ -1,3 +1,4 @@
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -151,6 +152,30 @@ def test_unsound_transitions_are_refused_by_reason_and_stored_and_rejected_add_u
     assert rejected == {reason: refused} and reason in REASONS
     assert stored == len(buffer) == 8 - refused
     buffer.check_valid()
+
+
+def oldest_first(buffer):
+    """What is stored, where the ring begins left aside."""
+    state = buffer.state()
+    head, capacity = (int(state.pop(name)) for name in ("head", "capacity"))
+    start = head if len(buffer) == capacity else 0
+    return {name: np.roll(column, -start, axis=0).tolist() for name, column in state.items()}
+
+
+@settings(max_examples=60, deadline=None)
+@given(lengths=st.lists(st.integers(0, 9), max_size=6), capacity=st.integers(1, 30), faults=st.sets(st.integers(0, 5)))
+def test_several_trajectories_at_once_are_stored_and_refused_as_one_after_the_other(lengths, capacity, faults):
+    offered = [trajectory(length, 100 * number, number) for number, length in enumerate(lengths)]
+    for number in faults & {index for index, length in enumerate(lengths) if length}:
+        spoil = (spoiled("rewards", 0, np.nan), spoiled("successors", 0, 99), spoiled("states", -1, np.inf))[number % 3]
+        offered[number] = spoil(offered[number])
+    together, apart = (RingBuffer(STATE_SIZE, ACTIONS, capacity) for _ in range(2))
+    counts = [apart.insert(single) for single in offered]
+    stored, rejected = together.insert(*offered)
+    assert stored == sum(count for count, _ in counts)
+    assert rejected == dict(sum((Counter(reasons) for _, reasons in counts), Counter()))
+    assert oldest_first(together) == oldest_first(apart)
+    together.check_valid()
 
 
 def test_a_last_state_that_allows_nothing_is_fine_where_the_episode_ended():
