@@ -1,5 +1,6 @@
 # make run      set everything up, then train with the progress on screen
 # make test     the same, then lint, unit tests and integration tests
+# make peers    environments of their own for the systems that benchmarks/replay.py is compared with; PEERS=DIR elsewhere
 # make install  only the set-up, what the tests need included; VENV=DIR puts the environment elsewhere
 #
 # Everything is installed from the package index pip is configured for. The default index serves a torch that carries
@@ -19,7 +20,9 @@ PYTHON ?= $(shell for name in python3.11 python3 python; do \
 # Tests and roles are many processes on few cores: one thread each.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: install run test lint clean
+PEERS ?= .peers
+
+.PHONY: install run test lint clean peers
 
 install: $(TOOLS)
 
@@ -48,6 +51,22 @@ lint: install
 test: lint
 	$(BIN)/python -m pytest tests/unit -q -n auto
 	$(BIN)/python -m pytest tests/integration -q
+
+# Reverb needs a TensorFlow and a numpy of their time, which nothing else here could live with.
+peers: $(PEERS)/reverb/.installed $(PEERS)/torchrl/.installed
+
+$(PEERS)/reverb/.installed:
+	"$(PYTHON)" -m venv $(@D)
+	@echo "Installing Reverb and TensorFlow into $(@D); this takes a few minutes."
+	$(@D)/bin/python -m pip install --quiet dm-reverb==0.14.0 'tensorflow==2.15.*' 'numpy<2'
+	@touch $@
+
+$(PEERS)/torchrl/.installed:
+	"$(PYTHON)" -m venv $(@D)
+	@echo "Installing TorchRL into $(@D); this takes a few minutes."
+	$(@D)/bin/python -m pip install --quiet $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) 'torch$(TORCH_MATCH)$(TORCH_VERSION)'
+	$(@D)/bin/python -m pip install --quiet torchrl==0.14.1
+	@touch $@
 
 clean:
 	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .hypothesis

@@ -1,0 +1,243 @@
+"""A replay service in processes of its own, and the actors and learners that load it: shared by `replay` and `scale`.
+
+Everything is the package's own: hub, replay role, outbox, codec, transport. Only what the trajectories hold is made up.
+"""
+
+import multiprocessing
+import threading
+import time
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from typing import Self
+
+import numpy as np
+import psutil
+from wire import make_trajectory
+
+from zsdist.config import Config
+from zsdist.protocol.outbox import Outbox
+from zsdist.roles.base import Context
+from zsdist.roles.replay import Replay, Shape
+from zsdist.transport.base import Mailbox, Transport
+from zsdist.transport.zenoh import ZenohHub, ZenohTransport
+from zsdist.types import Batch, Level, Trajectory
+from zsdist.wire import codec, keys
+from zsdist.wire.messages import Orders, Push, SampleReply, SampleRequest
+
+RUN = "benchmark"
+ACTIONS = 5
+ENDPOINT = "tcp/127.0.0.1:7600"  # or the next free port above it
+TRAJECTORIES = 64  # different ones, of which all actors push
+PREFETCH = 3  # batches asked for at a time, as a learner does
+ANSWER_WITHIN_S = 10.0
+LOST_AFTER_S = 3.0  # longer than the replay holds a request; then all that was asked for is asked again
+_spawn = multiprocessing.get_context("spawn")
+
+
+class ReplayService:
+    """A hub and a replay, a process each, as in a run."""
+
+    def __init__(self, config: Config, state_size: int) -> None:
+        self._processes: dict[str, multiprocessing.process.BaseProcess] = {}
+        self._config = config
+        self.endpoint = self._start("hub", _serve_hub)
+        self._start("replay", _serve_replay, self.endpoint, config, state_size)
+        self._scheduler = ZenohTransport(self.endpoint)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._scheduler.close()
+        for process in reversed(self._processes.values()):
+            process.terminate()
+            process.join()
+
+    def admit(self, epochs: dict[str, int]) -> None:
+        """Tells the replay which epoch of each actor to listen to, as the scheduler does."""
+        settings = self._config.replay
+        orders = {"epochs": epochs, "buffer_size": settings.size_initial, "batch_size": settings.batch_initial}
+        payload = codec.encode(Orders(1, "replay", orders | {"stop": False}))
+        self._scheduler.publish(keys.control(RUN, "replay"), payload, retained=True)
+
+    def cpu_s(self) -> dict[str, float]:
+        """CPU seconds that hub and replay have used so far."""
+        times = {name: psutil.Process(process.pid).cpu_times() for name, process in self._processes.items()}
+        return {name: spent.user + spent.system for name, spent in times.items()}
+
+    def _start(self, name: str, serve: object, *arguments: object) -> str:
+        ours, theirs = _spawn.Pipe()
+        self._processes[name] = _spawn.Process(target=serve, args=(theirs, *arguments), name=name, daemon=True)
+        self._processes[name].start()
+        return ours.recv()
+
+
+def _serve_hub(ready: Connection) -> None:
+    with ZenohHub(ENDPOINT) as hub:
+        ready.send(hub.endpoint)
+        threading.Event().wait()
+
+
+def _serve_replay(ready: Connection, endpoint: str, config: Config, state_size: int) -> None:
+    transport, wake = ZenohTransport(endpoint), threading.Event()
+    context = Context(config, RUN, "replay", "0", 1, transport, wake)
+    replay = Replay(context, dict.fromkeys(Level, Shape(state_size, ACTIONS)))
+    ready.send("")
+    while (due_s := replay.step(time.time())) is not None:
+        wake.wait(max(0.0, due_s - time.time()))
+        wake.clear()
+
+
+class Actors:
+    """Synthetic actors behind one transport: an outbox each, and always `ahead` transitions more to offer."""
+
+    def __init__(self, transport: Transport, config: Config, level: Level, epochs: dict[str, int], size: int) -> None:
+        settings = config.transport
+        self._transport = transport
+        self._trajectories = [replace(trajectory, level=level) for trajectory in make_trajectories(size)]
+        self._next = 0
+        self.wake = threading.Event()
+        self.level = level
+        self.outboxes = {
+            name: Outbox(
+                level,
+                name,
+                epoch,
+                window_frames=settings.window_frames,
+                resend_after_s=settings.resend_after_s,
+                give_up_after_s=settings.give_up_after_s,
+                make_frame=Push,
+            )
+            for name, epoch in epochs.items()
+        }
+        self._acks = Mailbox(settings.mailbox_bytes, self.wake.set)
+        for name in epochs:
+            transport.subscribe(keys.ack(RUN, name), self._acks)
+
+    @property
+    def produced(self) -> int:
+        """Transitions in numbered frames."""
+        return sum(outbox.produced for outbox in self.outboxes.values())
+
+    @property
+    def unacknowledged(self) -> int:
+        """Frames the replay has not said it holds."""
+        return sum(outbox.statistics()["unacknowledged_frames"] for outbox in self.outboxes.values())
+
+    @property
+    def resent(self) -> int:
+        """Frames sent more than once, in sendings."""
+        return sum(outbox.statistics()["resent_frames"] for outbox in self.outboxes.values())
+
+    @property
+    def heard(self) -> bool:
+        """Whether the replay listens to every one of them."""
+        return all(outbox.credit is None or outbox.credit > 0 for outbox in self.outboxes.values())
+
+    def step(self, ahead: int) -> bool:
+        """Hears what was acknowledged, offers and pushes; whether there was anything to do."""
+        now, busy = time.time(), False
+        self.wake.clear()
+        for message in self._acks.drain():
+            ack = codec.decode(message.payload)
+            if ack.stream == self.level:
+                self.outboxes[ack.actor].on_ack(ack, now)
+        for name, outbox in self.outboxes.items():
+            while outbox.waiting < ahead:
+                trajectory = self._trajectories[self._next % TRAJECTORIES]
+                if not outbox.reserve(len(trajectory)):
+                    break
+                outbox.offer([trajectory])
+                self._next += 1
+            for frame in outbox.poll(now):
+                busy = True
+                self._transport.publish(keys.push(RUN, self.level, name, frame.epoch), codec.encode(frame))
+        return busy
+
+    def run(self, seconds: float, ahead: int) -> None:
+        """Pushes for so long."""
+        until_s = time.monotonic() + seconds
+        while time.monotonic() < until_s:
+            if not self.step(ahead):
+                self.wake.wait(0.01)
+
+    def settle(self) -> None:
+        """Waits until the replay holds all that was pushed."""
+        while self.unacknowledged or any(outbox.waiting for outbox in self.outboxes.values()):
+            if not self.step(0):
+                self.wake.wait(0.01)
+
+
+class Sampler:
+    """A learner that takes batches and learns nothing from them."""
+
+    def __init__(self, transport: Transport, mailbox_bytes: int, level: Level) -> None:
+        self.batches = 0
+        self.transitions = 0
+        self.lost = 0  # answers that did not come
+        self._transport, self._level = transport, level
+        self._heard_s = time.monotonic()
+        self._asked = 0
+        self.wake = threading.Event()
+        self._box = Mailbox(mailbox_bytes, self.wake.set)
+
+    def step(self, in_flight: int = PREFETCH) -> Batch | None:
+        """Decodes what has come, asks for more; returns the last batch."""
+        batch = None
+        self.wake.clear()
+        for message in self._box.drain():
+            reply = codec.decode(message.payload)
+            self._asked, self._heard_s = max(0, self._asked - 1), time.monotonic()
+            if isinstance(reply, SampleReply) and reply.batch is not None:
+                batch = reply.batch
+                self.batches += 1
+                self.transitions += len(batch)
+        if time.monotonic() - self._heard_s > LOST_AFTER_S:
+            self.lost += self._asked
+            self._asked, self._heard_s = 0, time.monotonic()
+        while self._asked < in_flight:
+            request = codec.encode(SampleRequest(1, self._level, self.batches))
+            key = keys.sample(RUN, self._level)
+            self._transport.request(key, request, self._box, timeout_s=ANSWER_WITHIN_S)
+            self._asked += 1
+        return batch
+
+    def run(self, seconds: float) -> None:
+        """Takes batches for so long."""
+        self._heard_s = time.monotonic()
+        until_s = self._heard_s + seconds
+        while time.monotonic() < until_s:
+            if self.step() is None:
+                self.wake.wait(0.1)
+        while self._asked:
+            self.step(in_flight=0)
+            self.wake.wait(0.1)
+
+    def one(self) -> Batch:
+        """Asks for one batch and waits for it; nothing else may be asked for."""
+        self._heard_s = time.monotonic()
+        batch = None
+        while batch is None:
+            if not self._asked:
+                self.step(in_flight=1)
+            self.wake.wait(0.1)
+            batch = self.step(in_flight=0)
+        return batch
+
+
+def make_trajectories(state_size: int) -> list[Trajectory]:
+    """The same ones each time."""
+    rng = np.random.default_rng(0)
+    return [make_trajectory(rng, state_size) for _ in range(TRAJECTORIES)]
+
+
+def pairs(state_size: int) -> dict[str, np.ndarray]:
+    """What all actors push, as columns of whole transitions for those who have no trajectories."""
+    trajectories = make_trajectories(state_size)
+    return {
+        "state": np.concatenate([trajectory.states[:-1] for trajectory in trajectories]),
+        "action": np.concatenate([trajectory.actions for trajectory in trajectories]),
+        "reward": np.concatenate([trajectory.rewards for trajectory in trajectories]),
+        "discount": np.concatenate([trajectory.discounts for trajectory in trajectories]),
+        "next_state": np.concatenate([trajectory.states[1:] for trajectory in trajectories]),
+    }
