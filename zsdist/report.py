@@ -20,7 +20,9 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="RUN",
         help="run directories (several of one configuration: its seeds), and files or folders of evaluations",
     )
-    parser.add_argument("--out", type=Path, metavar="DIR", default=Path("runs/report"), help="folder of the page")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", default=Path("runs/report"), help="of the page (default: runs/report)"
+    )
     vision = parser.add_argument_group("vision, instead of runs")
     vision.add_argument("--vision", action="store_true", help="report on the visual-act model")
     vision.add_argument("--config", type=Path, metavar="FILE", help="camera, and weights")

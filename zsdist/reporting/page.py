@@ -6,9 +6,9 @@ from pathlib import Path
 from zsdist.errors import RunError, WeightsError
 from zsdist.evaluation.workers import Simulation
 from zsdist.planning.grid import Grid
-from zsdist.reporting import convergence, curves, drives, guidance, maps, tables
+from zsdist.reporting import comparison, convergence, curves, drives, guidance, maps, tables
 from zsdist.reporting.markdown import figure, missing, table
-from zsdist.reporting.runs import Material, Method, Run
+from zsdist.reporting.runs import Evaluation, Material, Method, Run
 from zsdist.run.checkpoint import Policy, load_policy
 
 PAGE = "report.md"
@@ -71,8 +71,7 @@ def _lines(material: Material, out: Path, on_step: Callable[[str], None], simula
         "",
         "## Baselines and ablations",
         "",
-        *_reference(reference),
-        *tables.every_policy(material.evaluations, reference),
+        *_policies(material.evaluations, reference, out),
         "## What limits the policy: oracles",
         "",
         *tables.oracles(material.evaluations, reference),
@@ -86,14 +85,22 @@ def _lines(material: Material, out: Path, on_step: Callable[[str], None], simula
     return lines
 
 
-def _reference(name: str | None) -> list[str]:
-    if name is None:
-        return []
-    return [
-        f"`{name}`, the first method given, is what the others are held against: the last column is success less that "
-        f"of `{name}` on the scenes that both drove, with a bootstrap over scenes.",
-        "",
-    ]
+def _policies(evaluations: Sequence[Evaluation], reference: str | None, out: Path) -> list[str]:
+    compared = tables.every_policy(evaluations, reference)
+    if len({evaluation.label for evaluation in evaluations}) < 2:
+        return compared
+    caption = (
+        "Every policy on each kind of scenes: share of episodes that arrived and that hit something, with 95% "
+        "intervals; numbers of episodes are in the tables."
+    )
+    lines = figure(comparison.draw_policies(evaluations, out), caption)
+    if reference is not None:
+        lines += [
+            f"`{reference}`, the first method given, is what the others are held against: the last column is success "
+            f"less that of `{reference}` on the scenes that both drove, with a bootstrap over scenes.",
+            "",
+        ]
+    return lines + compared
 
 
 def _made_from(material: Material) -> list[str]:

@@ -3,6 +3,7 @@
 import statistics
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,6 +34,19 @@ DRIVEN = (FULL, "hybrid")  # variants that would be deployed
 ORACLE = "oracle-"
 
 
+@dataclass(frozen=True)
+class Rate:
+    """A share of episodes with its 95% interval; `note` says what the interval is over where that is not episodes."""
+
+    mean: float
+    low: float
+    high: float
+    note: str = ""
+
+    def __str__(self) -> str:
+        return f"{100 * self.mean:.1f}% ({self.note}{100 * self.low:.1f}-{100 * self.high:.1f})"
+
+
 def table_4(evaluations: Sequence[Evaluation]) -> list[str]:
     """The paper's Table 4 beside ours, a row for each kind of scene and each trained policy that drove it."""
     trained = [
@@ -42,8 +56,10 @@ def table_4(evaluations: Sequence[Evaluation]) -> list[str]:
     for split, (name, *paper) in TABLE_4.items():
         rows.append([name, "paper: traditional HRL", f"{paper[0]}%", f"{paper[1]}%", "-", "-"])
         rows.append([name, "paper: proposed", f"{paper[2]}%", f"{paper[3]}%", "-", "-"])
-        for label, of_it in _by_label(trained, split).items():
-            rows.append([f"`{split}`", label, *(_rate(of_it, rate) for rate in RATES), _mean(of_it, "spl"), _n(of_it)])
+        for label, of_it in by_label(trained, split).items():
+            rows.append(
+                [f"`{split}`", label, *(str(rate(of_it, key)) for key in RATES), _mean(of_it, "spl"), _n(of_it)]
+            )
     lines = [*table(("scenes", "policy", "success", "collision", "SPL", "n"), rows), NOT_THE_SAME_TEST, ""]
     if not _of(trained, *TABLE_4):
         lines += missing(f"our figures, as no evaluation of a trained policy on {', '.join(TABLE_4)} was given")
@@ -62,7 +78,7 @@ def every_policy(evaluations: Sequence[Evaluation], reference: str | None) -> li
         return missing("the comparison, as evaluations of fewer than two policies were given")
     lines = []
     for split in dict.fromkeys(evaluation.scenes for evaluation in compared):
-        lines += [f"### `{split}`", "", *_compared(_by_label(compared, split), reference)]
+        lines += [f"### `{split}`", "", *_compared(by_label(compared, split), reference)]
     return lines
 
 
@@ -78,7 +94,7 @@ def oracles(evaluations: Sequence[Evaluation], reference: str | None) -> list[st
             for evaluation in _of(evaluations, split)
             if evaluation.variant.startswith(ORACLE) or evaluation.label == reference
         ]
-        lines += [f"### `{split}`", "", *_compared(_by_label(shown, split), reference)]
+        lines += [f"### `{split}`", "", *_compared(by_label(shown, split), reference)]
     return lines
 
 
@@ -158,19 +174,19 @@ def _convergence(run: Run) -> list[str]:
 
 
 def _efficiency(run: Run, evaluations: Sequence[Evaluation]) -> list[str]:
-    by_method = _by_label(evaluations, SINGLETON).get(run.method, ())
+    by_method = by_label(evaluations, SINGLETON).get(run.method, ())
     of_it = [evaluation for evaluation in by_method if evaluation.seed == run.settings.seed]
     if not of_it:
         return ["not evaluated"]
     return [_mean(of_it, "step_efficiency")]
 
 
-def _compared(by_label: dict[str, list[Evaluation]], reference: str | None) -> list[str]:
+def _compared(drove: dict[str, list[Evaluation]], reference: str | None) -> list[str]:
     head = ["policy", "success", "collision", "timeout", "SPL", "shield changed", "n"]
-    against = by_label.get(reference) if reference else None
+    against = drove.get(reference) if reference else None
     rows = []
-    for label, of_it in by_label.items():
-        rates = (_rate(of_it, rate) for rate in (*RATES, "timeout"))
+    for label, of_it in drove.items():
+        rates = (str(rate(of_it, key)) for key in (*RATES, "timeout"))
         row = [label, *rates, _mean(of_it, "spl"), _share(of_it), _n(of_it)]
         rows.append([*row, _paired(of_it, against)] if against else row)
     rows.sort(key=lambda row: -float(row[1].split("%")[0]))
@@ -207,7 +223,26 @@ def _of(evaluations: Sequence[Evaluation], *splits: str) -> list[Evaluation]:
     return [evaluation for evaluation in evaluations if evaluation.scenes in splits]
 
 
-def _by_label(evaluations: Sequence[Evaluation], split: str) -> dict[str, list[Evaluation]]:
+def rate(evaluations: Sequence[Evaluation], key: str) -> Rate:
+    """How often episodes ended so, with its 95% interval.
+
+    Over seeds it is the interquartile mean with a bootstrap over seeds and scenes, or, where they did not all drive the
+    same scenes, the mean with the least and the greatest of them.
+    """
+    first = evaluations[0].result
+    values = [evaluation.result[key] for evaluation in evaluations]
+    if len(values) == 1:
+        interval = first["confidence_95"].get(key)
+        return Rate(values[0], *(interval or wilson_95(round(first[key] * first["episodes"]), first["episodes"])))
+    scenes = [[row["scene"] for row in evaluation.result.get("per_scene", ())] for evaluation in evaluations]
+    if not scenes[0] or any(one != scenes[0] for one in scenes):
+        return Rate(statistics.fmean(values), min(values), max(values), "seeds ")
+    scores = np.array([[row["outcome"] == key for row in each.result["per_scene"]] for each in evaluations], float)
+    families = [scene.rpartition("-")[0] for scene in scenes[0]]
+    return Rate(*runs_95(scores, families, np.random.default_rng(0)), f"{len(values)} seeds ")
+
+
+def by_label(evaluations: Sequence[Evaluation], split: str) -> dict[str, list[Evaluation]]:
     """Evaluations on a split by who drove, one a training seed: that of most episodes."""
     found: dict[str, dict[int | None, Evaluation]] = {}
     for evaluation in _of(evaluations, split):
@@ -216,27 +251,6 @@ def _by_label(evaluations: Sequence[Evaluation], split: str) -> dict[str, list[E
         if before is None or evaluation.result["episodes"] > before.result["episodes"]:
             of_label[evaluation.seed] = evaluation
     return {label: list(of_label.values()) for label, of_label in found.items()}
-
-
-def _rate(evaluations: Sequence[Evaluation], key: str) -> str:
-    """A rate in percent with its 95% interval.
-
-    Over seeds it is the interquartile mean with a bootstrap over seeds and scenes, or, where they did not all drive the
-    same scenes, the mean with the least and the greatest of them.
-    """
-    first = evaluations[0].result
-    values = [100 * evaluation.result[key] for evaluation in evaluations]
-    if len(values) == 1:
-        interval = first["confidence_95"].get(key)
-        low, high = interval or wilson_95(round(first[key] * first["episodes"]), first["episodes"])
-        return f"{values[0]:.1f}% ({100 * low:.1f}-{100 * high:.1f})"
-    scenes = [[row["scene"] for row in evaluation.result.get("per_scene", ())] for evaluation in evaluations]
-    if not scenes[0] or any(one != scenes[0] for one in scenes):
-        return f"{statistics.fmean(values):.1f}% (seeds {min(values):.1f}-{max(values):.1f})"
-    scores = np.array([[row["outcome"] == key for row in each.result["per_scene"]] for each in evaluations], float)
-    families = [scene.rpartition("-")[0] for scene in scenes[0]]
-    mean, low, high = (100 * value for value in runs_95(scores, families, np.random.default_rng(0)))
-    return f"{mean:.1f}% ({low:.1f}-{high:.1f}; {len(values)} seeds)"
 
 
 def _share(evaluations: Sequence[Evaluation]) -> str:

@@ -41,7 +41,7 @@ def test_several_seeds_are_their_interquartile_mean_with_an_interval_over_seeds_
         for seed, rate in enumerate((2 / 3, 1.0))
     ]
     (row,) = [row for row in rows_of(tables.table_4(several)) if row[1] == "full"]
-    assert row[2].startswith("83.3% (33.3-100.0; 2 seeds") and row[-1] == "10 + 10"
+    assert row[2].startswith("83.3% (2 seeds 33.3-100.0)") and row[-1] == "10 + 10"
 
 
 def test_seeds_that_drove_different_scenes_are_their_mean_with_the_least_and_the_greatest():
