@@ -49,7 +49,7 @@ lint: install
 	$(BIN)/ruff format --check .
 
 test: lint
-	$(BIN)/python -m pytest tests/unit -q -n auto
+	$(BIN)/python -m pytest tests/unit tests/chaos -q -n auto
 	$(BIN)/python -m pytest tests/integration -q
 
 # Reverb needs a TensorFlow and a numpy of their time, which nothing else here could live with.

@@ -11,9 +11,11 @@ aside (each machine brings its own), saturates first.
 
 import argparse
 import os
+import tempfile
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -24,8 +26,10 @@ from wire import make_trajectory
 from zsdist.agent.features import LOW_ACTIONS, LOW_STATE_SIZE
 from zsdist.config import Config, parse
 from zsdist.protocol.outbox import Outbox
+from zsdist.replay.journal import Journal
 from zsdist.roles.base import Context
-from zsdist.roles.replay import Replay, Shape
+from zsdist.roles.replay import Replay
+from zsdist.roles.shelf import Shape
 from zsdist.transport.base import Mailbox, Transport
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport
@@ -138,13 +142,14 @@ PARTS = ("actors", "replay", "learner", "zenoh")
 def run_case(kind: str, actors: int, updates_per_insert: float, warm_up_s: float, measured_s: float) -> dict:
     """Transitions stored in `measured_s`, and the CPU seconds that each part took for them."""
     config = parse({"run": {"actors": actors}, "low": {"updates_per_insert": updates_per_insert}})
+    folder = tempfile.TemporaryDirectory()
     hub = ZenohHub(ENDPOINT) if kind == "zenoh" else None
     broker = MemoryBroker()
     transports = [MemoryTransport(broker) if hub is None else ZenohTransport(hub.endpoint) for _ in range(4)]
     try:
         replay_side, actor_side, learner_side, scheduler_side = transports
         context = Context(config, RUN, "replay", "0", 1, replay_side, threading.Event())
-        replay = Replay(context, {Level.LOW: Shape(LOW_STATE_SIZE, LOW_ACTIONS)})
+        replay = Replay(context, {Level.LOW: Shape(LOW_STATE_SIZE, LOW_ACTIONS)}, Journal(Path(folder.name)))
         crew = Actors(actor_side, config, actors)
         sampler = Sampler(learner_side, config.transport.mailbox_bytes)
         orders = {
@@ -176,6 +181,7 @@ def run_case(kind: str, actors: int, updates_per_insert: float, warm_up_s: float
             "cpu_s": cpu_s,
         }
     finally:
+        folder.cleanup()
         for transport in transports:
             transport.close()
         if hub is not None:

@@ -13,6 +13,7 @@ theirs: one side can always go on. Before `min_size` nothing is limited; what is
 
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
 from zsdist.errors import ConfigError, ProtocolError
 
@@ -95,6 +96,11 @@ class Limiter:
         self.updates += 1
         self._stale = True
 
+    def catch_up(self, updates: int) -> None:
+        """Batches were handed out before this limiter was made, `updates` in all."""
+        self.updates = updates
+        self._stale = True
+
     def credit(self, stream: str) -> int | None:
         """Transitions `stream` may have produced in all; None: no limit yet."""
         found = self._find(stream)
@@ -105,13 +111,15 @@ class Limiter:
             self._stale = False
         return found.granted
 
-    def state(self) -> dict[str, int]:
-        """The totals. Streams are not in it: epochs end with the run that issued them."""
-        return {"stored": self.stored, "updates": self.updates}
+    def state(self) -> dict[str, Any]:
+        """The totals, and what each open stream inserted and was granted."""
+        streams = {name: [stream.inserted, stream.granted] for name, stream in self._streams.items()}
+        return {"stored": self.stored, "updates": self.updates, "streams": streams}
 
-    def restore(self, state: dict[str, int]) -> None:
-        """Takes over the totals of a `state()`."""
+    def restore(self, state: dict[str, Any], *, same_run: bool) -> None:
+        """Takes over a `state()`; its streams only if their run still goes on, since epochs end with it."""
         self.stored, self.updates = int(state["stored"]), int(state["updates"])
+        self._streams = {name: _Stream(*counts) for name, counts in state["streams"].items()} if same_run else {}
         self._stale = True
 
     def _grant(self) -> None:

@@ -59,8 +59,12 @@ def reopen(folder: Path, overrides: tuple[str, ...] = ()) -> tuple[Config, dict[
 
 
 def rewind(folder: Path, settings: Config, states: dict[str, State]) -> None:
-    """Makes the folder of a run that is gone on with agree with its checkpoint: later episodes are struck out."""
+    """Makes the folder of a run that is gone on with agree with its checkpoint: later episodes are struck out.
+
+    Journals go too: each belongs to one start of the run, and what they hold beyond the checkpoint is driven again.
+    """
     rewrite_config(folder, settings)
+    shutil.rmtree(folder / "journal", ignore_errors=True)
     _strike_out(folder / "episodes.jsonl", set(states["scheduler"].meta["finished"]))
 
 

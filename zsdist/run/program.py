@@ -16,13 +16,15 @@ from zsdist.dqn.learner import DqnLearner
 from zsdist.errors import ConfigError, WeightsError
 from zsdist.planning.grid import Grid
 from zsdist.replay.buffer import row_bytes
+from zsdist.replay.journal import Journal
 from zsdist.roles.actor import Actor
 from zsdist.roles.base import Context, Role
 from zsdist.roles.cars import CameraEnv, Car, Errand
 from zsdist.roles.hub import Hub
 from zsdist.roles.learner import Learner
-from zsdist.roles.replay import Replay, Shape
+from zsdist.roles.replay import Replay
 from zsdist.roles.scheduler import Scheduler
+from zsdist.roles.shelf import Shape
 from zsdist.roles.sight import Sight, VisualAct
 from zsdist.run.directory import RunDirectory
 from zsdist.sim import families, scene
@@ -191,7 +193,9 @@ class Setting:
                 earlier_s = restored.meta["wall_s"] if restored else 0.0
                 return Scheduler(context, RunDirectory(self.folder, self.vision, earlier_s), restored)
             case "replay":
-                return Replay(context, SHAPES, self.states.get("replay"))
+                # A start of the run has a journal of its own: that of an earlier one is older than its checkpoints.
+                journal = Journal(self.folder / "journal" / self.start)
+                return Replay(context, SHAPES, journal, self.states.get("replay"))
             case "learner":
                 level = Level(place.id)
                 return Learner(context, level, make_learner(config, level), self.states.get(place.name))

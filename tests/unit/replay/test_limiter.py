@@ -186,7 +186,7 @@ def test_totals_survive_a_restart_and_streams_do_not():
     limiter.inserted("a", 20)
     limiter.sampled()
     resumed = Limiter(0.5, min_size=10, grain=4)
-    resumed.restore(limiter.state())
+    resumed.restore(limiter.state(), same_run=False)
     assert (resumed.stored, resumed.updates, resumed.limited) == (20, 1, True)
     resumed.open("a")
     assert 4 <= resumed.credit("a") < limiter.credit("a")

@@ -1,0 +1,198 @@
+"""Actors and a replay with a journal over a bad network, on a virtual clock; either side dies now and then.
+
+Every transition says whose it is. States: actor, epoch, trajectory, place in it; what the ring holds at the end is held
+against what the actors were told had arrived.
+"""
+
+import threading
+from pathlib import Path
+
+import numpy as np
+
+from zsdist.config import parse
+from zsdist.protocol.outbox import Outbox
+from zsdist.replay.journal import Journal
+from zsdist.roles.base import Context
+from zsdist.roles.replay import Replay
+from zsdist.roles.shelf import Shape
+from zsdist.transport.base import Mailbox
+from zsdist.transport.faulty import Faults, FaultyTransport
+from zsdist.transport.memory import MemoryBroker, MemoryTransport
+from zsdist.types import NO_GUIDE, Level, Trajectory
+from zsdist.wire import codec, keys
+from zsdist.wire.messages import Orders, Push, SampleReply, SampleRequest
+
+RUN, STEP_S = "storm", 0.02
+ACTORS, ACTIONS, FEATURES = 3, 3, 4
+TRAJECTORIES = 16  # of each actor's last epoch; those before are cut off somewhere
+PATIENCE_S = 400.0
+CONFIG = parse(
+    {
+        "run": {"actors": ACTORS, "cars_per_actor": 1},
+        "low": {"min_size": 8, "updates_per_insert": 0.5},
+        "replay": {"size_initial": 4000, "size_min": 1000, "size_max": 4000},
+    }
+)
+
+
+def trajectory(actor: int, epoch: int, number: int, length: int) -> Trajectory:
+    """Transitions that say where they belong."""
+    states = np.zeros((length + 1, FEATURES), np.float32)
+    states[:, 0], states[:, 1], states[:, 2], states[:, 3] = actor, epoch, number, np.arange(length + 1)
+    return Trajectory(
+        Level.LOW,
+        states,
+        np.zeros(length, np.uint8),
+        np.arange(length, dtype=np.float32),
+        np.full(length, 0.9, np.float32),
+        np.arange(1, length + 1, dtype=np.uint16),
+        np.ones((length + 1, ACTIONS), bool),
+        np.full(length, NO_GUIDE, np.int8),
+        np.zeros(length, np.uint8),
+        0,
+    )
+
+
+class Driver:
+    """One actor's outbox, and what it has offered."""
+
+    def __init__(self, index: int, epoch: int, transport: FaultyTransport) -> None:
+        self.index, self.epoch, self.transport = index, epoch, transport
+        self.name = f"actor-{index}"
+        self.offered: list[tuple[int, int]] = []  # number and length of each trajectory
+        self.box = Mailbox(2**20)
+        self.outbox = Outbox(
+            Level.LOW, self.name, epoch, window_frames=6, resend_after_s=0.25, give_up_after_s=60, make_frame=Push
+        )
+        transport.subscribe(keys.ack(RUN, self.name), self.box)
+
+    @property
+    def confirmed(self) -> int:
+        """Transitions in frames that were acknowledged."""
+        return self.outbox.produced - sum(flight.frame.count for flight in self.outbox._flight)
+
+    def step(self, rng: np.random.Generator, now: float) -> None:
+        for message in self.box.drain():
+            self.outbox.on_ack(codec.decode(message.payload), now)
+        length = int(rng.integers(1, 9))
+        if len(self.offered) < TRAJECTORIES and rng.random() < 0.5 and self.outbox.reserve(length):
+            self.outbox.offer([trajectory(self.index, self.epoch, len(self.offered), length)])
+            self.offered.append((len(self.offered), length))
+            if len(self.offered) == TRAJECTORIES:
+                self.outbox.close(now)
+        for frame in self.outbox.poll(now):
+            self.transport.publish(keys.push(RUN, Level.LOW, self.name, self.epoch), codec.encode(frame))
+
+
+class Storm:
+    """One seed's worth of trouble; `ride` goes through it and returns what happened."""
+
+    def __init__(self, seed: int, folder: Path) -> None:
+        self.rng = np.random.default_rng(seed)
+        shares = self.rng.random(4) * (0.4, 0.3, 0.5, 0.5)
+        self.faults = Faults(drop=shares[0], repeat=shares[1], delay=shares[2], reorder=shares[3], delay_s=0.6)
+        self.broker, self.seed, self.folder = MemoryBroker(), seed, folder
+        self.now, self.epoch = 0.0, 0
+        self.transports: list[FaultyTransport] = []
+        self.scheduler, self.learner = self.connect(), self.connect()
+        self.batches = Mailbox(2**22)
+        self.deaths = {"replay": 0, "actor": 0, "partition": 0}
+        self.sampled = 0
+        self.dead: list[Driver] = []
+        self.drivers = [Driver(index, self.next_epoch(), self.connect()) for index in range(ACTORS)]
+        self.begin_replay()
+
+    def connect(self) -> FaultyTransport:
+        transport = FaultyTransport(MemoryTransport(self.broker), self.seed + len(self.transports), self.faults)
+        self.transports.append(transport)
+        return transport
+
+    def next_epoch(self) -> int:
+        self.epoch += 1
+        return self.epoch
+
+    def begin_replay(self) -> None:
+        transport = self.connect()
+        context = Context(CONFIG, RUN, "replay", "0", self.next_epoch(), transport, threading.Event())
+        self.replay = Replay(context, {Level.LOW: Shape(FEATURES, ACTIONS)}, Journal(self.folder))
+
+    def ride(self) -> None:
+        """Until every actor's last epoch is closed and held."""
+        while not all(driver.outbox.drained for driver in self.drivers):
+            assert self.now < PATIENCE_S, f"seed {self.seed} does not end"
+            self.now += STEP_S
+            self.strike()
+            self.say_orders()
+            self.ask()
+            for driver in self.drivers:
+                driver.step(self.rng, self.now)
+            self.replay.step(self.now)
+            for transport in self.transports:
+                transport.tick(self.now)
+
+    def strike(self) -> None:
+        """Now and then something dies, without a word; the deaths are few enough that the run can end."""
+        luck = self.rng.random()
+        if luck < 0.03 and self.deaths["replay"] < 4:
+            self.deaths["replay"] += 1
+            self.replay.transport.close()  # what it had not sent is gone; its journal's file is as it is
+            self.tear()
+            self.begin_replay()
+        elif luck < 0.05 and self.deaths["actor"] < 4:
+            self.deaths["actor"] += 1
+            victim = int(self.rng.integers(ACTORS))
+            self.dead.append(self.drivers[victim])
+            self.drivers[victim].transport.close()
+            self.drivers[victim] = Driver(victim, self.next_epoch(), self.connect())
+        elif luck < 0.07 and self.deaths["partition"] < 3:
+            self.deaths["partition"] += 1
+            one = self.transports[int(self.rng.integers(len(self.transports)))]
+            one.faults = Faults(drop=1.0)  # nobody hears it for a while
+        elif luck > 0.9:
+            for transport in self.transports:
+                transport.faults = self.faults
+
+    def tear(self) -> None:
+        """The dying replay may have been writing: some bytes of a record that was never acknowledged."""
+        if self.rng.random() < 0.5:
+            log = max(self.folder.glob("*.log"))
+            with log.open("ab") as file:
+                file.write(bytes(self.rng.integers(0, 256, int(self.rng.integers(1, 40)), np.uint8)))
+
+    def say_orders(self) -> None:
+        content = {
+            "epochs": {driver.name: driver.epoch for driver in self.drivers},
+            "buffer_size": 4000,
+            "batch_size": 16,
+            "stop": False,
+        }
+        key = keys.control(RUN, "replay")
+        self.scheduler.publish(key, codec.encode(Orders(1, "replay", content)), retained=True)
+
+    def ask(self) -> None:
+        request = codec.encode(SampleRequest(1, Level.LOW, 0))
+        self.learner.request(keys.sample(RUN, Level.LOW), request, self.batches, timeout_s=1.0)
+        for message in self.batches.drain():
+            reply = codec.decode(message.payload)
+            self.sampled += isinstance(reply, SampleReply) and reply.batch is not None
+
+    def check(self) -> None:
+        """Nothing lost, doubled, torn or joined; the books agree with the ring."""
+        shelf = self.replay.shelves[Level.LOW]
+        shelf.buffer.check_valid()
+        rows = shelf.buffer.state()
+        states, following = rows["states"], rows["next_states"]
+        assert (states[:, :3] == following[:, :3]).all(), "a transition joins two trajectories"
+        assert (following[:, 3] == states[:, 3] + 1).all()
+        assert (rows["rewards"] == states[:, 3]).all(), "a transition is put together from two"
+        held = [tuple(row) for row in states.astype(int).tolist()]
+        assert len(set(held)) == len(held), "a transition is there twice"
+        for driver in self.drivers:
+            for number, length in driver.offered:
+                expected = {(driver.index, driver.epoch, number, place) for place in range(length)}
+                assert expected <= set(held), f"{driver.name} lost transitions of trajectory {number}"
+        for driver in self.dead:
+            mine = [row for row in held if row[:2] == (driver.index, driver.epoch)]
+            assert driver.confirmed <= len(mine) <= driver.outbox.produced, "what was acknowledged is held"
+        books = shelf.books()
+        assert books["produced"] == books["stored"] == len(held) and books["rejected"] == 0

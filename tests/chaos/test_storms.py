@@ -1,0 +1,22 @@
+import os
+
+import pytest
+from chaos.storm import Storm
+
+SEEDS = int(os.environ.get("ZSDIST_STORMS", "40"))  # `ZSDIST_STORMS=1000` for all that was ever asked for
+CASES = 8
+
+
+@pytest.mark.parametrize("case", range(CASES))
+def test_nothing_is_lost_doubled_torn_or_joined_whatever_dies_and_however_bad_the_network(case, tmp_path):
+    deaths, sampled, recovered = {"replay": 0, "actor": 0, "partition": 0}, 0, 0
+    for seed in range(case, SEEDS, CASES):
+        storm = Storm(seed, tmp_path / str(seed))
+        storm.ride()
+        storm.check()
+        for kind, count in storm.deaths.items():
+            deaths[kind] += count
+        sampled += storm.sampled
+        recovered += storm.replay.recovered
+    assert min(deaths.values()) > 0, f"the weather was too fair to show anything: {deaths}"
+    assert sampled > 0 and recovered > 0

@@ -1,0 +1,122 @@
+import os
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from zsdist.errors import RunError
+from zsdist.replay import journal
+from zsdist.replay.journal import Journal
+
+RECORDS = [(1, b"first"), (2, b""), (255, bytes(range(256)))]
+
+
+def reopened(folder):
+    again = Journal(folder)
+    return again, again.recover()
+
+
+def test_a_new_journal_holds_nothing(tmp_path):
+    assert Journal(tmp_path / "deep" / "journal").recover() is None
+
+
+def test_base_and_records_come_back_in_order_without_the_writer_having_closed(tmp_path):
+    first = Journal(tmp_path)
+    first.rebase(b"base")
+    first.append(RECORDS[:2])
+    first.append(RECORDS[2:])
+    second, found = reopened(tmp_path)
+    assert found == (b"base", RECORDS)
+    assert second.nbytes == first.nbytes
+    second.append([(7, b"more")])
+    assert reopened(tmp_path)[1] == (b"base", [*RECORDS, (7, b"more")])
+
+
+@settings(max_examples=60, deadline=None)
+@given(contents=st.lists(st.binary(max_size=40), min_size=1, max_size=5), cut=st.integers(0, 400))
+def test_a_torn_tail_is_cut_off_and_every_record_before_it_is_kept(tmp_path_factory, contents, cut):
+    folder = tmp_path_factory.mktemp("journal")
+    writer, ends = Journal(folder), []
+    writer.rebase(b"")
+    for content in contents:
+        writer.append([(1, content)])
+        ends.append(writer.nbytes)
+    size = min(cut, ends[-1])
+    os.truncate(folder / "00000001.log", size)
+    again, (_, records) = reopened(folder)
+    whole = sum(end <= size for end in ends)
+    assert records == [(1, content) for content in contents[:whole]]
+    again.append([(2, b"after")])
+    assert reopened(folder)[1][1] == [*records, (2, b"after")]
+
+
+def test_a_damaged_record_ends_what_is_believed(tmp_path):
+    writer = Journal(tmp_path)
+    writer.rebase(b"base")
+    writer.append(RECORDS)
+    content = bytearray((tmp_path / "00000001.log").read_bytes())
+    content[-1] ^= 1
+    (tmp_path / "00000001.log").write_bytes(content)
+    assert reopened(tmp_path)[1] == (b"base", RECORDS[:2])
+
+
+def test_a_new_base_takes_the_place_of_all_before_it(tmp_path):
+    writer = Journal(tmp_path)
+    writer.rebase(b"one")
+    writer.append(RECORDS)
+    writer.rebase(b"two")
+    assert writer.nbytes == 3
+    assert reopened(tmp_path)[1] == (b"two", [])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["00000002.base", "00000002.log"]
+
+
+def test_a_base_that_was_not_finished_does_not_count(tmp_path):
+    writer = Journal(tmp_path)
+    writer.rebase(b"one")
+    writer.append(RECORDS)
+    (tmp_path / "00000002.partial").write_bytes(b"tw")
+    assert reopened(tmp_path)[1] == (b"one", RECORDS)
+
+
+def test_base_and_log_stay_bounded_while_its_writer_rebases_when_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(journal, "COMPACT_BYTES", 10_000)
+    writer, base = Journal(tmp_path), bytes(4_000)
+    writer.rebase(base)
+    largest = 0
+    for _ in range(300):
+        writer.append([(1, bytes(500))])
+        largest = max(largest, sum(path.stat().st_size for path in tmp_path.iterdir()))
+        if writer.wants_base:
+            writer.rebase(base)
+    assert largest < 10_000 + 4_000 + 600
+
+
+def test_a_journal_that_cannot_be_made_or_written_says_so(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunError, match=r"replay journal .*file/journal cannot be made: Not a directory"):
+        Journal(tmp_path / "file" / "journal")
+    writer = Journal(tmp_path / "journal")
+    writer.rebase(b"")
+    writer.close()
+    with pytest.raises(RunError, match="cannot be written: Bad file descriptor"):
+        writer.append(RECORDS)
+
+
+def test_a_full_disk_is_an_error_and_leaves_whole_records_only(tmp_path, monkeypatch):
+    writer = Journal(tmp_path)
+    writer.rebase(b"base")
+    writer.append(RECORDS[:1])
+    write = os.write
+    monkeypatch.setattr(journal.os, "write", lambda file, content: write(file, content[:5]))
+    with pytest.raises(RunError, match="the disk is full"):
+        writer.append(RECORDS[1:])
+    monkeypatch.undo()
+    assert reopened(tmp_path)[1] == (b"base", RECORDS[:1])
+
+
+def test_removing_it_leaves_nothing(tmp_path):
+    writer = Journal(tmp_path / "journal")
+    writer.rebase(np.zeros(10).tobytes())
+    writer.remove()
+    assert not (tmp_path / "journal").exists()

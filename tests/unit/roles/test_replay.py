@@ -1,0 +1,161 @@
+import threading
+
+import numpy as np
+import pytest
+
+from zsdist.config import parse
+from zsdist.errors import RunError
+from zsdist.replay.journal import Journal
+from zsdist.roles.base import Context
+from zsdist.roles.replay import Replay
+from zsdist.roles.shelf import Shape
+from zsdist.transport.base import Mailbox
+from zsdist.transport.memory import MemoryBroker, MemoryTransport
+from zsdist.types import NO_GUIDE, Level, Trajectory
+from zsdist.wire import codec, keys
+from zsdist.wire.messages import Ack, Orders, Push, SampleRequest, State
+
+FEATURES, ACTIONS, RUN = 3, 2, "test"
+CONFIG = parse({"low": {"min_size": 4}, "replay": {"batch_initial": 16}})
+SHAPES = {Level.LOW: Shape(FEATURES, ACTIONS)}
+
+
+def trajectory(first, length):
+    states = np.full((length + 1, FEATURES), first, np.float32) + np.arange(length + 1)[:, None]
+    masks = np.ones((length + 1, ACTIONS), bool)
+    plain = {"actions": np.uint8, "rewards": np.float32, "discounts": np.float32, "behaviours": np.uint8}
+    columns = {name: np.zeros(length, dtype) for name, dtype in plain.items()}
+    successors, guides = np.arange(1, length + 1, dtype=np.uint16), np.full(length, NO_GUIDE, np.int8)
+    return Trajectory(Level.LOW, states, successors=successors, masks=masks, guides=guides, weight_version=3, **columns)
+
+
+class Bench:
+    """A replay, and everybody else at the other end of a memory transport."""
+
+    def __init__(self, folder):
+        self.folder, self.broker = folder, MemoryBroker()
+        self.others = MemoryTransport(self.broker)
+        self.acks, self.replies = Mailbox(2**20), Mailbox(2**24)
+        self.others.subscribe(keys.ack(RUN, keys.ANY), self.acks)
+        self.now = 0.0
+
+    def begin(self, epoch=1, restored=None):
+        context = Context(CONFIG, RUN, "replay", "0", epoch, MemoryTransport(self.broker), threading.Event())
+        self.replay = Replay(context, SHAPES, Journal(self.folder), restored)
+        return self.replay
+
+    def issue(self, **epochs):
+        content = {"epochs": epochs, "buffer_size": 2000, "batch_size": 16, "stop": False}
+        self.others.publish(keys.control(RUN, "replay"), codec.encode(Orders(1, "replay", content)))
+
+    def push(self, sequence, produced, *trajectories, actor="a", epoch=7):
+        frame = Push(Level.LOW, actor, epoch, sequence, produced, False, trajectories)
+        self.others.publish(keys.push(RUN, Level.LOW, actor, epoch), codec.encode(frame))
+
+    def ask(self):
+        request = codec.encode(SampleRequest(1, Level.LOW, 0))
+        self.others.request(keys.sample(RUN, Level.LOW), request, self.replies, timeout_s=1.0)
+
+    def step(self):
+        self.now += 0.1
+        self.replay.step(self.now)
+        return [codec.decode(message.payload) for message in self.acks.drain()]
+
+
+@pytest.fixture
+def bench(tmp_path):
+    bench = Bench(tmp_path / "journal")
+    bench.begin()
+    bench.issue(a=7)
+    bench.push(0, 5, trajectory(10, 5))
+    bench.push(1, 8, trajectory(20, 3))
+    bench.ask()
+    bench.step()
+    bench.step()
+    return bench
+
+
+def told(state: State):
+    """What must be the same after a death: all but what was granted, which is granted anew, and the generator."""
+    meta = {name: value for name, value in state.meta["low"].items() if name != "rng"}
+    streams = {name: inserted for name, (inserted, _) in meta["limiter"]["streams"].items()}
+    current = {actor: stream | {"granted": 0} for actor, stream in meta["inbox"]["current"].items()}
+    return meta | {"limiter": meta["limiter"] | {"streams": streams}, "inbox": meta["inbox"] | {"current": current}}
+
+
+def alike(one: State, other: State):
+    assert told(one) == told(other)
+    assert one.arrays.keys() == other.arrays.keys()
+    for name, array in one.arrays.items():
+        np.testing.assert_array_equal(array, other.arrays[name])
+
+
+def test_the_next_replay_goes_on_where_the_last_one_died(bench):
+    before = bench.replay.state()
+    assert before.meta["low"]["stored"] == 8 and before.meta["low"]["sampled"] == 8
+    after = bench.begin(epoch=2)
+    alike(before, after.state())
+    assert after.recovered == 2
+    bench.push(1, 8, trajectory(20, 3))  # its acknowledgement may have been lost
+    bench.push(2, 9, trajectory(30, 1))
+    (ack,) = bench.step()
+    assert (ack.sender_epoch, ack.received) == (2, 3)
+    assert ack.credit > 9
+    assert after.shelves[Level.LOW].books()["stored"] == 9 and after.shelves[Level.LOW].books()["duplicates"] == 1
+
+
+def test_what_was_folded_into_a_new_base_comes_back_too(bench):
+    bench.replay.journal.rebase(codec.encode(bench.replay.state()))
+    bench.push(2, 10, trajectory(40, 2))
+    bench.step()
+    before = bench.replay.state()
+    alike(before, bench.begin(epoch=2).state())
+
+
+def test_a_frame_that_came_too_early_is_remembered_too(bench):
+    bench.push(3, 11, trajectory(50, 2))
+    bench.step()
+    bench.begin(epoch=2)
+    bench.push(2, 9, trajectory(40, 1))
+    acks = bench.step()
+    assert acks[-1].received == 4
+
+
+def test_nothing_is_acknowledged_that_the_journal_does_not_hold(bench, monkeypatch):
+    def full(records):
+        raise RunError("the disk is full")
+
+    monkeypatch.setattr(bench.replay.journal, "append", full)
+    bench.push(2, 9, trajectory(40, 1))
+    with pytest.raises(RunError, match="disk is full"):
+        bench.step()
+    assert not [message for message in bench.acks.drain() if codec.decode(message.payload, expect=Ack).received == 3]
+
+
+def test_refused_frames_and_repeats_are_not_written_down(bench):
+    size = bench.replay.journal.nbytes
+    bench.push(0, 5, trajectory(10, 5))
+    bench.push(0, 5, trajectory(10, 5), epoch=99)
+    bench.push(0, 5, trajectory(10, 5), actor="stranger")
+    bench.step()
+    assert bench.replay.journal.nbytes == size
+    assert bench.replay.shelves[Level.LOW].inbox.refused.total() == 2
+
+
+def test_a_run_that_is_resumed_begins_a_journal_from_its_checkpoint_and_knows_no_old_actor(bench, tmp_path):
+    checkpoint = bench.replay.state()
+    resumed = Bench(tmp_path / "another")
+    resumed.begin(epoch=20, restored=checkpoint)
+    resumed.issue(a=21)
+    resumed.push(0, 4, trajectory(60, 4), epoch=21)
+    resumed.step()
+    books = resumed.replay.shelves[Level.LOW].books()
+    assert (books["stored"], books["produced"]) == (12, 12)
+    assert resumed.replay.statistics()["low_size"] == 12
+
+
+def test_a_finished_run_leaves_no_journal(bench):
+    content = {"epochs": {"a": 7}, "buffer_size": 2000, "batch_size": 16, "stop": True}
+    bench.others.publish(keys.control(RUN, "replay"), codec.encode(Orders(1, "replay", content)))
+    bench.step()
+    assert not bench.folder.exists()

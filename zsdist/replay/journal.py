@@ -1,0 +1,152 @@
+"""What a replay has taken in, on its own disk: what was acknowledged outlives the process, `kill -9` included.
+
+A journal is a base and a log. The base is everything at one moment; the log is what has come since, in order. Once the
+log is long enough a new base takes the place of both, so that the two stay bounded as the ring turns. Records are
+handed to the operating system before anything is acknowledged; it keeps them though the process dies. They are not
+forced onto the disk: a machine that loses power may lose the last of them.
+"""
+
+import os
+import shutil
+import struct
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+from zsdist.errors import RunError
+
+COMPACT_BYTES = 32 * 2**20  # a log at least this long, and as long as its base, is folded into a new base
+
+_HEAD = struct.Struct("<IIB")  # length of the content, CRC-32 of kind and content, kind
+_KIND = struct.Struct("<B")
+
+Record = tuple[int, bytes]  # kind, which is the writer's business, and content
+
+
+class Journal:
+    """One writer's base and log in a folder of its own.
+
+    Args:
+        folder: made where it is missing; of a journal that was there, `recover` tells.
+
+    Raises:
+        RunError: the folder cannot be made or read.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._log = -1
+        self._generation = 0
+        self._base_bytes = 0
+        self._log_bytes = 0
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise self._failed("made", error) from error
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of base and log."""
+        return self._base_bytes + self._log_bytes
+
+    @property
+    def wants_base(self) -> bool:
+        """Whether the log is so long that `rebase` is due."""
+        return self._log_bytes >= max(COMPACT_BYTES, self._base_bytes)
+
+    def recover(self) -> tuple[bytes, list[Record]] | None:
+        """The newest base and the whole records after it; None where there is no base.
+
+        A last record that was torn by the death of its writer is cut off: nobody was told that it had arrived. The
+        journal goes on after the others.
+
+        Raises:
+            RunError: a file cannot be read or cut.
+        """
+        generations = sorted(int(path.stem) for path in self._folder.glob("*.base"))
+        if not generations:
+            return None
+        self._generation = generations[-1]
+        try:
+            base = self._path("base").read_bytes()
+            self._open_log()
+            content = self._path("log").read_bytes()
+            records, self._log_bytes = _whole(content)
+            os.ftruncate(self._log, self._log_bytes)
+        except OSError as error:
+            raise self._failed("read", error) from error
+        self._base_bytes = len(base)
+        return base, records
+
+    def rebase(self, base: bytes) -> None:
+        """Begins anew from `base`, which holds everything; the base and the log before it are removed.
+
+        Raises:
+            RunError: the disk is full, or the folder cannot be written.
+        """
+        try:
+            self._generation += 1
+            partial = self._path("partial")
+            partial.write_bytes(base)
+            self._open_log()
+            partial.rename(self._path("base"))  # from here on it counts
+            for path in self._folder.iterdir():
+                if path.stem != self._path("base").stem:
+                    path.unlink()
+        except OSError as error:
+            raise self._failed("written", error) from error
+        self._base_bytes, self._log_bytes = len(base), 0
+
+    def append(self, records: Sequence[Record]) -> None:
+        """Hands records to the operating system, all in one write; once it returns they may be acknowledged.
+
+        Raises:
+            RunError: the disk is full, or the folder cannot be written.
+        """
+        parts = []
+        for kind, content in records:
+            checksum = zlib.crc32(content, zlib.crc32(_KIND.pack(kind)))
+            parts += (_HEAD.pack(len(content), checksum, kind), content)
+        whole = b"".join(parts)
+        try:
+            written = os.write(self._log, whole)
+            if written != len(whole):
+                os.ftruncate(self._log, self._log_bytes)
+                raise OSError(0, f"{written} of {len(whole)} bytes were written: the disk is full")
+        except OSError as error:
+            raise self._failed("written", error) from error
+        self._log_bytes += len(whole)
+
+    def close(self) -> None:
+        """Lets go of the log; closing again does nothing."""
+        if self._log >= 0:
+            os.close(self._log)
+            self._log = -1
+
+    def remove(self) -> None:
+        """Closes and deletes it: what it held is kept elsewhere."""
+        self.close()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _open_log(self) -> None:
+        self.close()
+        self._log = os.open(self._path("log"), os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+
+    def _path(self, suffix: str) -> Path:
+        return self._folder / f"{self._generation:08d}.{suffix}"
+
+    def _failed(self, done: str, error: OSError) -> RunError:
+        return RunError(f"replay journal {self._folder} cannot be {done}: {error.strerror or error}")
+
+
+def _whole(content: bytes) -> tuple[list[Record], int]:
+    """The records up to the first that is not whole, and how many bytes they take."""
+    records, at = [], 0
+    while at + _HEAD.size <= len(content):
+        length, checksum, kind = _HEAD.unpack_from(content, at)
+        record = content[at + _HEAD.size : at + _HEAD.size + length]
+        if len(record) < length or zlib.crc32(record, zlib.crc32(_KIND.pack(kind))) != checksum:
+            break
+        records.append((kind, record))
+        at += _HEAD.size + length
+    return records, at

@@ -1,0 +1,168 @@
+"""One level's part of a replay: what it holds, how large it may be, and at what pace it gives and takes."""
+
+import json
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from zsdist.config import Config
+from zsdist.protocol.inbox import Inbox
+from zsdist.replay.buffer import RingBuffer
+from zsdist.replay.limiter import Limiter
+from zsdist.transport.base import Message
+from zsdist.types import Level
+from zsdist.wire import codec
+from zsdist.wire.messages import Push, SampleReply
+
+HOLD_REQUEST_S = 2.0  # a request that cannot be served for so long is answered with "no batch yet"
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What one level's transitions look like: state features and actions."""
+
+    state_size: int
+    actions: int
+
+
+class Shelf:
+    """One level's part of the replay: ring, sizes, limiter and inbox, with the requests that wait for data."""
+
+    def __init__(self, level: Level, shape: Shape, config: Config, sender_epoch: int) -> None:
+        self.level = level
+        self.batch_size = config.replay.batch_initial
+        self.buffer = RingBuffer(shape.state_size, shape.actions, config.replay.size_initial)
+        self.inbox = Inbox(level, sender_epoch=sender_epoch)
+        learning = config.high if level is Level.HIGH else config.low
+        # Trajectories of both levels are complete when an option ends, so every car must be able to end one.
+        grain = config.agent.option_max_steps * config.run.cars_per_actor
+        self.limiter = Limiter(learning.updates_per_insert, learning.min_size, grain)
+        self.rng = np.random.default_rng([config.seed, 0 if level is Level.HIGH else 1])
+        self.stored = 0
+        self.rejected: dict[str, int] = {}
+        self.sampled = 0
+        self.waiting: deque[tuple[float, Message]] = deque()
+        self._epochs: dict[str, int] = {}  # newest issued since this process began
+        self._closed: set[tuple[str, int]] = set()
+
+    def issue(self, actor: str, epoch: int) -> bool:
+        """Admits a new epoch of an actor, closes the older one at its last frame in order; whether it was new."""
+        current = self._epochs.get(actor, -1)
+        if epoch <= current:
+            return False
+        if self._limited(actor, current):
+            self.limiter.close(f"{actor}/{current}")
+        self.inbox.issue(actor, epoch)
+        self.limiter.open(f"{actor}/{epoch}")
+        self._epochs[actor] = epoch
+        return True
+
+    def receive(self, push: Push, now: float) -> bool:
+        """Stores what of a frame is new and in order; whether it is to be remembered: not refused, and no repeat."""
+        passed_over = self.inbox.duplicates + self.inbox.refused.total()
+        delivered = self.inbox.receive(push, now)
+        for frame in delivered:
+            stream = f"{frame.actor}/{frame.epoch}"
+            stored, reasons = self.buffer.insert(*frame.trajectories)
+            self.stored += stored
+            for reason, count in reasons.items():
+                self.rejected[reason] = self.rejected.get(reason, 0) + count
+            self.limiter.inserted(stream, stored, rejected=sum(reasons.values()))
+            if frame.closes:
+                self.limiter.close(stream)
+                self._closed.add((frame.actor, frame.epoch))
+        return bool(delivered) or self.inbox.duplicates + self.inbox.refused.total() == passed_over
+
+    def credit(self, actor: str, epoch: int) -> int | None:
+        """The absolute number of transitions an open epoch may produce; None: unlimited."""
+        return self.limiter.credit(f"{actor}/{epoch}") if self._limited(actor, epoch) else 0
+
+    def _limited(self, actor: str, epoch: int) -> bool:
+        """Whether the limiter knows the epoch: issued since this process began, and not closed."""
+        return self._epochs.get(actor) == epoch and (actor, epoch) not in self._closed
+
+    def serve(self, now: float) -> None:
+        """Answers waiting requests: with a batch while the limiter allows, with none after `HOLD_REQUEST_S`."""
+        while self.waiting:
+            asked_s, message = self.waiting[0]
+            batch = None
+            if len(self.buffer) and self.limiter.may_sample():
+                size = min(self.batch_size, len(self.buffer))
+                batch = self.buffer.sample(self.rng, size)
+                self.limiter.sampled()
+                self.sampled += size
+            elif now - asked_s < HOLD_REQUEST_S:
+                return
+            self.waiting.popleft()
+            message.reply(codec.encode(SampleReply(self.level, batch, {"stored": len(self.buffer)})))
+
+    def resize(self, buffer_size: int, batch_size: int) -> None:
+        """Takes over the sizes that the scheduler derives from the returns (`zsdist.replay.sizing`)."""
+        self.batch_size = batch_size
+        if buffer_size != self.buffer.capacity:
+            self.buffer.resize(buffer_size)
+
+    def books(self) -> dict[str, int]:
+        """What was produced and what became of it; `produced = stored + rejected` once all epochs are closed."""
+        return {
+            "produced": self.inbox.produced,
+            "stored": self.stored,
+            "duplicates": self.inbox.duplicates,
+            "rejected": sum(self.rejected.values()),
+            "abandoned_at_most": self.inbox.abandoned_at_most,
+            "sampled": self.sampled,
+        }
+
+    def pace(self) -> dict[str, int]:
+        """What changes without any frame: updates served, transitions sampled, and the sizes in force.
+
+        What was granted is not in it: the next replay grants anew, and its word replaces its predecessor's.
+        """
+        return {
+            "updates": self.limiter.updates,
+            "sampled": self.sampled,
+            "batch_size": self.batch_size,
+            "capacity": self.buffer.capacity,
+        }
+
+    def keep_pace(self, pace: dict[str, int]) -> None:
+        """Takes over what `pace` gave."""
+        self.limiter.catch_up(pace["updates"])
+        self.sampled = pace["sampled"]
+        self.resize(pace["capacity"], pace["batch_size"])
+
+    def state(self) -> tuple[dict, dict[str, np.ndarray]]:
+        """Everything needed to go on: ring, sizes, limiter counts, books, generator state."""
+        meta = {
+            "batch_size": self.batch_size,
+            "limiter": self.limiter.state(),
+            "inbox": self.inbox.state(),
+            "stored": self.stored,
+            "rejected": self.rejected,
+            "sampled": self.sampled,
+            "rng": json.dumps(self.rng.bit_generator.state),  # as text: its integers have 128 bits
+            "books": self.books(),
+            "epochs": self._epochs,
+            "closed": [list(stream) for stream in sorted(self._closed)],
+            "open": len(self.inbox.open_streams()),
+        }
+        return meta, self.buffer.state()
+
+    def restore(self, meta: dict, arrays: dict[str, np.ndarray], *, same_run: bool) -> None:
+        """Takes over a `state`.
+
+        Args:
+            meta: its first part.
+            arrays: its second part.
+            same_run: whether the actors of then still drive; else their epochs are over, and all have new ones.
+        """
+        self.batch_size = meta["batch_size"]
+        self.inbox.restore(meta["inbox"])
+        self.stored, self.rejected, self.sampled = meta["stored"], dict(meta["rejected"]), meta["sampled"]
+        self.rng.bit_generator.state = json.loads(meta["rng"])
+        self.buffer.restore(arrays)
+        self.limiter.restore(meta["limiter"], same_run=same_run)
+        if same_run:
+            self._epochs = dict(meta["epochs"])
+            self._closed = {(actor, epoch) for actor, epoch in meta["closed"]}
