@@ -4,10 +4,12 @@ Everything is the package's own: hub, replay role, outbox, codec, transport. Onl
 """
 
 import multiprocessing
+import tempfile
 import threading
 import time
 from dataclasses import replace
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Self
 
 import numpy as np
@@ -16,8 +18,10 @@ from wire import make_trajectory
 
 from zsdist.config import Config
 from zsdist.protocol.outbox import Outbox
+from zsdist.replay.journal import Journal
 from zsdist.roles.base import Context
-from zsdist.roles.replay import Replay, Shape
+from zsdist.roles.replay import Replay
+from zsdist.roles.shelf import Shape
 from zsdist.transport.base import Mailbox, Transport
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 from zsdist.types import Batch, Level, Trajectory
@@ -81,11 +85,12 @@ def _serve_hub(ready: Connection) -> None:
 def _serve_replay(ready: Connection, endpoint: str, config: Config, state_size: int) -> None:
     transport, wake = ZenohTransport(endpoint), threading.Event()
     context = Context(config, RUN, "replay", "0", 1, transport, wake)
-    replay = Replay(context, dict.fromkeys(Level, Shape(state_size, ACTIONS)))
-    ready.send("")
-    while (due_s := replay.step(time.time())) is not None:
-        wake.wait(max(0.0, due_s - time.time()))
-        wake.clear()
+    with tempfile.TemporaryDirectory() as folder:
+        replay = Replay(context, dict.fromkeys(Level, Shape(state_size, ACTIONS)), Journal(Path(folder, "journal")))
+        ready.send("")
+        while (due_s := replay.step(time.time())) is not None:
+            wake.wait(max(0.0, due_s - time.time()))
+            wake.clear()
 
 
 class Actors:

@@ -93,9 +93,9 @@ def summary_of(folder):
     return json.loads((folder / "summary.json").read_text())
 
 
-def test_a_stranger_sees_every_role_and_a_killed_actor_is_replaced(tmp_path):
+def test_a_stranger_sees_every_role_and_a_killed_actor_and_a_killed_replay_are_replaced(tmp_path):
     folder = tmp_path / "watched"
-    process = begin(folder, "--episodes", "10")
+    process = begin(folder, "--episodes", "20")
     stranger = Stranger((folder / "endpoint").read_text(), "watched")
     try:
         until(lambda: set(stranger.said) >= ROLES, process, "every role has spoken")
@@ -121,6 +121,11 @@ def test_a_stranger_sees_every_role_and_a_killed_actor_is_replaced(tmp_path):
         victim = stranger.said["actor/1"]["pid"]
         os.kill(victim, signal.SIGKILL)
         until(lambda: stranger.said["actor/1"]["pid"] != victim, process, "the actor is back")
+        before = stranger.said["replay/0"]
+        os.kill(before["pid"], signal.SIGKILL)
+        until(lambda: stranger.said["replay/0"]["pid"] != before["pid"], process, "the replay is back")
+        assert stranger.said["replay/0"]["recovered_frames"] > 0
+        assert stranger.said["replay/0"]["low_stored"] >= before["low_stored"]
         family = psutil.Process(process.pid).children(recursive=True)
         output, _ = process.communicate(timeout=PATIENCE_S)
     finally:
@@ -129,8 +134,8 @@ def test_a_stranger_sees_every_role_and_a_killed_actor_is_replaced(tmp_path):
     assert process.returncode == 0, output
     assert not [child for child in family if child.is_running() and child.status() != psutil.STATUS_ZOMBIE]
     summary = summary_of(folder)
-    assert summary["restarts"] == {"actor": 1}
-    assert sorted(record["episode"] for record in episodes(folder)) == list(range(1, 11))
+    assert summary["restarts"] == {"actor": 1, "replay": 1}
+    assert sorted(record["episode"] for record in episodes(folder)) == list(range(1, 21))
     for books in summary["transitions"].values():
         assert books["produced"] == books["stored"] + books["rejected"] > 0
     assert (folder / "figures" / "fig09-rewards.png").stat().st_size > 0

@@ -13,7 +13,7 @@ from zsdist.wire.messages import Candidate, Orders, SampleReply, SampleRequest, 
 
 PREFETCH = 3  # batches asked for or waiting
 UPDATES_A_STEP = 8  # before mailboxes are looked at again
-ANSWER_WITHIN_S = 10.0  # a request not answered by then is asked again
+ANSWER_WITHIN_S = 4.0  # a request not answered by then is asked again; a replay that lives answers within two seconds
 WEIGHTS_EVERY_S = 0.5
 REPEAT_EVERY_S = 2.0  # unchanged weights and pending candidates are said again, in case a pipe was full
 DISTIL_BATCHES = 32  # most recent batches that distillation learns from

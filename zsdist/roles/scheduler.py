@@ -1,13 +1,14 @@
 """The scheduler role: leases episodes, runs the merges, takes checkpoints, and alone writes the run directory."""
 
+from collections import Counter
 from enum import StrEnum
-from typing import Protocol
 
 from zsdist.dqn.exploration import epsilon
 from zsdist.protocol.inbox import Inbox
 from zsdist.replay.sizing import AdaptiveSizing, RewardAverages
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.leases import Leases
+from zsdist.roles.ledger import Ledger
 from zsdist.roles.merge import BEST, DISTILLED, RECENT, Merge, Phase
 from zsdist.roles.snapshot import Fields, Snapshot
 from zsdist.types import Level, Outcome
@@ -28,25 +29,6 @@ class Stage(StrEnum):
     DONE = "done"
 
 
-class Ledger(Protocol):
-    """The run directory as the scheduler needs it."""
-
-    def episode(self, record: dict) -> None:
-        """Appends one finished episode."""
-
-    def metrics(self, row: Fields) -> None:
-        """Appends one line of figures."""
-
-    def checkpoint(self, episodes: int, states: dict[str, State]) -> None:
-        """Writes a complete checkpoint, at once or not at all."""
-
-    def summary(self, fields: dict) -> None:
-        """Writes the end of the run."""
-
-    def wall_s(self) -> float:
-        """How long the run has taken in real time, earlier sittings included."""
-
-
 class Scheduler(Role):
     """Counts finished episodes; exploration and merges follow this one count."""
 
@@ -62,7 +44,8 @@ class Scheduler(Role):
         self.averages = RewardAverages(context.config.replay.average_episodes)
         self.sizing = AdaptiveSizing(context.config.replay)
         self.env_steps = 0
-        self.restarts = 0  # of actors: the death of any other role ends the run
+        self._restarts_before: dict[str, int] = {}  # in earlier sittings, by kind of role
+        self._restarts_now: dict[str, int] = {}
         self.recent: list[Outcome] = []  # of the last episodes, for watchers
         self._epochs: dict[str, int] = {}
         self._interrupted = False
@@ -118,7 +101,7 @@ class Scheduler(Role):
             "episodes_target": self.target,
             "epsilon": round(epsilon(finished, self.config.agent.epsilon_decay, self.config.agent.epsilon_min), 4),
             "merges": len(self.merges),
-            "restarts": self.restarts,
+            "restarts": sum(self._restarts().values()),
             "episodes_in_flight": len(self.leases.holders),
             **{outcome.value: count for outcome, count in self.outcomes.items()},
         }
@@ -143,12 +126,14 @@ class Scheduler(Role):
                     continue
                 if actor in self._epochs:
                     self.leases.give_back(actor)
-                    self.restarts += 1
                     self.event(now, "actor_replaced", actor=actor, actor_epoch=epoch)
                 self._epochs[actor] = epoch
                 for inbox in self._inboxes.values():
                     inbox.issue(actor, epoch)
                 self._next_orders_s = 0.0
+            if orders.content["restarts"] != self._restarts_now:
+                self._restarts_now = orders.content["restarts"]
+                self.event(now, "restarted", **self._restarts())
             self._interrupted |= orders.content["interrupted"]
 
     def _take_reports(self, now: float) -> None:
@@ -183,6 +168,13 @@ class Scheduler(Role):
                 self._offered[message.level].add((message.merge, message.name))
             elif isinstance(message, WeightsMessage):
                 self._merged[message.weights.level] = max(self._merged[message.weights.level], message.merge)
+
+    def _restarts(self) -> dict[str, int]:
+        """Processes replaced in the whole run, by kind of role; of actors also where it is none."""
+        counts = Counter({"actor": 0})
+        counts.update(self._restarts_before)
+        counts.update(self._restarts_now)
+        return dict(counts)
 
     # -- what follows from it -----------------------------------------------------------------------------------
 
@@ -351,7 +343,7 @@ class Scheduler(Role):
             "recent": [outcome.value for outcome in self.recent],
             "env_steps": self.env_steps,
             "merges": merges,
-            "restarts": self.restarts,
+            "restarts": self._restarts(),
             "max_lag_versions": self.snapshot.max_lag_versions,
             "wall_s": self.ledger.wall_s(),
         }
@@ -365,7 +357,7 @@ class Scheduler(Role):
         self.leases = Leases(meta["finished"])
         self.outcomes = {Outcome(name): count for name, count in meta["outcomes"].items()}
         self.env_steps = meta["env_steps"]
-        self.merges, self.restarts = list(meta["merges"]), meta["restarts"]
+        self.merges, self._restarts_before = list(meta["merges"]), meta["restarts"]
         self.snapshot.max_lag_versions = meta["max_lag_versions"]
         self._saved_at = len(self.leases.finished)
 
@@ -390,6 +382,6 @@ class Scheduler(Role):
                 "env_steps_per_s": round(self.env_steps / max(wall_s, 1e-9), 2),
                 "episodes_per_min": round(60 * len(self.leases.finished) / max(wall_s, 1e-9), 2),
             },
-            "restarts": {"actor": self.restarts},
+            "restarts": self._restarts(),
             "wall_s": wall_s,
         }

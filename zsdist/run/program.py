@@ -2,7 +2,7 @@
 
 import threading
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -228,9 +228,19 @@ def make_hub(setting: Setting, place: Place, transport: Transport, wake: threadi
     return Hub(setting.context(place, transport, wake), endpoint)
 
 
-def supervision(setting: Setting, places: Sequence[Place], *, interrupted: bool) -> dict:
-    """What a runner tells the scheduler, again and again: the actors' newest epochs, and whether to stop early."""
+def supervision(
+    setting: Setting, places: Sequence[Place], *, interrupted: bool, restarts: Mapping[str, int] | None = None
+) -> dict:
+    """What a runner tells the scheduler, again and again.
+
+    Args:
+        setting: of the run.
+        places: all roles; the actors' newest epochs are told.
+        interrupted: whether to stop early.
+        restarts: processes replaced so far in this start, by kind of role.
+    """
     return {
         "epochs": {place.name: place.epoch for place in places if place.role == "actor"},
+        "restarts": dict(restarts or {}),
         "interrupted": interrupted,
     }

@@ -5,6 +5,7 @@ import sys
 import threading
 import time
 import traceback
+from collections import Counter
 from collections.abc import Callable, Sequence
 
 import ray
@@ -22,7 +23,8 @@ from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders
 
 OBJECT_STORE_BYTES = 256 * 2**20  # it carries settings and checkpoints at the start, and nothing afterwards
-RESTARTS_ALLOWED = 20  # of one actor, before the run is given up
+RESTARTED = ("actor", "replay")  # roles that lose nothing which counts when their process dies
+RESTARTS_ALLOWED = 20  # of one role, before the run is given up
 LEAVE_WITHIN_S = 5.0  # roles have so long to end by themselves once the run is over
 
 
@@ -99,7 +101,8 @@ def run(
 ) -> None:
     """Runs to the end, or until `interrupted` has been heard and everything is saved.
 
-    A dead actor is replaced by a new incarnation; the death of any other role ends the run.
+    A dead actor is replaced by a new incarnation, and so is a dead replay, which goes on from its journal; the death of
+    any other role ends the run.
 
     Args:
         setting: what the roles share.
@@ -149,7 +152,7 @@ def _connect(setting: Setting) -> None:
 
 
 class _Supervisor:
-    """Starts the roles, replaces dead actors, and tells the scheduler of both."""
+    """Starts the roles, replaces those that died and may, and tells the scheduler of both."""
 
     def __init__(self, setting: Setting, epochs: Sequence[int]) -> None:
         self.setting = setting
@@ -180,7 +183,11 @@ class _Supervisor:
                 ray.kill(host)
 
     def _supervise(self, transport: Transport, interrupted: bool) -> None:
-        content = program.supervision(self.setting, list(self.places.values()), interrupted=interrupted)
+        restarts: Counter[str] = Counter()
+        for name, count in self.restarts.items():
+            restarts[self.places[name].role] += count
+        places = list(self.places.values())
+        content = program.supervision(self.setting, places, restarts=restarts, interrupted=interrupted)
         orders = codec.encode(Orders(self.epoch, "scheduler", content))
         transport.publish(keys.control(self.setting.run, "scheduler"), orders, retained=True)
         ended, _ = ray.wait(list(self.work), timeout=HEARTBEAT_S)
@@ -193,7 +200,7 @@ class _Supervisor:
             reason = ray.get(reference)
         except RayActorError as error:  # its process is gone
             reason = f"{name} died: {_last_line(error)}"
-            if self.places[name].role == "actor":
+            if self.places[name].role in RESTARTED:
                 self._replace(name, reason)
                 return
         except RayError as error:  # a defect would show again: no restart helps
