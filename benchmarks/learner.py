@@ -1,4 +1,4 @@
-"""Updates a second of one level's learner, by network and batch size; torch's own optimiser loop as the yardstick.
+"""Updates a second of a learner, by network and batch size, and of both levels; torch's own loop as the yardstick.
 
 `python benchmarks/learner.py [--quick]` prints a table, then one JSON line.
 """
@@ -16,10 +16,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 import torch
 
-from zsdist.config import LevelConfig
+from zsdist.config import Config, LevelConfig
 from zsdist.dqn import losses, network
 from zsdist.dqn.learner import DqnLearner
-from zsdist.types import Batch
+from zsdist.run import program
+from zsdist.types import Batch, Level
 
 ACTIONS = 5
 CASES = (  # name, state features, hidden, batch size
@@ -51,6 +52,9 @@ def main() -> None:
         figures[f"{name}_updates_per_s"] = round(ours_rate, 1)
         ratios[f"{name}_update_vs_plain_torch"] = round(statistics.median(a / b for a, b in pairs), 3)
         print(f"{name:24s} {ours_rate:18.0f} {plain_rate:22.0f} {ours_rate / plain_rate:7.2f}")
+    for name, figure in default_levels(updates, repeats).items():
+        figures[name] = round(figure, 1)
+        print(f"{name:40s} {figure:8.0f}")
     parameters = network.initial_parameters(CASES[1][1], ACTIONS, CASES[1][2], seed=0)
     for cars in (1, 4, 16):
         states = np.random.default_rng(0).normal(size=(cars, CASES[1][1])).astype(np.float32)
@@ -63,25 +67,42 @@ def main() -> None:
     print(json.dumps({"subject": "learner", "machine": machine, "figures": figures, "ratios": ratios}))
 
 
-def make_batches(state_size: int, batch_size: int) -> list[Batch]:
+def default_levels(updates: int, repeats: int) -> dict[str, float]:
+    """Updates a second with all that the default configuration has on: each level alone, and both in turn."""
+    learners = {level: program.make_learner(Config(), level) for level in Level}
+    batches = {level: make_batches(shape.state_size, 128, shape.actions) for level, shape in program.SHAPES.items()}
+    rates: dict[str, list[float]] = {name: [] for name in (*Level, "both")}
+    for _ in range(repeats):
+        for level in Level:
+            rates[level].append(rate(learners[level].update, batches[level], updates))
+        in_turn = [
+            pair
+            for level_batches in zip(*batches.values(), strict=True)
+            for pair in zip(Level, level_batches, strict=True)
+        ]
+        rates["both"].append(rate(lambda pair: learners[pair[0]].update(pair[1]), in_turn, updates))
+    return {f"default_{name}_batch128_updates_per_s": statistics.median(each) for name, each in rates.items()}
+
+
+def make_batches(state_size: int, batch_size: int, actions: int = ACTIONS) -> list[Batch]:
     """Random batches of the right shapes."""
     rng = np.random.default_rng(0)
     return [
         Batch(
             states=rng.normal(size=(batch_size, state_size)).astype(np.float32),
-            actions=rng.integers(0, ACTIONS, batch_size),
+            actions=rng.integers(0, actions, batch_size),
             rewards=rng.normal(size=batch_size).astype(np.float32),
             discounts=np.full(batch_size, 0.99, np.float32),
             next_states=rng.normal(size=(batch_size, state_size)).astype(np.float32),
-            next_masks=np.ones((batch_size, ACTIONS), bool),
-            masks=np.ones((batch_size, ACTIONS), bool),
-            guides=rng.integers(-1, ACTIONS, batch_size),
+            next_masks=np.ones((batch_size, actions), bool),
+            masks=np.ones((batch_size, actions), bool),
+            guides=rng.integers(-1, actions, batch_size),
         )
         for _ in range(16)
     ]
 
 
-def rate(update: Update, batches: list[Batch], updates: int) -> float:
+def rate(update: Callable, batches: list, updates: int) -> float:
     """Updates a second over `updates` of them."""
     started = time.perf_counter()
     for i in range(updates):
