@@ -1,7 +1,7 @@
 import os
 
 import pytest
-from chaos.storm import Storm
+from storm import Storm
 
 SEEDS = int(os.environ.get("ZSDIST_STORMS", "40"))  # `ZSDIST_STORMS=1000` for all that was ever asked for
 CASES = 8
