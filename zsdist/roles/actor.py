@@ -39,6 +39,8 @@ class Actor(Role):
         self.waiting_credit_s = 0.0
         self._waiting_since_s: float | None = None
         self._weights: dict[Level, WeightsMessage] = {}
+        self._lags_s: dict[Level, float] = {}  # how long the weights before the present ones were out of date
+        self._max_lag_s = 0.0
         self._candidates: dict[tuple[int, str], dict[Level, Parameters]] = {}
         self._leases: list[int] = []
         self._started: set[int] = set()  # leases taken up; a number is driven once by this process
@@ -102,6 +104,8 @@ class Actor(Role):
             **self.sight.statistics(),
         }
         fields |= {f"{level}_weight_version": message.weights.version for level, message in self._weights.items()}
+        fields |= {f"{level}_weights_lag_s": round(lag_s, 4) for level, lag_s in self._lags_s.items()}
+        fields["weights_max_lag_s"] = round(self._max_lag_s, 4)
         for stream, outbox in self._outboxes.items():
             fields |= {f"{stream}_{name}": value for name, value in outbox.statistics().items()}
         return fields
@@ -112,7 +116,7 @@ class Actor(Role):
                 self._outboxes[ack.stream].on_ack(ack, now)
         for _, message in self.messages(self._news):
             if isinstance(message, WeightsMessage):
-                self._take_weights(message)
+                self._take_weights(message, now)
             elif isinstance(message, Candidate):
                 pair = self._candidates.setdefault((message.merge, message.name), {})
                 pair[message.level] = message.parameters
@@ -135,11 +139,17 @@ class Actor(Role):
         for key in [key for key in self._candidates if key[0] < content["merge"]]:
             del self._candidates[key]
 
-    def _take_weights(self, message: WeightsMessage) -> None:
-        held = self._weights.get(message.weights.level)
-        order = (message.sender_epoch, message.weights.version)
-        if held is None or order > (held.sender_epoch, held.weights.version):
-            self._weights[message.weights.level] = message
+    def _take_weights(self, message: WeightsMessage, now: float) -> None:
+        level, version = message.weights.level, message.weights.version
+        held = self._weights.get(level)
+        if held is not None and (message.sender_epoch, version) <= (held.sender_epoch, held.weights.version):
+            return
+        self._weights[level] = message
+        if held is not None:
+            # Where a version was missed nobody knows when it came to be: at the earliest with the one that was held.
+            follows = version == held.weights.version + 1 or message.sender_epoch != held.sender_epoch
+            self._lags_s[level] = max(0.0, now - (message if follows else held).made_s)
+            self._max_lag_s = max(self._max_lag_s, self._lags_s[level])
 
     def _assign(self) -> None:
         """Gives idle cars their next errand: evaluation drives first, then leases."""

@@ -11,7 +11,7 @@ from zsdist.types import Batch, Level, Parameters, Weights
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Candidate, Orders, SampleReply, SampleRequest, State, WeightsMessage
 
-PREFETCH = 3  # batches asked for or waiting
+PREFETCH = 8  # batches asked for or waiting: what is learned from while the next answer is on its way
 UPDATES_A_STEP = 8  # before mailboxes are looked at again
 ANSWER_WITHIN_S = 4.0  # a request not answered by then is asked again; a replay that lives answers within two seconds
 WEIGHTS_EVERY_S = 0.5
@@ -30,6 +30,7 @@ class Learner(Role):
         self.updates = 0
         self.merge = 0  # index of the last merge taken over
         self.waiting_data_s = 0.0
+        self.waiting_reply_s = 0.0  # of it, while the replay had something to give
         self._best: Parameters | None = None
         self._candidates: dict[str, Parameters] = {}
         self._offered = 0
@@ -41,6 +42,7 @@ class Learner(Role):
         self._starved_since_s: float | None = None
         self._published_updates = -1
         self._published_s = -REPEAT_EVERY_S
+        self._made_s = 0.0  # when the version last broadcast came to be
         self._offered_s = 0.0
         self._scheduler_epoch = -1
         if restored is not None:
@@ -59,16 +61,14 @@ class Learner(Role):
                 self._scheduler_epoch = orders.sender_epoch
                 self._follow(orders.content, now)
         self._receive(now)
-        self._learn()
-        self._ask(now)
+        learned = self._learn(now)
         self._publish(now)
         for message in self._checkpoints.drain():
             if self.updates != self._published_updates:  # what a checkpoint holds has a version of its own
                 self._publish_weights(now)
             message.reply(codec.encode(self.state()))
-        if self._ready and not self._paused:
-            return now
-        return now + WEIGHTS_EVERY_S
+        # Again at once after an update too: waiting begins when there is no batch then.
+        return now if learned else now + WEIGHTS_EVERY_S
 
     def statistics(self) -> dict[str, float | str]:
         """Updates, losses, version, and how long it has waited for data."""
@@ -77,6 +77,7 @@ class Learner(Role):
             "weight_version": self.version,
             "merges": self.merge,
             "waiting_data_s": round(self.waiting_data_s, 3),
+            "waiting_reply_s": round(self.waiting_reply_s, 3),
             **{name: round(value, 6) for name, value in self.dqn.figures().items()},
             **({"batch_size": self._batch_size} if self._batch_size else {}),
         }
@@ -100,31 +101,39 @@ class Learner(Role):
         self._offered = self.merge
 
     def _receive(self, now: float) -> None:
+        lacked_s = 0.0  # how long the replay had nothing to give
         for _, reply in self.messages(self._batches):
             if not isinstance(reply, SampleReply):
                 continue
             if self._asked_s:
                 self._asked_s.popleft()
+            lacked_s = max(lacked_s, reply.waited_s)
             if reply.batch is not None:
                 self._ready.append(reply.batch)
         while self._asked_s and now - self._asked_s[0] > ANSWER_WITHIN_S:
             self._asked_s.popleft()
         if self._ready or self._paused:
             if self._starved_since_s is not None:
-                self.waiting_data_s += now - self._starved_since_s
+                waited_s = now - self._starved_since_s
+                self.waiting_data_s += waited_s
+                self.waiting_reply_s += max(0.0, waited_s - lacked_s)
             self._starved_since_s = None
         elif self._starved_since_s is None:
             self._starved_since_s = now
 
-    def _learn(self) -> None:
-        for _ in range(UPDATES_A_STEP):
+    def _learn(self, now: float) -> int:
+        """Learns from what is there; what that takes away is asked for before, so that it comes meanwhile."""
+        for done in range(UPDATES_A_STEP):
             if not self._ready or self._paused:
-                return
+                self._ask(now)
+                return done
             batch = self._ready.popleft()
+            self._ask(now)
             self._recent_batches.append(batch)
             self.dqn.update(batch)
             self._batch_size = len(batch)
             self.updates += 1
+        return UPDATES_A_STEP
 
     def _ask(self, now: float) -> None:
         while not self._paused and len(self._asked_s) + len(self._ready) < PREFETCH:
@@ -141,11 +150,12 @@ class Learner(Role):
             self._publish_candidates(now)
 
     def _publish_weights(self, now: float) -> None:
-        self.version += self.updates != self._published_updates
+        if self.updates != self._published_updates:
+            self.version, self._made_s = self.version + 1, now
         self._published_s, self._published_updates = now, self.updates
         parameters = self.dqn.parameters()
         weights = Weights(self.level, self.version, parameters)
-        message = WeightsMessage(self.context.epoch, self.merge, network.sha256(parameters), weights)
+        message = WeightsMessage(self.context.epoch, self.merge, network.sha256(parameters), self._made_s, weights)
         self.transport.publish(keys.weights(self.context.run, self.level), codec.encode(message), retained=True)
 
     def _follow(self, content: dict, now: float) -> None:

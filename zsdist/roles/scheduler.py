@@ -345,6 +345,7 @@ class Scheduler(Role):
             "merges": merges,
             "restarts": self._restarts(),
             "max_lag_versions": self.snapshot.max_lag_versions,
+            "max_lag_s": self.snapshot.max_lag_s,
             "wall_s": self.ledger.wall_s(),
         }
         return State("scheduler", meta, {})
@@ -358,7 +359,7 @@ class Scheduler(Role):
         self.outcomes = {Outcome(name): count for name, count in meta["outcomes"].items()}
         self.env_steps = meta["env_steps"]
         self.merges, self._restarts_before = list(meta["merges"]), meta["restarts"]
-        self.snapshot.max_lag_versions = meta["max_lag_versions"]
+        self.snapshot.max_lag_versions, self.snapshot.max_lag_s = meta["max_lag_versions"], meta["max_lag_s"]
         self._saved_at = len(self.leases.finished)
 
     def _summary(self) -> dict:
@@ -374,6 +375,7 @@ class Scheduler(Role):
             "weights": {
                 "version": {level.value: meta["version"] for level, meta in learners.items()},
                 "max_lag_versions": self.snapshot.max_lag_versions,
+                "max_lag_s": self.snapshot.max_lag_s,
                 "sha256": {level.value: meta["sha256"] for level, meta in learners.items()},
             },
             "merges": self.merges,

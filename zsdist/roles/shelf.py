@@ -95,7 +95,7 @@ class Shelf:
             elif now - asked_s < HOLD_REQUEST_S:
                 return
             self.waiting.popleft()
-            message.reply(codec.encode(SampleReply(self.level, batch, {"stored": len(self.buffer)})))
+            message.reply(codec.encode(SampleReply(self.level, batch, len(self.buffer), now - asked_s)))
 
     def resize(self, buffer_size: int, batch_size: int) -> None:
         """Takes over the sizes that the scheduler derives from the returns (`zsdist.replay.sizing`)."""

@@ -23,6 +23,7 @@ class Snapshot:
         self.events: list[Fields] = []
         self.malformed = 0
         self.max_lag_versions = 0
+        self.max_lag_s = 0.0  # longest that an actor acted with weights that were out of date
         self._history: dict[tuple[str, str], deque[Fields]] = {}
 
     def take(self, messages: Iterable[Message]) -> None:
@@ -89,7 +90,7 @@ class Snapshot:
         }
         row["env_steps_per_s"] = round(self.rate("actor", "env_steps"), 2)
         for level, learner in self.of("learner").items():
-            for name in ("learner_updates", "weight_version", "loss", "q_mean", "waiting_data_s"):
+            for name in ("learner_updates", "weight_version", "loss", "q_mean", "waiting_data_s", "waiting_reply_s"):
                 if name in learner:
                     row[f"{level}_{name}"] = learner[name]
             row[f"{level}_updates_per_s"] = round(self.rate("learner", "learner_updates", level), 2)
@@ -98,6 +99,8 @@ class Snapshot:
                 row[f"replay_{name}"] = value
         for level, lag in self.lag_versions().items():
             row[f"{level}_lag_versions"] = lag
+            name = f"{level}_weights_lag_s"
+            row[name] = max((float(fields.get(name, 0.0)) for fields in self.of("actor").values()), default=0.0)
         return row
 
     def _take_json(self, parsed: keys.ParsedKey, payload: bytes) -> None:
@@ -117,6 +120,7 @@ class Snapshot:
             self.roles[who] = fields
             self._history.setdefault(who, deque(maxlen=HISTORY)).append(fields)
             self.max_lag_versions = max(self.max_lag_versions, *self.lag_versions().values())
+            self.max_lag_s = max(self.max_lag_s, float(fields.get("weights_max_lag_s", 0.0)))
         else:
             self.malformed += 1
 

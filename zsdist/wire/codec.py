@@ -106,6 +106,12 @@ def _counts(meta: Meta, *names: str) -> None:
             raise DecodeError("count", f"{name} is {value!r}"[:80])
 
 
+def _seconds(meta: Meta, name: str) -> None:
+    value = meta[name]
+    if type(value) not in (int, float) or not 0 <= value < MAX_COUNT:
+        raise DecodeError("time", f"{name} is {value!r}"[:80])
+
+
 def _names(meta: Meta, *names: str) -> None:
     for name in names:
         if not isinstance(meta[name], str) or not keys.is_name(meta[name]):
@@ -213,14 +219,15 @@ def _build_sample_request(meta: Meta, columns: Columns) -> SampleRequest:
 
 def _split_sample_reply(message: SampleReply) -> tuple[Meta, Columns]:
     columns, actions = ({}, 0) if message.batch is None else column_codec.from_batch(message.batch)
-    return {"level": str(message.level), "note": message.note, "actions": actions}, columns
+    meta = {"level": str(message.level), "held": message.held, "waited_s": message.waited_s}
+    return meta | {"actions": actions}, columns
 
 
 def _check_sample_reply(meta: Meta, columns: Columns) -> None:
-    _fields(meta, "level", "note", "actions")
+    _fields(meta, "level", "held", "waited_s", "actions")
     _one_of(meta, "level", _LEVELS)
-    _json_object(meta, "note")
-    _counts(meta, "actions")
+    _counts(meta, "held", "actions")
+    _seconds(meta, "waited_s")
     if columns:
         column_codec.check_batch(columns, meta["actions"])
     elif meta["actions"]:
@@ -229,18 +236,19 @@ def _check_sample_reply(meta: Meta, columns: Columns) -> None:
 
 def _build_sample_reply(meta: Meta, columns: Columns) -> SampleReply:
     batch = column_codec.to_batch(columns, meta["actions"]) if columns else None
-    return SampleReply(Level(meta["level"]), batch, meta["note"])
+    return SampleReply(Level(meta["level"]), batch, meta["held"], meta["waited_s"])
 
 
 def _split_weights(message: WeightsMessage) -> tuple[Meta, Columns]:
     weights = message.weights
-    meta = {"sender_epoch": message.sender_epoch, "merge": message.merge, "sha256": message.sha256}
+    meta = {name: getattr(message, name) for name in ("sender_epoch", "merge", "sha256", "made_s")}
     return meta | {"level": str(weights.level), "version": weights.version}, weights.parameters
 
 
 def _check_weights(meta: Meta, columns: Columns) -> None:
-    _fields(meta, "sender_epoch", "merge", "sha256", "level", "version")
+    _fields(meta, "sender_epoch", "merge", "sha256", "made_s", "level", "version")
     _counts(meta, "sender_epoch", "merge", "version")
+    _seconds(meta, "made_s")
     _one_of(meta, "level", _LEVELS)
     if not isinstance(meta["sha256"], str) or re.fullmatch("[0-9a-f]{64}", meta["sha256"]) is None:
         raise DecodeError("hash", f"{meta['sha256']!r}"[:80])
@@ -249,7 +257,7 @@ def _check_weights(meta: Meta, columns: Columns) -> None:
 
 def _build_weights(meta: Meta, columns: Columns) -> WeightsMessage:
     weights = Weights(Level(meta["level"]), meta["version"], columns)
-    return WeightsMessage(meta["sender_epoch"], meta["merge"], meta["sha256"], weights)
+    return WeightsMessage(meta["sender_epoch"], meta["merge"], meta["sha256"], meta["made_s"], weights)
 
 
 def _split_candidate(message: Candidate) -> tuple[Meta, Columns]:

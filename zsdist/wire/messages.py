@@ -78,20 +78,34 @@ class SampleRequest:
 
 @dataclass(frozen=True)
 class SampleReply:
-    """The replay's answer; without a batch where there is none to be had, `note` (a JSON object) says why."""
+    """The replay's answer.
+
+    Attributes:
+        batch: None where there is none to be had: too little is stored, or the learner is ahead of the data.
+        held: transitions that the replay holds.
+        waited_s: how long the request waited until there was one to be had.
+    """
 
     level: Level
     batch: Batch | None
-    note: dict[str, Any]
+    held: int
+    waited_s: float
 
 
 @dataclass(frozen=True)
 class WeightsMessage:
-    """A learner's weights for every actor; `merge` counts the promotions so far, `sha256` is of the parameters."""
+    """A learner's weights for every actor.
+
+    Attributes:
+        merge: promotions so far.
+        sha256: of the parameters.
+        made_s: unix seconds at which this version came to be, by the learner's clock.
+    """
 
     sender_epoch: int
     merge: int
     sha256: str
+    made_s: float
     weights: Weights
 
 

@@ -24,6 +24,16 @@ def test_lag_is_that_of_the_actor_with_the_oldest_weights():
     assert snapshot.max_lag_versions >= 4
 
 
+def test_lag_in_seconds_is_that_of_the_latest_actor_and_the_longest_is_kept():
+    snapshot = Snapshot()
+    for identifier, lag_s in (("0", 0.2), ("1", 0.7)):
+        snapshot.take([said("actor", identifier, low_weights_lag_s=lag_s, weights_max_lag_s=lag_s)])
+    assert snapshot.row()["low_weights_lag_s"] == 0.7
+    snapshot.take([said("actor", "1", low_weights_lag_s=0.1, weights_max_lag_s=0.7)])
+    assert snapshot.row()["low_weights_lag_s"] == 0.2
+    assert snapshot.max_lag_s == 0.7
+
+
 def test_a_rate_is_the_growth_of_a_counter_summed_over_instances():
     snapshot = Snapshot()
     for second in range(4):

@@ -130,7 +130,7 @@ def test_weights_must_be_finite_float32_under_a_hash() -> None:
     rng = np.random.default_rng(0)
 
     def sent(sha256: str = "0" * 64, **changes: np.ndarray) -> bytes:
-        return encode(WeightsMessage(1, 0, sha256, Weights(Level.LOW, 1, parameters(rng) | changes)))
+        return encode(WeightsMessage(1, 0, sha256, 0.0, Weights(Level.LOW, 1, parameters(rng) | changes)))
 
     assert decode(sent()).weights.parameters["bias"].flags.writeable
     for bad in ({"bias": np.full(8, np.nan, np.float32)}, {"bias": np.zeros(8)}, {"a b": np.zeros(8, np.float32)}):
@@ -164,7 +164,7 @@ def test_every_half_float_widens_and_rounds_as_numpy_does() -> None:
 
 def test_only_answers_to_the_learner_travel_uncompressed() -> None:
     rng = np.random.default_rng(0)
-    assert encode(SampleReply(Level.LOW, batch(rng), {}))[6] == frame.PLAIN
+    assert encode(SampleReply(Level.LOW, batch(rng), 16, 0.0))[6] == frame.PLAIN
     assert encode(push(rng))[6] == frame.ZSTD
 
 

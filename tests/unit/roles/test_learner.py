@@ -1,0 +1,109 @@
+import threading
+
+import numpy as np
+import pytest
+
+from zsdist.config import LevelConfig, parse
+from zsdist.dqn.learner import DqnLearner
+from zsdist.roles.base import Context
+from zsdist.roles.learner import PREFETCH, Learner
+from zsdist.transport.base import Mailbox
+from zsdist.transport.memory import MemoryBroker, MemoryTransport
+from zsdist.types import Batch, Level
+from zsdist.wire import codec, keys
+from zsdist.wire.messages import Orders, SampleReply, WeightsMessage
+
+FEATURES, ACTIONS, RUN = 3, 2, "test"
+CONFIG = parse({})
+
+
+def batch(rng, rows=4):
+    return Batch(
+        states=rng.normal(size=(rows, FEATURES)).astype(np.float32),
+        actions=rng.integers(0, ACTIONS, rows),
+        rewards=np.zeros(rows, np.float32),
+        discounts=np.zeros(rows, np.float32),
+        next_states=rng.normal(size=(rows, FEATURES)).astype(np.float32),
+        next_masks=np.ones((rows, ACTIONS), bool),
+        masks=np.ones((rows, ACTIONS), bool),
+        guides=np.full(rows, -1),
+    )
+
+
+class Bench:
+    """A learner, with the replay and the scheduler played by the test."""
+
+    def __init__(self):
+        self.rng, self.broker, self.now = np.random.default_rng(0), MemoryBroker(), 0.0
+        self.others = MemoryTransport(self.broker)
+        self.requests, self.weights = Mailbox(2**20), Mailbox(2**24)
+        self.others.serve(keys.sample(RUN, Level.LOW), self.requests)
+        self.others.subscribe(keys.weights(RUN, Level.LOW), self.weights)
+        context = Context(CONFIG, RUN, "learner", "low", 1, MemoryTransport(self.broker), threading.Event())
+        self.learner = Learner(context, Level.LOW, DqnLearner(FEATURES, ACTIONS, LevelConfig(hidden=(8,)), seed=0))
+
+    def step(self, seconds=0.1):
+        self.now += seconds
+        return self.learner.step(self.now)
+
+    def answer(self, requests, waited_s=0.0):
+        for request in requests:
+            request.reply(codec.encode(SampleReply(Level.LOW, batch(self.rng), 100, waited_s)))
+
+    def order(self, learning):
+        content = {"learning": learning, "merge": 0, "phase": "", "candidates": [], "chosen": "", "stop": False}
+        self.others.publish(keys.control(RUN, "learner"), codec.encode(Orders(1, "learner", content)))
+
+
+@pytest.fixture
+def bench():
+    return Bench()
+
+
+def test_the_next_batches_are_asked_for_before_those_at_hand_are_learned_from(bench, monkeypatch):
+    bench.step()
+    assert len(bench.requests) == PREFETCH
+    bench.answer(bench.requests.drain())
+    asked = []
+    monkeypatch.setattr(bench.learner.dqn, "update", lambda batch: asked.append(len(bench.requests)))
+    bench.step()
+    assert asked == list(range(1, PREFETCH + 1))
+
+
+def test_updates_are_followed_by_another_step_at_once(bench):
+    bench.step()
+    bench.answer(bench.requests.drain()[:3])
+    assert bench.step() == bench.now
+    assert bench.learner.updates == 3
+    assert bench.step() > bench.now
+
+
+def test_time_without_a_batch_is_told_with_whether_the_replay_had_one(bench):
+    bench.step()
+    bench.step(1.0)
+    bench.answer(bench.requests.drain(), waited_s=0.75)
+    bench.step(0.0)
+    told = bench.learner.statistics()
+    assert told["waiting_data_s"] == pytest.approx(1.0)
+    assert told["waiting_reply_s"] == pytest.approx(0.25)
+
+
+def test_a_learner_that_was_told_to_pause_waits_for_nothing(bench):
+    bench.order(learning=False)
+    bench.step()
+    bench.step(5.0)
+    assert bench.learner.statistics()["waiting_data_s"] == 0.0
+    assert not bench.requests
+
+
+def test_weights_tell_when_their_version_came_to_be_also_when_they_are_said_again(bench):
+    bench.step()
+    bench.answer(bench.requests.drain()[:1])
+    bench.step()
+    for _ in range(60):
+        bench.step()
+    said = [codec.decode(message.payload, expect=WeightsMessage) for message in bench.weights.drain()]
+    last = [message for message in said if message.weights.version == said[-1].weights.version]
+    assert len(last) > 1
+    assert len({message.made_s for message in last}) == 1
+    assert 0 < last[0].made_s <= bench.now - 2.0
