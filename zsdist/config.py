@@ -5,11 +5,12 @@ outside its range raises `ConfigError` naming the key, the value and what is all
 """
 
 import difflib
+import ipaddress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from zsdist.errors import ConfigError
 
@@ -17,8 +18,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
-
-LOOPBACK = ("127.", "localhost", "[::1]")
+Folder = Annotated[str, Field(min_length=1), AfterValidator(lambda path: str(Path(path).absolute()))]
 
 
 class Section(BaseModel):
@@ -163,11 +163,21 @@ class MergeConfig(Section):
     drop_after_scenes: Count = 6  # a candidate clearly behind by then is not driven further
 
 
+def is_loopback(endpoint: str) -> bool:
+    """Whether nobody outside this machine reaches an endpoint, `PROTOCOL/HOST:PORT`."""
+    host = endpoint.partition("/")[2].rpartition(":")[0].strip("[]")
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
 class TransportConfig(Section):
     """How messages travel."""
 
     kind: Literal["memory", "zenoh"] = "zenoh"
-    endpoint: str = "tcp/127.0.0.1:7447"
+    endpoint: str = "tcp/127.0.0.1:7447"  # of the hub; with certificates tls/HOST:PORT, by default tls/127.0.0.1:7447
+    tls: Folder | None = None  # with certificates (`python -m zsdist.certs`); None: nobody outside this machine
     mailbox_bytes: Count = 64 * 2**20
     window_frames: Count = 64  # unacknowledged frames an outbox may hold
     resend_after_s: Positive = 0.25
@@ -175,8 +185,12 @@ class TransportConfig(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _one_word(cls, value: Any) -> Any:
-        return {"kind": value} if isinstance(value, str) else value
+    def _short_forms(cls, value: Any) -> Any:
+        if isinstance(value, str):
+            return {"kind": value}
+        if isinstance(value, dict) and value.get("tls") is not None:
+            return {"endpoint": "tls/127.0.0.1:7447"} | value
+        return value
 
 
 class RunConfig(Section):
@@ -222,15 +236,23 @@ class Config(Section):
             if not low <= value <= high:
                 raise ValueError(f"{name}_initial is {value}; allowed is {name}_min to {name}_max, {low} to {high}")
         endpoint = self.transport.endpoint
-        if self.run.address is not None and endpoint.partition("/")[2].startswith(LOOPBACK):
+        if self.run.address is not None and is_loopback(endpoint):
             raise ValueError(
                 f"transport.endpoint is {endpoint!r} with run.address {self.run.address!r}: roles on a cluster cannot "
-                "reach a loopback endpoint; allowed is an address of this machine, such as tcp/HOST:7447"
+                "reach a loopback endpoint; allowed is an address of this machine, such as tls/HOST:7447"
             )
         if self.run.address is not None and self.run.address.startswith("ray://"):
             raise ValueError(
                 f"run.address is {self.run.address!r}: the run directory would lie here and the scheduler on another "
                 "machine; allowed is 'auto' or HOST:PORT, given on a node of the cluster"
+            )
+        tls, found = self.transport.tls, f"transport.endpoint is {endpoint!r}"
+        if tls is not None and not endpoint.startswith("tls/"):
+            raise ValueError(f"{found} with transport.tls {tls!r}; allowed is tls/HOST:PORT")
+        if tls is None and (endpoint.startswith("tls/") or not is_loopback(endpoint)):
+            raise ValueError(
+                f"{found} without certificates, so that whoever reaches it could do anything; allowed is a loopback "
+                "address such as tcp/127.0.0.1:7447, or transport.tls with a folder made by python -m zsdist.certs"
             )
         if self.grid.cells % self.grid.blocks:
             raise ValueError(

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from packaging.requirements import Requirement
@@ -22,10 +23,15 @@ from rich.console import Console
 
 from zsdist import cli
 from zsdist.config import Config
-from zsdist.errors import WeightsError
+from zsdist.errors import TransportError, WeightsError
+
+if TYPE_CHECKING:
+    from zsdist.transport.zenoh import ZenohTransport
 
 CORES, MEMORY_GIB, DISK_GIB = 2, 4.0, 2.0  # with less, the default run is slow or fails
 CONNECT_TIMEOUT_S = 3.0
+RENEW_DAYS = 30  # certificates that are valid for less are warned of
+TLS_ENDPOINT = "tls/127.0.0.1:7447"  # to try certificates out, or the next free port
 RAY_PORT, RAY_CLIENT_PORT = 6379, 10001
 COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 
@@ -53,6 +59,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser = cli.Parser(prog="zsdist.doctor", description=__doc__)
     parser.add_argument("--address", metavar="RAY", help="also check this Ray cluster: HOST:PORT or auto")
     parser.add_argument("--endpoint", help="of the hub on that cluster (transport.endpoint)")
+    parser.add_argument("--tls", type=Path, metavar="DIR", help="also check these certificates (transport.tls)")
     parser.add_argument("--json", action="store_true", help="print the findings as JSON")
     return parser
 
@@ -60,7 +67,7 @@ def make_parser() -> argparse.ArgumentParser:
 def main(options: argparse.Namespace) -> int:
     """Runs all checks; 1 where one of them failed."""
     findings, console = [], Console()
-    for finding in examine(options.address, options.endpoint):
+    for finding in examine(options.address, options.endpoint, options.tls):
         findings.append(finding)
         if not options.json:
             colour = COLOURS[finding.verdict]
@@ -73,7 +80,7 @@ def main(options: argparse.Namespace) -> int:
     return 1 if failed else 0
 
 
-def examine(address: str | None, endpoint: str | None) -> Iterator[Finding]:
+def examine(address: str | None, endpoint: str | None, tls: Path | None = None) -> Iterator[Finding]:
     """All checks, one after another; what a check did not expect is a failure of that check, not of the command."""
     yield check_python()
     yield from check_packages()
@@ -83,6 +90,8 @@ def examine(address: str | None, endpoint: str | None) -> Iterator[Finding]:
     if address is not None:
         yield check_address(address)
         yield check_endpoint(Config().transport.endpoint if endpoint is None else endpoint)
+    if tls is not None:
+        yield from check_certificates(tls, endpoint)
 
 
 def guarded(name: str, check: Callable[[], Finding]) -> Finding:
@@ -200,26 +209,73 @@ def check_vision() -> Finding:
 
 def check_zenoh() -> Finding:
     """A hub, two clients, and one message there and back."""
-    from zsdist.transport.base import Mailbox
     from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 
-    arrived = threading.Event()
-    hub, clients = ZenohHub(Config().transport.endpoint), []
+    with ZenohHub(Config().transport.endpoint) as hub:
+        return _message_through("zenoh", hub.endpoint, [ZenohTransport(hub.endpoint) for _ in range(2)])
+
+
+def check_certificates(folder: Path, endpoint: str | None) -> Iterator[Finding]:
+    """Every certificate in a folder; where the hub's is among them, its host and a message over TLS."""
+    from zsdist.roles import access
+    from zsdist.transport.certificates import AUTHORITY, Identity
+    from zsdist.transport.zenoh import ZenohHub, ZenohTransport
+
+    names = sorted(path.stem for path in folder.glob("*.pem") if path.stem != AUTHORITY)
+    identities = {}
+    for name in names:
+        check, renew = (
+            f"certificate {name}",
+            f"Remove {name}.pem and {name}.key, then run zsdist.certs {folder}.",
+        )
+        try:
+            identity = identities[name] = Identity.load(folder, name)
+        except TransportError as error:
+            yield Finding(check, Verdict.FAIL, str(error), renew)
+            continue
+        if identity.key.stat().st_mode & 0o007:
+            yield Finding(check, Verdict.WARN, f"everybody here may read {identity.key}", f"chmod 600 {identity.key}")
+        elif (days := identity.days_left()) < RENEW_DAYS:
+            yield Finding(check, Verdict.WARN, f"valid for another {days} days", renew)
+        else:
+            yield Finding(check, Verdict.OK, f"valid for another {days} days")
+    if not names:
+        yield Finding(f"certificates {folder}", Verdict.FAIL, "there are none", f"Run python -m zsdist.certs {folder}.")
+    if access.HUB not in identities or access.TRUSTED not in identities:
+        return  # a machine on which actors drive has no use for them
+    hosts, wanted = identities[access.HUB].hosts(), host_of(endpoint or Config().transport.endpoint)
+    verdict = Verdict.OK if wanted in hosts else Verdict.FAIL
+    advice = "" if wanted in hosts else f"Remove hub.pem and hub.key, and run zsdist.certs with --host {wanted}."
+    yield Finding("certificate of the hub's host", verdict, f"{wanted}; it is for {', '.join(hosts)}", advice)
+
+    hop = "zenoh over TLS"
+
+    def over_tls() -> Finding:
+        with ZenohHub(TLS_ENDPOINT, identities[access.HUB], access.access_list(1)) as hub:
+            shown = identities[access.TRUSTED]
+            return _message_through(hop, hub.endpoint, [ZenohTransport(hub.endpoint, shown) for _ in range(2)])
+
+    yield guarded(hop, over_tls)
+
+
+def _message_through(check: str, endpoint: str, clients: "list[ZenohTransport]") -> Finding:
+    """One message from one client to the other, which are closed."""
+    from zsdist.transport.base import Mailbox
+
+    arrived, key = threading.Event(), "zsdist/doctor/events"
     try:
-        clients = [ZenohTransport(hub.endpoint) for _ in range(2)]
-        clients[0].subscribe("zsdist/doctor", Mailbox(1024, arrived.set))
+        clients[0].subscribe(key, Mailbox(1024, arrived.set))
         began_s = time.perf_counter()
         while not arrived.is_set() and time.perf_counter() - began_s < CONNECT_TIMEOUT_S:
-            clients[1].publish("zsdist/doctor", b"ping")  # again and again: a subscription takes a while to be known
+            clients[1].publish(key, b"ping")  # again and again: a subscription takes a while to be known
             arrived.wait(0.05)
     finally:
         for client in clients:
             client.close()
-        hub.close()
     if not arrived.is_set():
         advice = "Look for a firewall on the loopback interface."
-        return Finding("zenoh", Verdict.FAIL, f"no message came through {hub.endpoint}", advice)
-    return Finding("zenoh", Verdict.OK, f"a message came through {hub.endpoint}")
+        return Finding(check, Verdict.FAIL, f"no message came through {endpoint}", advice)
+    return Finding(check, Verdict.OK, f"a message came through {endpoint}")
 
 
 def check_ray() -> Finding:
@@ -248,11 +304,10 @@ def check_address(address: str) -> Finding:
 
 
 def check_endpoint(endpoint: str) -> Finding:
-    """Whether the roles of a cluster could reach the hub's endpoint."""
-    check, advice = f"endpoint {endpoint}", "Set transport.endpoint to this machine's address: tcp/HOST:7447."
-    protocol, _, place = endpoint.partition("/")
-    host = place.rpartition(":")[0].strip("[]")
-    if not protocol or not host:
+    """Whether the roles of a cluster could reach the hub's endpoint, and nobody else do harm there."""
+    check, advice = f"endpoint {endpoint}", "Set transport.endpoint to this machine's address: tls/HOST:7447."
+    host = host_of(endpoint)
+    if not host:
         return Finding(check, Verdict.FAIL, "it is not of the form PROTOCOL/HOST:PORT", advice)
     try:
         places = {item[4][0] for item in socket.getaddrinfo(host, None)}
@@ -260,7 +315,14 @@ def check_endpoint(endpoint: str) -> Finding:
         return Finding(check, Verdict.FAIL, f"{host} has no address: {error}", advice)
     if any(place.startswith("127.") or place in ("::1", "0.0.0.0", "::") for place in places):
         return Finding(check, Verdict.FAIL, "other machines cannot reach it", advice)
+    if not endpoint.startswith("tls/"):
+        return Finding(check, Verdict.FAIL, "it asks for no certificate, and a run refuses it", advice)
     return Finding(check, Verdict.OK, f"{', '.join(sorted(places))}; other machines may reach it")
+
+
+def host_of(endpoint: str) -> str:
+    """The host of `PROTOCOL/HOST:PORT`; empty where it is not of that form."""
+    return endpoint.partition("/")[2].rpartition(":")[0].strip("[]")
 
 
 def _current_cluster() -> str | None:

@@ -106,8 +106,9 @@ def _resume(options: argparse.Namespace, console: Console) -> Setting:
 
 
 def _check_parts(settings: Config, console: Console) -> VisionIdentity:
-    """Finds out before anything is written or started whether scenes, vision weights and memory are there, and fit."""
+    """Finds out before anything is written or started whether scenes, weights, memory and certificates are there."""
     program.check_memory(settings)
+    program.check_certificates(settings)
     console.print("preparing; the first time, this takes about 15 s for what is compiled then", highlight=False)
     return program.warm_up(settings)
 

@@ -7,11 +7,13 @@ from pathlib import Path
 
 from rich.console import Console
 
-from zsdist import cli
+from zsdist import cli, config
 from zsdist.errors import RunError
+from zsdist.roles import access
 from zsdist.run import directory
 from zsdist.run.display import MAILBOX_BYTES, Display
 from zsdist.transport.base import Mailbox
+from zsdist.transport.certificates import Identity
 from zsdist.transport.zenoh import ZenohTransport
 from zsdist.wire import keys
 
@@ -20,11 +22,15 @@ FIRST_WORD_WITHIN_S = 5.0  # every role speaks once a second
 
 def main(options: argparse.Namespace) -> int:
     """Shows a run until Ctrl-C, or once."""
-    endpoint, run = options.connect, options.run
+    endpoint, run, tls = options.connect, options.run, options.tls
     if endpoint is None:
         folder = _newest_run(options.runs)
         endpoint, run = (folder / "endpoint").read_text(), run or directory.key_name(folder)
-    transport = ZenohTransport(endpoint)
+        if tls is None and endpoint.startswith("tls/"):
+            tls = config.load(folder / "config.yaml").transport.tls
+    if tls is None and endpoint.startswith("tls/"):
+        raise RunError(f"--tls is needed: the hub at {endpoint} asks for the certificate of a monitor")
+    transport = ZenohTransport(endpoint, Identity.load(tls, access.MONITOR) if tls else None)
     try:
         run = run or _only_run(transport, endpoint)
         with Display(run, Console(stderr=options.json), prefer_lines=options.once or options.plain) as display:
@@ -39,6 +45,9 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--connect", metavar="ENDPOINT", help="of the run's hub, such as tcp/127.0.0.1:7447")
     options.add_argument("--run", metavar="NAME", help="the run's name: that of its folder; default: the only one")
     options.add_argument("--runs", type=Path, default=Path("runs"), help="where to look for the newest run")
+    options.add_argument(
+        "--tls", metavar="DIR", help="folder with ca.pem, monitor.pem and monitor.key, where the hub asks for them"
+    )
     options.add_argument("--once", action="store_true", help="one snapshot, then leave")
     options.add_argument("--json", action="store_true", help="with --once: the snapshot as JSON")
     options.add_argument("--plain", action="store_true", help="lines, also on a terminal")

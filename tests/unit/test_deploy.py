@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[2]
 DEPLOY = ROOT / "deploy"
 IMAGE = f"zsdist:{zsdist.__version__}"
 RAY_CLUSTER = yaml.safe_load((DEPLOY / "ray-cluster.yaml").read_text())
-MANIFEST, POLICY = yaml.safe_load_all((DEPLOY / "kuberay.yaml").read_text())
+MANIFEST, SERVICE, POLICY = yaml.safe_load_all((DEPLOY / "kuberay.yaml").read_text())
 
 
 def test_ray_cluster_file_passes_rays_own_schema():
@@ -60,6 +60,30 @@ def test_kuberay_pods_are_no_root_and_have_memory_limits():
 def test_network_policy_lets_only_the_cluster_in():
     assert POLICY["spec"]["podSelector"]["matchLabels"] == {"ray.io/cluster": MANIFEST["metadata"]["name"]}
     assert all("podSelector" in peer for rule in POLICY["spec"]["ingress"] for peer in rule["from"])
+
+
+def test_the_hubs_name_is_that_of_the_head_pod_and_of_nothing_else():
+    spec = MANIFEST["spec"]["headGroupSpec"]["template"]["spec"]
+    name = f"{spec['hostname']}.{spec['subdomain']}"
+    assert spec["subdomain"] == SERVICE["metadata"]["name"] and SERVICE["spec"]["clusterIP"] == "None"
+    assert SERVICE["spec"]["selector"]["ray.io/node-type"] == "head"
+    readme = (DEPLOY / "README.md").read_text()
+    assert f"--host {name} " in readme and f"tls/{name}:7447" in readme
+
+
+def test_workers_hold_no_key_but_the_actors():
+    readme = (DEPLOY / "README.md").read_text()
+    secrets = dict(re.findall(r"secret generic (\S+) \$\(files (.*)\)", readme))
+    assert secrets["zsdist-tls-actors"].split() == ["tls/ca.pem", "tls/actor-*"]
+    assert not any("ca.key" in files or "ca.*" in files for files in secrets.values())
+    head, *workers = [MANIFEST["spec"]["headGroupSpec"], *MANIFEST["spec"]["workerGroupSpecs"]]
+    for group, secret in ((head, "zsdist-tls-head"), *((worker, "zsdist-tls-actors") for worker in workers)):
+        spec = group["template"]["spec"]
+        (volume,) = [volume for volume in spec["volumes"] if "secret" in volume]
+        assert volume["secret"]["secretName"] == secret in secrets
+        assert any(
+            mount["name"] == volume["name"] and mount["readOnly"] for mount in spec["containers"][0]["volumeMounts"]
+        )
 
 
 def dockerfile() -> list[tuple[str, str]]:

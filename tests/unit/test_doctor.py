@@ -6,10 +6,12 @@ import pytest
 from zsdist import cli, doctor
 from zsdist.doctor import Finding, Verdict
 from zsdist.errors import ZsdistError
+from zsdist.roles import access
+from zsdist.transport import certificates
 
 
 def run(monkeypatch, findings, *arguments):
-    monkeypatch.setattr(doctor, "examine", lambda address, endpoint: iter(findings))
+    monkeypatch.setattr(doctor, "examine", lambda address, endpoint, tls: iter(findings))
     with pytest.raises(SystemExit) as exit_:
         cli.execute(doctor.main, doctor.make_parser(), arguments)
     return exit_.value.code
@@ -97,7 +99,38 @@ def test_an_endpoint_that_others_cannot_reach_fails(endpoint):
 
 
 def test_an_endpoint_with_an_address_of_its_own_is_well():
-    assert doctor.check_endpoint("tcp/10.0.0.10:7447").verdict is Verdict.OK
+    assert doctor.check_endpoint("tls/10.0.0.10:7447").verdict is Verdict.OK
+    plain = doctor.check_endpoint("tcp/10.0.0.10:7447")
+    assert plain.verdict is Verdict.FAIL and "certificate" in plain.found and "tls/" in plain.advice
+
+
+def verdicts(folder, endpoint=None):
+    return {finding.check: finding.verdict for finding in doctor.check_certificates(folder, endpoint)}
+
+
+def test_certificates_are_looked_at_one_by_one_and_tried_out(tmp_path):
+    certificates.make(tmp_path, access.HUB, access.client_names(1), ["127.0.0.1"], days=90)
+    well = verdicts(tmp_path)
+    names = {f"certificate {name}" for name in ("hub", "trusted", "monitor", "actor-0")}
+    assert set(well) == names | {"certificate of the hub's host", "zenoh over TLS"}
+    assert set(well.values()) == {Verdict.OK}
+    assert verdicts(tmp_path, "tls/10.0.0.10:7447")["certificate of the hub's host"] is Verdict.FAIL
+    (tmp_path / "actor-0.key").chmod(0o644)
+    (tmp_path / "monitor.key").unlink()
+    for file in ("hub.pem", "hub.key"):
+        (tmp_path / file).unlink()
+    worse = verdicts(tmp_path)
+    assert worse == {
+        "certificate actor-0": Verdict.WARN,
+        "certificate monitor": Verdict.FAIL,
+        "certificate trusted": Verdict.OK,
+    }
+
+
+def test_certificates_that_end_soon_are_a_warning_and_none_at_all_a_failure(tmp_path):
+    assert list(verdicts(tmp_path).values()) == [Verdict.FAIL]
+    certificates.make(tmp_path, access.HUB, [], ["127.0.0.1"], days=5)
+    assert verdicts(tmp_path) == {"certificate hub": Verdict.WARN}
 
 
 def test_without_an_address_no_cluster_is_checked(monkeypatch):

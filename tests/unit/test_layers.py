@@ -16,11 +16,12 @@ ROWS = (  # a unit may import from rows above its own in this list; within a row
     {"evaluation", "run"},
     {"reporting"},
     {"pretraining", "closing"},
-    {"launch", "evaluate", "pretrain", "monitor", "report", "doctor"},
+    {"launch", "evaluate", "pretrain", "monitor", "report", "doctor", "certs"},
 )
 OWNERS = {
     "ray": "run/ray.py",
     "zenoh": "transport/zenoh.py",
+    "cryptography": "transport/certificates.py",
     "pybullet": "sim/",
     "pybullet_data": "sim/",
     "efficientnet_lite_pytorch": "vision/encoders/",

@@ -2,10 +2,16 @@ import json
 import os
 import threading
 import time
+from contextlib import contextmanager
 
 import pytest
+from rehearsal import SEEN
+from sockets import free_endpoint
 
-from zsdist import cli, monitor
+from zsdist import cli, config, monitor
+from zsdist.roles import access
+from zsdist.run.program import Place, Setting
+from zsdist.transport import certificates
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 from zsdist.wire import keys
 
@@ -18,10 +24,10 @@ def hub():
         yield hub
 
 
-@pytest.fixture
-def speaker(hub):
+@contextmanager
+def speaking(transport):
     """A role of run `demo` that lives and speaks ten times a second."""
-    transport, over = ZenohTransport(hub.endpoint), threading.Event()
+    over = threading.Event()
     transport.declare_alive(keys.alive("demo", "actor", "0"))
 
     def speak():
@@ -30,10 +36,16 @@ def speaker(hub):
 
     thread = threading.Thread(target=speak)
     thread.start()
-    yield transport
+    yield
     over.set()
     thread.join()
     transport.close()
+
+
+@pytest.fixture
+def speaker(hub):
+    with speaking(ZenohTransport(hub.endpoint)):
+        yield
 
 
 def run(capsys, *arguments):
@@ -83,3 +95,22 @@ def test_a_run_that_is_not_there_is_named(capsys, hub, speaker, monkeypatch):
     status, printed = run(capsys, "--connect", hub.endpoint, "--run", "other", "--once")
     assert status == cli.REFUSED
     assert "'other'" in printed.err
+
+
+def test_a_monitor_finds_its_certificate_in_the_runs_configuration_or_where_it_is_told(capsys, tmp_path):
+    certificates.make(tmp_path / "tls", access.HUB, access.client_names(1), ["127.0.0.1"], days=1)
+    folder = tmp_path / "runs" / "demo"
+    folder.mkdir(parents=True)
+    settings = config.load(None, (f"transport.tls={tmp_path / 'tls'}", f"transport.endpoint={free_endpoint('tls')}"))
+    (folder / "config.yaml").write_text(config.dump(settings))
+    setting = Setting(settings, "demo", folder, {}, SEEN)
+    with setting.open_hub() as hub:
+        (folder / "endpoint").write_text(hub.endpoint)
+        transport = setting.connect(Place("actor", "0", 1), hub.endpoint)
+        with speaking(transport):
+            for where in (("--runs", folder.parent), ("--connect", hub.endpoint, "--tls", tmp_path / "tls")):
+                status, printed = run(capsys, *where, "--once", "--json")
+                assert status == 0
+                assert json.loads(printed.out)["roles"]["actor/0"] == STATISTICS
+            status, printed = run(capsys, "--connect", hub.endpoint, "--once")
+            assert status == cli.REFUSED and "--tls" in printed.err

@@ -8,6 +8,7 @@ import itertools
 import threading
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import torch
 
@@ -16,7 +17,6 @@ from zsdist.run import program
 from zsdist.run.program import Place, Setting, Watch
 from zsdist.transport.base import Transport
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
-from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders
 
@@ -43,11 +43,14 @@ def run(
     try:
         if setting.config.transport.kind == "memory":
             broker = MemoryBroker()
-            _run(setting, epochs, lambda name: MemoryTransport(broker, name), _VirtualClock(), interrupted, watch)
+            _run(
+                setting, epochs, lambda place: MemoryTransport(broker, place.name), _VirtualClock(), interrupted, watch
+            )
         else:
-            with ZenohHub(setting.config.transport.endpoint) as hub:
+            with setting.open_hub() as hub:
                 (setting.folder / "endpoint").write_text(hub.endpoint)
-                _run(setting, epochs, lambda name: ZenohTransport(hub.endpoint), _RealClock(), interrupted, watch)
+                connect = partial(setting.connect, endpoint=hub.endpoint)
+                _run(setting, epochs, connect, _RealClock(), interrupted, watch)
     finally:
         torch.set_num_threads(threads)
 
@@ -81,7 +84,7 @@ class _RealClock:
 def _run(
     setting: Setting,
     epochs: Sequence[int],
-    open_transport: Callable[[str], Transport],
+    open_transport: Callable[[Place], Transport],
     clock: _VirtualClock | _RealClock,
     interrupted: Callable[[], bool],
     watch: Watch,
@@ -90,13 +93,13 @@ def _run(
     transports: list[Transport] = []
     shared_wake = threading.Event()
 
-    def connect(name: str) -> Transport:
-        transports.append(open_transport(name))
+    def connect(place: Place) -> Transport:
+        transports.append(open_transport(place))
         return transports[-1]
 
     try:
-        supervisor = connect("supervisor")
-        actors = [_Seat(setting, place, connect(place.name), shared_wake) for place in places]
+        supervisor = connect(program.supervisor(epochs))
+        actors = [_Seat(setting, place, connect(place), shared_wake) for place in places]
         _step_all(setting, epochs[0], places, actors, supervisor, clock, shared_wake, interrupted, watch)
     finally:
         for transport in transports:

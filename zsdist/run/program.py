@@ -17,6 +17,7 @@ from zsdist.errors import ConfigError, WeightsError
 from zsdist.planning.grid import Grid
 from zsdist.replay.buffer import row_bytes
 from zsdist.replay.journal import Journal
+from zsdist.roles import access
 from zsdist.roles.actor import Actor
 from zsdist.roles.base import Context, Role
 from zsdist.roles.cars import CameraEnv, Car, Errand
@@ -31,6 +32,8 @@ from zsdist.sim import families, scene
 from zsdist.sim.env import CarNavigation
 from zsdist.sim.scene import Scene
 from zsdist.transport.base import Transport
+from zsdist.transport.certificates import Identity
+from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 from zsdist.types import Level
 from zsdist.vision.identity import VisionIdentity
 from zsdist.vision.reading_cache import ReadingCache
@@ -56,6 +59,11 @@ class Place:
     def name(self) -> str:
         """Such as `actor-0`."""
         return f"{self.role}-{self.id}"
+
+
+def supervisor(epochs: Sequence[int]) -> Place:
+    """The runner itself, as one that speaks to the scheduler."""
+    return Place("supervisor", "0", epochs[0])
 
 
 def roles(config: Config, epochs: Sequence[int]) -> list[Place]:
@@ -139,6 +147,17 @@ def check_memory(config: Config) -> None:
         )
 
 
+def check_certificates(config: Config) -> None:
+    """Finds the certificates of all roles that live on this machine; raises `TransportError` as `Identity.load`."""
+    if config.transport.tls is None:
+        return
+    here = [access.HUB, access.TRUSTED]
+    if config.run.address is None:
+        here += map(access.actor_name, range(config.run.actors))
+    for name in here:
+        Identity.load(config.transport.tls, name)
+
+
 def warm_up(config: Config) -> VisionIdentity:
     """Drives one car for a step, in this process: what is compiled or built at first use is then on disk for all.
 
@@ -179,6 +198,19 @@ class Setting:
     vision: VisionIdentity
     make_parts: Callable[[Config], Parts] = simulation
     start: str = field(default_factory=lambda: uuid.uuid4().hex)
+
+    def open_hub(self) -> ZenohHub:
+        """The router, at the configured endpoint or the next free port above it."""
+        grants = access.access_list(self.config.run.actors)
+        return ZenohHub(self.config.transport.endpoint, self._identity(access.HUB), grants)
+
+    def connect(self, place: Place, endpoint: str) -> ZenohTransport:
+        """A role's connection to the hub, with its certificate where the run has certificates."""
+        return ZenohTransport(endpoint, self._identity(access.certificate_of(place.role, place.id)))
+
+    def _identity(self, name: str) -> Identity | None:
+        folder = self.config.transport.tls
+        return None if folder is None else Identity.load(folder, name)
 
     def context(self, place: Place, transport: Transport, wake: threading.Event) -> Context:
         """The context of one role."""

@@ -18,7 +18,7 @@ from zsdist.run import program
 from zsdist.run.directory import issue_epochs
 from zsdist.run.program import Place, Setting, Watch
 from zsdist.transport.base import Transport
-from zsdist.transport.zenoh import ZenohHub, ZenohTransport
+from zsdist.transport.zenoh import ZenohHub
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders
 
@@ -43,13 +43,14 @@ class RoleHost:
 
     def open_hub(self) -> str:
         """Opens the router in this process and returns the endpoint at which it listens."""
-        self._hub = ZenohHub(self.setting.config.transport.endpoint)
+        self._hub = self.setting.open_hub()
         return self._hub.endpoint
 
     def drive(self, endpoint: str) -> str:
         """Builds the role and steps it to its end; returns an empty string, or in one line why it could not go on."""
-        transport = ZenohTransport(endpoint)
+        transport = None
         try:
+            transport = self.setting.connect(self.place, endpoint)
             if self._hub is None:
                 role = self.setting.build(self.place, transport, self.wake)
             else:
@@ -61,7 +62,8 @@ class RoleHost:
             traceback.print_exc()  # into the role's log; the supervisor ends the run
             raise
         finally:
-            transport.close()
+            if transport is not None:
+                transport.close()
             if self._hub is not None:
                 self._hub.close()
         return ""
@@ -168,7 +170,7 @@ class _Supervisor:
         self.endpoint = self._ask(self.hub.open_hub.remote(), "hub")
         (self.setting.folder / "endpoint").write_text(self.endpoint)
         self.hub.drive.remote(self.endpoint)
-        transport = ZenohTransport(self.endpoint)
+        transport = self.setting.connect(program.supervisor([self.epoch]), self.endpoint)
         try:
             for place in self.places.values():
                 self._start(place)
@@ -222,7 +224,9 @@ class _Supervisor:
 
     def _host(self, place: Place) -> "ray.actor.ActorHandle":
         options = {"num_cpus": self.setting.config.run.cpus_per_role, "max_restarts": 0, "max_concurrency": 2}
-        if place.role in ("hub", "scheduler"):  # beside the run directory, at the address that was announced
+        guarded = self.setting.config.transport.tls is not None and place.role != "actor"
+        # Beside the run directory, at the address that was announced; and keys that are trusted stay where they are.
+        if guarded or place.role in ("hub", "scheduler"):
             here = ray.get_runtime_context().get_node_id()
             options["scheduling_strategy"] = NodeAffinitySchedulingStrategy(here, soft=False)
         return ray.remote(**options)(RoleHost).remote(self.setting, place)

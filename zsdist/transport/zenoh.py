@@ -8,7 +8,7 @@ Shared memory is off: it can drop in silence when a receiver stalls.
 import json as json_codec
 import secrets
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -16,13 +16,15 @@ import zenoh
 import zenoh.handlers
 
 from zsdist.errors import TransportError
+from zsdist.transport import access
+from zsdist.transport.access import RETAINED, Grant
 from zsdist.transport.base import Mailbox, Message, Transport
+from zsdist.transport.certificates import Identity
 
 CONNECT_TIMEOUT_S = 3.0
 LEASE_S = 5.0  # after which a stopped process counts as gone; a killed one is gone at once
 PORTS_TRIED = 100
 _RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
-_RETAINED = "@retained/"  # prefix of the tokens of keys with a retained value; no `**` of anybody's covers it
 _STAMP_IDENTITY = 8  # bytes
 _DROP = zenoh.CongestionControl.DROP
 
@@ -34,8 +36,13 @@ class ZenohHub:
         endpoint: where it listens, such as `tcp/127.0.0.1:7447`; another port than asked for where that was taken.
     """
 
-    def __init__(self, endpoint: str) -> None:
+    def __init__(self, endpoint: str, identity: Identity | None = None, grants: Sequence[Grant] = ()) -> None:
         """Listens at `endpoint`, or at the next free port above it.
+
+        Args:
+            endpoint: such as `tcp/127.0.0.1:7447`, or `tls/HOST:7447` with an identity.
+            identity: whom it shows itself as; it then lets only clients in that show a certificate of its authority.
+            grants: what each of these may do, and nobody else anything; without an identity everybody may do all.
 
         Raises:
             TransportError: the endpoint is malformed, cannot be listened at, or no port above it is free.
@@ -45,7 +52,7 @@ class ZenohHub:
         for candidate in range(port, min(port + PORTS_TRIED, 65_536)):
             self.endpoint = f"{address}:{candidate}"
             try:
-                self._session = zenoh.open(_config("router", listen=self.endpoint))
+                self._session = zenoh.open(_config("router", listen=self.endpoint, identity=identity, grants=grants))
                 return
             except zenoh.ZError as error:
                 if "in use" not in str(error):
@@ -68,11 +75,19 @@ class ZenohHub:
 class ZenohTransport(Transport):
     """A client of a hub. It reconnects by itself; what is sent while the hub is away is lost, retained values aside."""
 
-    def __init__(self, endpoint: str, *, mode: str = "client", connect_timeout_s: float = CONNECT_TIMEOUT_S) -> None:
+    def __init__(
+        self, endpoint: str, identity: Identity | None = None, *, connect_timeout_s: float = CONNECT_TIMEOUT_S
+    ) -> None:
         """Connects to the hub at `endpoint`.
 
+        Args:
+            endpoint: of the hub.
+            identity: whom to show oneself as, at a `tls/` endpoint.
+            connect_timeout_s: how long to try.
+
         Raises:
-            TransportError: nobody listens there within `connect_timeout_s`, or the endpoint is malformed.
+            TransportError: nobody listens there within `connect_timeout_s`, or the endpoint is malformed, or one of the
+                two certificates is not accepted by the other side.
         """
         _split(endpoint)
         self.endpoint = endpoint
@@ -80,10 +95,12 @@ class ZenohTransport(Transport):
         self._identity = secrets.token_bytes(_STAMP_IDENTITY)
         self._entities: list[Any] = []  # subscribers, services and tokens live as long as they are referred to
         self._open = threading.Event()
+        config = _config("client", connect=endpoint, connect_timeout_s=connect_timeout_s, identity=identity)
         try:
-            self._session = zenoh.open(_config(mode, connect=endpoint, connect_timeout_s=connect_timeout_s))
+            self._session = zenoh.open(config)
         except zenoh.ZError as error:
-            raise TransportError(f"no hub answers at {endpoint} within {connect_timeout_s:g} s") from error
+            shown = f", or not to certificate {identity.certificate}" if identity else ""
+            raise TransportError(f"no hub answers at {endpoint} within {connect_timeout_s:g} s{shown}") from error
         self._open.set()
 
     def publish(self, key: str, payload: bytes, *, retained: bool = False, json: bool = False) -> None:
@@ -101,7 +118,7 @@ class ZenohTransport(Transport):
             lambda: self._session.put(key, payload, encoding=encoding, attachment=stamp, congestion_control=_DROP), key
         )
         if retained and number == 1:
-            self._keep(lambda: self._session.liveliness().declare_token(_RETAINED + key), key)
+            self._keep(lambda: self._session.liveliness().declare_token(RETAINED + key), key)
 
     def subscribe(self, pattern: str, mailbox: Mailbox, *, retained: bool = False) -> None:
         """See `Transport.subscribe`."""
@@ -121,7 +138,7 @@ class ZenohTransport(Transport):
 
         def appeared(token: zenoh.Sample) -> None:  # a publisher that is there, comes, or comes back after the hub
             if token.kind == zenoh.SampleKind.PUT and self._open.is_set():
-                key = str(token.key_expr).removeprefix(_RETAINED)
+                key = str(token.key_expr).removeprefix(RETAINED)
                 self._session.get(key, _direct(told), congestion_control=_DROP)
 
         def told(reply: zenoh.Reply) -> None:
@@ -130,7 +147,7 @@ class ZenohTransport(Transport):
 
         self._keep(lambda: self._session.declare_subscriber(pattern, _direct(arrived)), pattern)
         self._keep(
-            lambda: self._session.liveliness().declare_subscriber(_RETAINED + pattern, _direct(appeared), history=True),
+            lambda: self._session.liveliness().declare_subscriber(RETAINED + pattern, _direct(appeared), history=True),
             pattern,
         )
 
@@ -239,8 +256,18 @@ class _Newest:
 
 
 def _config(
-    mode: str, *, connect: str | None = None, listen: str | None = None, connect_timeout_s: float = 0.0
+    mode: str,
+    *,
+    connect: str | None = None,
+    listen: str | None = None,
+    connect_timeout_s: float = 0.0,
+    identity: Identity | None = None,
+    grants: Sequence[Grant] = (),
 ) -> zenoh.Config:
+    if (identity is not None) != (connect or listen or "").startswith("tls/"):
+        raise TransportError(
+            f"endpoint is {connect or listen!r}; with certificates it is tls/..., without them tcp/..."
+        )
     settings = {
         "mode": mode,
         "listen/endpoints": [] if listen is None else [listen],
@@ -253,6 +280,8 @@ def _config(
         "transport/link/tx/lease": int(1000 * LEASE_S),
         "transport/link/tx/queue/size/data": 16,  # batches of 64 KiB; the most that zenoh allows
         "transport/shared_memory/enabled": False,
+        "adminspace/enabled": False,
+        **_secure(identity, grants, "connect" if listen is None else "listen"),
     }
     config = zenoh.Config()
     for key, value in settings.items():
@@ -261,6 +290,22 @@ def _config(
         except zenoh.ZError as error:
             raise TransportError(f"transport setting {key} is {value!r}: {_brief(error)}") from error
     return config
+
+
+def _secure(identity: Identity | None, grants: Sequence[Grant], end: str) -> dict[str, Any]:
+    """Both ends show a certificate and hold the other's against the authority; the hub's must be for its host."""
+    if identity is None:
+        return {}
+    tls = {
+        "root_ca_certificate": str(identity.authority),
+        "enable_mtls": True,
+        f"{end}_certificate": str(identity.certificate),
+        f"{end}_private_key": str(identity.key),
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": True,
+    }
+    listening = {"access_control": access.settings(grants)} if end == "listen" else {}
+    return {"transport/link/protocols": ["tls"], "transport/link/tls": tls, **listening}
 
 
 def _direct(callback: Callable[[Any], None]) -> zenoh.handlers.Callback:

@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -13,6 +12,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 import zenoh
+from sockets import PATIENCE_S, Inbox, free_endpoint
 
 from zsdist.errors import TransportError
 from zsdist.transport.base import Mailbox, Message, Transport
@@ -20,32 +20,7 @@ from zsdist.transport.faulty import FaultyTransport
 from zsdist.transport.memory import MemoryBroker, MemoryTransport, matches
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 
-BUDGET = 64 * 2**20
-PATIENCE_S = 10.0
 Connect = Callable[[], Transport]
-
-
-class Inbox(Mailbox):
-    """A mailbox that can be waited for without sleeping."""
-
-    def __init__(self, max_bytes: int = BUDGET) -> None:
-        self.woken = threading.Event()
-        self.seen: list[Message] = []
-        super().__init__(max_bytes, self.woken.set)
-
-    def wait(self, count: int = 1, timeout_s: float = PATIENCE_S) -> list[Message]:
-        """The first `count` messages, or fewer where time runs out."""
-        end = time.monotonic() + timeout_s
-        while len(self.seen) < count and self.woken.wait(max(0.0, end - time.monotonic())):
-            self.woken.clear()
-            self.seen += self.drain()
-        return self.seen
-
-
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,268 @@
+"""What each certificate may and may not do at a hub that asks for them: bare zenoh sessions over real sockets.
+
+That something was kept from its receivers is seen without waiting: what is let through is sent after it on the same
+connection, and arrives alone.
+"""
+
+import itertools
+import json
+
+import pytest
+import zenoh
+from rehearsal import rehearse, start
+from sockets import PATIENCE_S, Inbox, free_endpoint
+
+from zsdist.errors import TransportError
+from zsdist.roles import access
+from zsdist.transport import certificates
+from zsdist.transport.base import Message
+from zsdist.transport.certificates import Identity
+from zsdist.transport.zenoh import ZenohHub, ZenohTransport
+
+pytestmark = pytest.mark.integration
+
+ACTORS, HOST = 2, "127.0.0.1"
+RUN = "zsdist/demo"
+NUMBERS = itertools.count()
+OTHERS = ("actor-7", "stranger")  # of the right authority, but on no list
+OF_ACTOR_0 = ("push/low/actor-0/3", "push/high/actor-0/3", "episodes/actor-0/3", "evaluation/actor-0", "stats/actor/0")
+NOT_OF_ACTOR_0 = (
+    "weights/low",
+    "candidate/low/1-recent",
+    "control/actor",
+    "control/scheduler",
+    "ack/actor-0",
+    "ack/actor-1",
+    "push/low/actor-1/3",
+    "push/low/*/3",
+    "push/**",
+    "episodes/actor-1/3",
+    "evaluation/actor-1",
+    "stats/actor/1",
+    "stats/learner/low",
+    "priority/low",
+    "events",
+)
+TO_ACTOR_0 = ("weights/low", "candidate/high/1-recent", "control/actor", "ack/actor-0", "evaluation/actor-0")
+NOT_TO_ACTOR_0 = ("push/low/actor-1/3", "ack/actor-1", "evaluation/actor-1", "control/replay", "episodes/actor-1/3")
+TO_MONITOR = ("stats/actor/0", "events", "weights/low")
+NOT_TO_MONITOR = ("push/low/actor-0/3", "ack/actor-0", "control/actor", "candidate/low/1-best", "evaluation/actor-0")
+
+
+class Client:
+    """A program that knows zenoh and nothing of ours, with a certificate."""
+
+    def __init__(self, endpoint: str, identity: Identity | None) -> None:
+        settings = {"mode": "client", "connect/endpoints": [endpoint], "connect/timeout_ms": 500}
+        settings |= {"connect/exit_on_failure": True, "scouting/multicast/enabled": False}
+        if identity is not None:
+            settings["transport/link/tls"] = {
+                "root_ca_certificate": str(identity.authority),
+                "connect_certificate": str(identity.certificate),
+                "connect_private_key": str(identity.key),
+                "enable_mtls": True,
+            }
+        config = zenoh.Config()
+        for key, value in settings.items():
+            config.insert_json5(key, json.dumps(value))
+        self.session = zenoh.open(config)
+        self.kept = []
+
+    def put(self, key: str, payload: bytes = b"") -> None:
+        self.session.put(f"{RUN}/{key}", payload)
+
+    def hear(self, *patterns: str) -> Inbox:
+        box = Inbox()
+        for pattern in patterns:
+            self.kept.append(self.session.declare_subscriber(f"{RUN}/{pattern}", lambda sample: _keep(box, sample)))
+        return box
+
+    def ask(self, key: str) -> list[bytes]:
+        """All answers; none where the question is refused."""
+        replies = self.session.get(f"{RUN}/{key}", payload=b"?", timeout=0.5)
+        return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+
+    def answer(self, key: str, payload: bytes) -> None:
+        self.kept.append(
+            self.session.declare_queryable(f"{RUN}/{key}", lambda query: query.reply(query.key_expr, payload))
+        )
+
+    def alive(self) -> set[str]:
+        replies = self.session.liveliness().get(f"{RUN}/alive/*/*", timeout=0.5)
+        return {str(reply.ok.key_expr).removeprefix(f"{RUN}/") for reply in replies if reply.ok is not None}
+
+
+def _keep(box: Inbox, sample: zenoh.Sample) -> None:
+    box.append(Message(str(sample.key_expr), sample.payload.to_bytes()))
+
+
+def heard(box: Inbox, send: Client, key: str) -> set[str]:
+    """What comes into `box` until a message arrives that `send` may send under `key`, from now on."""
+    last, tries = b"last %d" % next(NUMBERS), 0
+    box.seen.clear()
+    while not any(message.payload == last for message in box.seen):
+        send.put(key, last)  # again and again: a subscription takes a while to get about
+        tries += 1
+        assert tries < 50 * PATIENCE_S, f"nothing came under {key}"
+        box.wait(len(box.seen) + 1, 0.02)
+    return {message.key.removeprefix(f"{RUN}/") for message in box.seen}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("certificates")
+    certificates.make(folder, access.HUB, [*access.client_names(ACTORS), *OTHERS], [HOST], days=1)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def hub(folder):
+    with ZenohHub(free_endpoint("tls"), Identity.load(folder, access.HUB), access.access_list(ACTORS)) as hub:
+        yield hub
+
+
+@pytest.fixture
+def connect(hub, folder):
+    """A function that gives a client under a name."""
+    opened = []
+
+    def make(name: str) -> Client:
+        opened.append(Client(hub.endpoint, Identity.load(folder, name)))
+        return opened[-1]
+
+    yield make
+    for client in opened:
+        client.session.close()
+
+
+def test_an_actor_publishes_under_its_own_name_and_nothing_else(connect):
+    trusted, actor = connect(access.TRUSTED), connect("actor-0")
+    box = trusted.hear("**")
+    assert heard(box, actor, OF_ACTOR_0[0]) == {OF_ACTOR_0[0]}
+    for key in NOT_OF_ACTOR_0:
+        actor.put(key)
+        actor.session.delete(f"{RUN}/{key}")
+    for key in OF_ACTOR_0:
+        actor.session.delete(f"{RUN}/{key}")
+        actor.put(key)
+    assert heard(box, actor, OF_ACTOR_0[-1]) == set(OF_ACTOR_0)
+    assert len([message for message in box.seen if not message.payload]) == len(OF_ACTOR_0)
+
+
+def test_an_actor_hears_what_is_meant_for_it_and_nothing_else(connect):
+    trusted, actor = connect(access.TRUSTED), connect("actor-0")
+    for key in TO_ACTOR_0:
+        assert heard(actor.hear(key), trusted, key) == {key}
+    box = actor.hear("**", "*/*", "*/*/*/*", *NOT_TO_ACTOR_0, TO_ACTOR_0[0])
+    heard(box, trusted, TO_ACTOR_0[0])
+    for key in NOT_TO_ACTOR_0:
+        trusted.put(key)
+    assert heard(box, trusted, TO_ACTOR_0[0]) == {TO_ACTOR_0[0]}
+
+
+def test_an_actor_asks_for_no_batch_and_no_state_and_answers_nobody(connect):
+    trusted, learner = connect(access.TRUSTED), connect(access.TRUSTED)
+    actor, forger = connect("actor-0"), connect("actor-1")
+    for key in ("sample/low", "control/replay", "control/learner-low"):
+        trusted.answer(key, b"true")
+        forger.answer(key, b"forged")
+    forger.answer("weights/low", b"forged")
+    assert actor.ask("sample/low") == actor.ask("control/replay") == []
+    assert learner.ask("sample/low") == learner.ask("control/learner-low") == [b"true"]
+    assert learner.ask("weights/low") == []
+
+
+def test_an_actor_holds_its_own_token_and_no_other(connect):
+    actor, watcher = connect("actor-0"), connect(access.MONITOR)
+    tokens = [actor.session.liveliness().declare_token(f"{RUN}/alive/{who}") for who in ("learner/low", "actor/1")]
+    tokens.append(actor.session.liveliness().declare_token(f"@retained/{RUN}/weights/low"))
+    tokens.append(actor.session.liveliness().declare_token(f"{RUN}/alive/actor/0"))
+    while not (alive := watcher.alive()):
+        pass
+    assert alive == {"alive/actor/0"}
+    replies = connect(access.TRUSTED).session.liveliness().get("@retained/**", timeout=0.5)
+    assert [reply for reply in replies if reply.ok] == []
+
+
+def test_a_monitor_hears_statistics_events_weights_and_who_lives_and_nothing_else(connect):
+    trusted, monitor = connect(access.TRUSTED), connect(access.MONITOR)
+    for key in TO_MONITOR:
+        assert heard(monitor.hear(key), trusted, key) == {key}
+    box = monitor.hear("**", *NOT_TO_MONITOR, "events")
+    heard(box, trusted, "events")
+    for key in NOT_TO_MONITOR:
+        trusted.put(key)
+    assert heard(box, trusted, "events") == {"events"}
+    token = trusted.session.liveliness().declare_token(f"{RUN}/alive/scheduler/0")
+    while not (alive := monitor.alive()):
+        pass
+    assert alive == {"alive/scheduler/0"}
+    token.undeclare()
+
+
+@pytest.mark.parametrize("name", [access.MONITOR, access.HUB, *OTHERS])
+def test_whoever_is_neither_actor_nor_trusted_changes_nothing(connect, name):
+    trusted, client = connect(access.TRUSTED), connect(name)
+    box = trusted.hear("**")
+    heard(box, connect(access.TRUSTED), "events")
+    trusted.answer("control/replay", b"state")
+    client.answer("sample/low", b"forged")
+    for key in (*OF_ACTOR_0, *NOT_OF_ACTOR_0[:-1], "events" if name != access.HUB else "sample/low"):
+        client.put(key, b"forged")
+    token = client.session.liveliness().declare_token(f"{RUN}/alive/learner/low")
+    assert client.ask("control/replay") == []  # and by now the hub has seen all that came before
+    assert trusted.ask("sample/low") == []
+    assert trusted.alive() == set()
+    assert heard(box, connect(access.TRUSTED), "events") == {"events"}
+    token.undeclare()
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_name_on_no_list_hears_nothing(connect, name):
+    trusted, client = connect(access.TRUSTED), connect(name)
+    control, box = connect(access.MONITOR).hear("stats/actor/0"), client.hear("**", *TO_ACTOR_0, *TO_MONITOR)
+    assert client.ask("weights/low") == []
+    heard(control, trusted, "stats/actor/0")
+    for key in (*TO_ACTOR_0, *TO_MONITOR):
+        trusted.put(key)
+    assert client.alive() == set()
+    assert box.seen == box.drain() == []
+
+
+def test_without_a_certificate_of_the_authority_nobody_connects(hub, folder, tmp_path):
+    certificates.make(tmp_path, access.HUB, [access.TRUSTED], [HOST], days=1)
+    for endpoint, identity in (
+        (hub.endpoint, None),
+        (hub.endpoint.replace("tls", "tcp"), None),
+        (hub.endpoint, Identity.load(tmp_path, access.TRUSTED)),
+    ):
+        with pytest.raises(zenoh.ZError):
+            Client(endpoint, identity)
+    with pytest.raises(TransportError, match=r"no hub answers at .* or not to certificate .*trusted\.pem"):
+        ZenohTransport(hub.endpoint, Identity.load(tmp_path, access.TRUSTED), connect_timeout_s=0.5)
+
+
+@pytest.mark.parametrize("pretender", ["actor-0", "elsewhere", "other authority"])
+def test_a_hub_that_cannot_prove_to_be_the_hub_of_its_host_gets_no_client(folder, tmp_path, pretender):
+    mine = Identity.load(folder, access.TRUSTED)
+    if pretender == "actor-0":
+        shown = Identity.load(folder, pretender)
+    else:
+        if pretender == "elsewhere":
+            for file in ("ca.pem", "ca.key"):
+                (tmp_path / file).write_bytes((folder / file).read_bytes())
+        certificates.make(tmp_path, access.HUB, [], ["hub.example" if pretender == "elsewhere" else HOST], days=1)
+        shown = Identity.load(tmp_path, access.HUB)
+    with ZenohHub(free_endpoint("tls"), shown) as hub, pytest.raises(TransportError, match="no hub answers"):
+        ZenohTransport(hub.endpoint, mine, connect_timeout_s=0.5)
+
+
+def test_a_whole_run_works_with_certificates(folder, tmp_path):
+    transport = f"transport={{kind: zenoh, tls: {folder}, endpoint: {free_endpoint('tls')}}}"
+    setting = start(tmp_path / "run", transport, f"run.actors={ACTORS}")
+    summary = rehearse(setting)
+    assert (setting.folder / "endpoint").read_text().startswith("tls/")
+    assert summary["ended"] == "complete"
+    assert len(summary["merges"]) == 2  # candidates, drives and promotions got through
+    for books in summary["transitions"].values():
+        assert books["produced"] == books["stored"] + books["rejected"] > 0

@@ -1,0 +1,35 @@
+import pytest
+
+from zsdist import certs, cli
+from zsdist.roles import access
+from zsdist.transport.certificates import Identity
+
+
+def run(capsys, *arguments):
+    with pytest.raises(SystemExit) as ended:
+        cli.execute(certs.main, certs.parser(), list(map(str, arguments)))
+    return ended.value.code, capsys.readouterr()
+
+
+def test_every_role_of_a_run_finds_its_certificate(capsys, tmp_path):
+    status, printed = run(capsys, tmp_path / "made", "--actors", "2", "--host", "10.1.2.3", "--days", "3")
+    assert status == 0
+    roles = [("hub", "0"), ("scheduler", "0"), ("replay", "0"), ("learner", "low"), ("supervisor", "0")]
+    for role, identifier in [*roles, ("monitor", "0"), ("actor", "0"), ("actor", "1")]:
+        Identity.load(tmp_path / "made", access.certificate_of(role, identifier))
+    hosts = Identity.load(tmp_path / "made", access.HUB).hosts()
+    assert {"127.0.0.1", "localhost", "10.1.2.3"} <= set(hosts)
+    assert "10.1.2.3" in printed.out and "ca.key" in printed.out
+
+
+def test_a_second_time_adds_actors_and_says_that_the_hubs_host_stays(capsys, tmp_path):
+    run(capsys, tmp_path, "--actors", "1")
+    status, printed = run(capsys, tmp_path, "--actors", "2", "--host", "10.1.2.3")
+    assert status == 0
+    assert "made actor-1 " in printed.out and "delete hub.pem" in printed.out
+
+
+def test_a_count_that_is_none_is_refused_in_one_line(capsys, tmp_path):
+    status, printed = run(capsys, tmp_path, "--actors", "0")
+    assert status == cli.REFUSED
+    assert "'0'" in printed.err and printed.err.count("\n") == 1

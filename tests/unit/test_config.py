@@ -1,0 +1,51 @@
+"""What a configuration says of who may reach the hub."""
+
+from pathlib import Path
+
+import pytest
+
+from zsdist.config import dump, load, parse
+from zsdist.errors import ConfigError
+
+
+@pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:7447", "tcp/127.8.9.1:1", "tcp/localhost:7447", "tcp/[::1]:7447"])
+def test_without_certificates_the_hub_listens_to_this_machine(endpoint):
+    assert load(None, (f"transport.endpoint={endpoint}",)).transport.endpoint == endpoint
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    ["tcp/10.0.0.1:7447", "tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/127.example.com:7447", "tcp/localhost.example:1"],
+)
+def test_without_certificates_any_other_endpoint_is_refused_in_one_line_that_says_what_to_do(endpoint):
+    with pytest.raises(ConfigError) as refused:
+        load(None, (f"transport.endpoint={endpoint}",))
+    assert endpoint in str(refused.value) and "zsdist.certs" in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_with_certificates_the_default_endpoint_is_tls_and_any_host_is_allowed():
+    assert load(None, ("transport.tls=made",)).transport.endpoint == "tls/127.0.0.1:7447"
+    remote = ("transport.tls=made", "transport.endpoint=tls/10.0.0.1:7447", "run.address=auto")
+    assert load(None, remote).transport.endpoint == "tls/10.0.0.1:7447"
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("transport.tls=made", "transport.endpoint=tcp/127.0.0.1:7447"),
+        ("transport.endpoint=tls/127.0.0.1:7447",),
+        ("transport.tls=''",),
+    ],
+)
+def test_tls_and_its_endpoint_go_together(overrides):
+    with pytest.raises(ConfigError, match="transport"):
+        load(None, overrides)
+
+
+def test_the_folder_of_certificates_is_kept_as_an_absolute_path(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    config = load(None, ("transport.tls=made",))
+    assert Path(config.transport.tls) == tmp_path / "made"
+    (tmp_path / "again.yaml").write_text(dump(config))
+    assert load(tmp_path / "again.yaml") == config == parse(config.model_dump())

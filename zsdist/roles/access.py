@@ -1,0 +1,60 @@
+"""Which certificate each role shows, and what the hub lets the holder of each do.
+
+An actor's certificate is bound to its keys: it may publish under its own name alone, and receivers hold what a message
+says of its sender against the key that it came under.
+"""
+
+from zsdist.transport.access import Grant
+from zsdist.wire import keys
+from zsdist.wire.keys import ANY
+
+HUB, TRUSTED, MONITOR = "hub", "trusted", "monitor"  # common names; an actor's is its role's name, such as `actor-0`
+EVERYTHING = (f"{keys.ROOT}/**",)
+WATCHED = (keys.stats(ANY, ANY, ANY), keys.events(ANY))  # what statistics and displays are made of
+TOKENS = (keys.alive(ANY, ANY, ANY),)
+
+
+def certificate_of(role: str, identifier: str) -> str:
+    """Common name of the certificate that a role shows: one for each actor, one for all that must be trusted."""
+    if role == "actor":
+        return actor_name(identifier)
+    return role if role in (HUB, MONITOR) else TRUSTED
+
+
+def actor_name(identifier: str | int) -> str:
+    """The name of an actor on keys, in leases and on its certificate."""
+    return f"actor-{identifier}"
+
+
+def client_names(actors: int) -> list[str]:
+    """Common names of all clients of a run but the hub's own."""
+    return [TRUSTED, MONITOR, *map(actor_name, range(actors))]
+
+
+def access_list(actors: int) -> list[Grant]:
+    """What the hub of a run with so many actors allows; every other common name may do nothing."""
+    trusted = Grant(TRUSTED, *[EVERYTHING] * 6)
+    hub = Grant(HUB, publish=(keys.stats(ANY, "hub", ANY), keys.events(ANY)), alive=(keys.alive(ANY, "hub", ANY),))
+    monitor = Grant(MONITOR, subscribe=(*WATCHED, keys.weights(ANY, ANY)), watch=TOKENS)
+    return [trusted, hub, monitor, *(_actor(str(number)) for number in range(actors))]
+
+
+def _actor(identifier: str) -> Grant:
+    name = actor_name(identifier)
+    return Grant(
+        name,
+        publish=(
+            keys.push(ANY, ANY, name, ANY),
+            keys.episodes(ANY, name, ANY),
+            keys.evaluation(ANY, name),
+            keys.stats(ANY, "actor", identifier),
+        ),
+        subscribe=(
+            keys.ack(ANY, name),
+            keys.weights(ANY, ANY),
+            keys.candidate(ANY, ANY, ANY),
+            keys.control(ANY, "actor"),
+            keys.evaluation(ANY, name),
+        ),
+        alive=(keys.alive(ANY, "actor", identifier),),
+    )

@@ -1,0 +1,184 @@
+"""Certificates of a hub and its clients: one authority signs them all, and the common name says what each may do.
+
+A folder holds `ca.pem` and `ca.key`, and for each name `NAME.pem` and `NAME.key`, where NAME is the common name. A
+client proves by its key that the certificate is its own; what a name may do is the hub's business (`access`).
+"""
+
+import datetime
+import ipaddress
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from zsdist.errors import TransportError
+
+AUTHORITY = "ca"
+_BEFORE = datetime.timedelta(minutes=10)  # clocks of machines differ
+_HASH = hashes.SHA256()
+_SERVES, _CALLS = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Whom a process shows itself as: paths of its certificate and key, and of the authority it trusts."""
+
+    name: str
+    authority: Path
+    certificate: Path
+    key: Path
+
+    @classmethod
+    def load(cls, folder: str | Path, name: str) -> "Identity":
+        """The identity `name` in a folder of certificates, found sound.
+
+        Raises:
+            TransportError: a file is missing or unreadable, or they do not belong together, or are out of date.
+        """
+        folder = Path(folder)
+        identity = cls(name, folder / f"{AUTHORITY}.pem", folder / f"{name}.pem", folder / f"{name}.key")
+        authority, certificate = _read(identity.authority), _read(identity.certificate)
+        try:
+            certificate.verify_directly_issued_by(authority)
+        except (InvalidSignature, ValueError, TypeError) as error:
+            raise TransportError(f"certificate {identity.certificate} is not of the authority {authority}") from error
+        if common_name(certificate) != name:
+            raise TransportError(
+                f"certificate {identity.certificate} is of {common_name(certificate)!r}; allowed is {name!r}"
+            )
+        for path, found in ((identity.authority, authority), (identity.certificate, certificate)):
+            now = datetime.datetime.now(datetime.UTC)
+            if not found.not_valid_before_utc <= now <= found.not_valid_after_utc:
+                valid = f"{found.not_valid_before_utc:%Y-%m-%d} to {found.not_valid_after_utc:%Y-%m-%d}"
+                raise TransportError(f"certificate {path} is valid from {valid}, and not today")
+        if _read_key(identity.key).public_key() != certificate.public_key():
+            raise TransportError(f"key {identity.key} is not that of certificate {identity.certificate}")
+        return identity
+
+    def days_left(self) -> int:
+        """Days until its certificate, or the authority's, is out of date."""
+        ends = min(_read(path).not_valid_after_utc for path in (self.authority, self.certificate))
+        return (ends - datetime.datetime.now(datetime.UTC)).days
+
+    def hosts(self) -> list[str]:
+        """Names and addresses that its certificate is for, where it is a server's."""
+        try:
+            named = _read(self.certificate).extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        except x509.ExtensionNotFound:
+            return []
+        return [str(name.value) for name in named]
+
+
+def make(folder: Path, server: str, clients: Iterable[str], hosts: Sequence[str], days: int) -> list[str]:
+    """Makes what is missing in `folder`: authority, the server's certificate, one for each client.
+
+    Args:
+        folder: where; only its owner may read it.
+        server: name of the one that may be connected to; it may connect too.
+        clients: names that may only connect.
+        hosts: names and addresses under which the server is reached.
+        days: how long they are valid.
+
+    Returns:
+        The names of the certificates made; those that were there are left as they are.
+
+    Raises:
+        TransportError: the folder cannot be written, or its authority cannot be used.
+    """
+    made = []
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not (folder / f"{AUTHORITY}.pem").exists():
+            key = ec.generate_private_key(ec.SECP256R1())
+            _write(folder, AUTHORITY, _builder(AUTHORITY, AUTHORITY, key, days, authority=True).sign(key, _HASH), key)
+            made.append(AUTHORITY)
+        authority, authority_key = _read(folder / f"{AUTHORITY}.pem"), _read_key(folder / f"{AUTHORITY}.key")
+        for name in (server, *clients):
+            if not (folder / f"{name}.pem").exists():
+                key = ec.generate_private_key(ec.SECP256R1())
+                builder = _builder(name, common_name(authority), key, days)
+                for extension in _purposes(authority, hosts if name == server else ()):
+                    builder = builder.add_extension(extension, critical=False)
+                _write(folder, name, builder.sign(authority_key, _HASH), key)
+                made.append(name)
+    except OSError as error:
+        raise TransportError(f"certificates in {folder}: {error.filename}: {error.strerror}") from error
+    return made
+
+
+def common_name(certificate: x509.Certificate) -> str:
+    """Whose a certificate is; empty where it does not say."""
+    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(names[0].value) if names else ""
+
+
+def _builder(
+    name: str, issuer: str, key: ec.EllipticCurvePrivateKey, days: int, *, authority: bool = False
+) -> x509.CertificateBuilder:
+    now = datetime.datetime.now(datetime.UTC)
+    subject, signer = (x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, text)]) for text in (name, issuer))
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(signer)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - _BEFORE)
+        .not_valid_after(now + datetime.timedelta(days=days))
+        .add_extension(x509.BasicConstraints(ca=authority, path_length=0 if authority else None), critical=True)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+    )
+
+
+def _purposes(authority: x509.Certificate, hosts: Sequence[str]) -> list[x509.ExtensionType]:
+    """What a certificate is good for: to connect, and where it has hosts, to be connected to under these."""
+    signer = x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.public_key())
+    if not hosts:
+        return [signer, x509.ExtendedKeyUsage([_CALLS])]
+    return [signer, x509.ExtendedKeyUsage([_SERVES, _CALLS]), x509.SubjectAlternativeName(list(map(_host, hosts)))]
+
+
+def _host(host: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host))
+    except ValueError:
+        pass
+    try:
+        return x509.DNSName(host)
+    except ValueError as error:
+        raise TransportError(f"host is {host!r}; allowed is an address, or a name in ASCII") from error
+
+
+def _write(folder: Path, name: str, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> None:
+    """The key first and for its owner alone, so that a certificate is never without it."""
+    private = key.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
+    descriptor = os.open(folder / f"{name}.key", os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(private)
+    (folder / f"{name}.pem").write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
+
+
+def _read(path: Path) -> x509.Certificate:
+    try:
+        return x509.load_pem_x509_certificate(path.read_bytes())
+    except OSError as error:
+        raise TransportError(f"certificate {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise TransportError(f"certificate {path} is no certificate in PEM") from error
+
+
+def _read_key(path: Path) -> ec.EllipticCurvePrivateKey:
+    try:
+        return serialization.load_pem_private_key(path.read_bytes(), password=None)
+    except OSError as error:
+        raise TransportError(f"key {path}: {error.strerror}") from error
+    except (ValueError, TypeError) as error:
+        raise TransportError(f"key {path} is no private key in PEM without a password") from error
