@@ -1,6 +1,8 @@
 """Updates a second of a learner, by network and batch size, and of both levels; torch's own loop as the yardstick.
 
-`python benchmarks/learner.py [--quick]` prints a table, then one JSON line.
+`python benchmarks/learner.py [--quick]` prints a table, then one JSON line. The `fed` figures are of the learner's role
+with all that it does besides, fed by a replay in another process over zenoh that always has something to give: what
+share of its time it waits all the same, and how soon an actor that joins late has the weights.
 """
 
 import argparse
@@ -8,6 +10,7 @@ import json
 import os
 import platform
 import statistics
+import threading
 import time
 from collections.abc import Callable
 
@@ -15,12 +18,18 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
+from _replay import RUN, Actors, ReplayService
 
-from zsdist.config import Config, LevelConfig
+from zsdist.config import Config, LevelConfig, parse
 from zsdist.dqn import losses, network
 from zsdist.dqn.learner import DqnLearner
+from zsdist.roles.base import Context
+from zsdist.roles.learner import Learner
 from zsdist.run import program
+from zsdist.transport.base import Mailbox
+from zsdist.transport.zenoh import ZenohTransport
 from zsdist.types import Batch, Level
+from zsdist.wire import keys
 
 ACTIONS = 5
 CASES = (  # name, state features, hidden, batch size
@@ -29,6 +38,8 @@ CASES = (  # name, state features, hidden, batch size
     ("features120_batch256", 120, (128, 128), 256),
     ("features120_batch16", 120, (128, 128), 16),
 )
+STORED = 4_000  # transitions that the replay of the fed learner holds
+JOINERS = 9
 Update = Callable[[Batch], object]
 
 
@@ -55,6 +66,9 @@ def main() -> None:
     for name, figure in default_levels(updates, repeats).items():
         figures[name] = round(figure, 1)
         print(f"{name:40s} {figure:8.0f}")
+    for name, figure in fed(updates).items():
+        figures[name] = round(figure, 4)
+        print(f"{name:40s} {figure:8.4g}")
     parameters = network.initial_parameters(CASES[1][1], ACTIONS, CASES[1][2], seed=0)
     for cars in (1, 4, 16):
         states = np.random.default_rng(0).normal(size=(cars, CASES[1][1])).astype(np.float32)
@@ -82,6 +96,52 @@ def default_levels(updates: int, repeats: int) -> dict[str, float]:
         ]
         rates["both"].append(rate(lambda pair: learners[pair[0]].update(pair[1]), in_turn, updates))
     return {f"default_{name}_batch128_updates_per_s": statistics.median(each) for name, each in rates.items()}
+
+
+def fed(updates: int) -> dict[str, float]:
+    """Updates a second of the low level's role, its share of time without a batch, and what late joiners wait."""
+    shape = program.SHAPES[Level.LOW]
+    low = {"min_size": STORED, "updates_per_insert": 10_000.0}
+    config = parse({"high": {"min_size": 10**9}, "low": low, "replay": {"size_initial": STORED}})
+    with ReplayService(config, shape.state_size) as service:
+        transport, wake = ZenohTransport(service.endpoint), threading.Event()
+        actors = Actors(transport, config, Level.LOW, {"actor-0": 1}, shape.state_size)
+        service.admit({"actor-0": 1})
+        while actors.produced < STORED:
+            actors.run(0.1, ahead=256)
+        context = Context(config, RUN, "learner", "low", 2, transport, wake)
+        learner = Learner(context, Level.LOW, program.make_learner(config, Level.LOW))
+        _drive(learner, wake, updates)  # the replay has caught up, and what is compiled is there
+        before, began_s = learner.statistics(), time.monotonic()
+        _drive(learner, wake, learner.updates + 3 * updates)
+        wall_s, after = time.monotonic() - began_s, learner.statistics()
+        joined_ms = [_join(service.endpoint) for _ in range(JOINERS)]
+        transport.close()
+    return {
+        "fed_updates_per_s": 3 * updates / wall_s,
+        "fed_waiting_share": (after["waiting_data_s"] - before["waiting_data_s"]) / wall_s,
+        "late_joiner_median_ms": statistics.median(joined_ms),
+        "late_joiner_worst_ms": max(joined_ms),
+    }
+
+
+def _drive(learner: Learner, wake: threading.Event, updates: int) -> None:
+    while learner.updates < updates:
+        due_s = learner.step(time.time())
+        wake.wait(max(0.0, due_s - time.time()))
+        wake.clear()
+
+
+def _join(endpoint: str) -> float:
+    """Milliseconds from subscribing to having the weights that were published before."""
+    transport, come = ZenohTransport(endpoint), threading.Event()
+    began_s = time.perf_counter()
+    transport.subscribe(keys.weights(RUN, Level.LOW), Mailbox(1 << 26, come.set), retained=True)
+    if not come.wait(10.0):
+        raise SystemExit("no weights came within 10 s")
+    joined_ms = (time.perf_counter() - began_s) * 1e3
+    transport.close()
+    return joined_ms
 
 
 def make_batches(state_size: int, batch_size: int, actions: int = ACTIONS) -> list[Batch]:
