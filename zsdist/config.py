@@ -136,6 +136,7 @@ class LowConfig(LevelConfig):
 class ReplayConfig(Section):
     """Adaptive replay (Eqs. 21-23, Table 2)."""
 
+    shards: Count = 1  # processes a level is divided among, each with the transitions of some of the actors
     adaptive: bool = True
     size_initial: Count = 10_000
     size_min: Count = 1_000
@@ -235,6 +236,10 @@ class Config(Section):
         ):
             if not low <= value <= high:
                 raise ValueError(f"{name}_initial is {value}; allowed is {name}_min to {name}_max, {low} to {high}")
+        if self.replay.shards > self.run.actors:
+            raise ValueError(
+                f"replay.shards is {self.replay.shards}; allowed are at most as many as actors, {self.run.actors}"
+            )
         endpoint = self.transport.endpoint
         if self.run.address is not None and is_loopback(endpoint):
             raise ValueError(

@@ -90,6 +90,7 @@ def _resume(options: argparse.Namespace, console: Console) -> Setting:
                 f"--{name.replace('_', '-')} cannot go with --resume: the run in {options.resume} has its own"
             )
     settings, states = directory.reopen(options.resume, _overrides(options))
+    program.check_shards(settings, states)
     finished = len(states["scheduler"].meta["finished"])
     if settings.run.episodes <= finished:
         raise RunError(

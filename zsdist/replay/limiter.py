@@ -17,6 +17,8 @@ from typing import Any
 
 from zsdist.errors import ConfigError, ProtocolError
 
+BAND = 256  # the largest batch (Table 2)
+
 
 @dataclass
 class _Stream:
@@ -45,7 +47,7 @@ class Limiter:
         ConfigError: a count is out of range.
     """
 
-    def __init__(self, updates_per_insert: float, min_size: int, grain: int, band: int = 256) -> None:
+    def __init__(self, updates_per_insert: float, min_size: int, grain: int, band: int = BAND) -> None:
         # Whole numbers from here on: a rounding error at a limit could leave both sides waiting.
         self._ratio = Fraction(updates_per_insert).limit_denominator(1_000_000)
         if self._ratio <= 0:

@@ -11,12 +11,27 @@ from zsdist.types import Batch, Level, Parameters, Weights
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Candidate, Orders, SampleReply, SampleRequest, State, WeightsMessage
 
-PREFETCH = 8  # batches asked for or waiting: what is learned from while the next answer is on its way
+PREFETCH = 8  # batches of a shard asked for or waiting: what is learned from while the next answer is on its way
 UPDATES_A_STEP = 8  # before mailboxes are looked at again
 ANSWER_WITHIN_S = 4.0  # a request not answered by then is asked again; a replay that lives answers within two seconds
 WEIGHTS_EVERY_S = 0.5
 REPEAT_EVERY_S = 2.0  # unchanged weights and pending candidates are said again, in case a pipe was full
 DISTIL_BATCHES = 32  # most recent batches that distillation learns from
+
+
+class _Source:
+    """One shard of the replay, as its learner sees it: what was asked for and when, what came, how much it holds."""
+
+    def __init__(self) -> None:
+        self.ready: deque[Batch] = deque()
+        self.asked_s: deque[float] = deque()
+        self.held = 1
+        self.served = 0
+
+    @property
+    def turn(self) -> float:
+        """The shard with the lowest comes next, so that batches come from each in proportion to what it holds."""
+        return (self.served + 1) / self.held
 
 
 class Learner(Role):
@@ -36,8 +51,7 @@ class Learner(Role):
         self._offered = 0
         self._paused = False
         self._recent_batches: deque[Batch] = deque(maxlen=DISTIL_BATCHES)
-        self._ready: deque[Batch] = deque()
-        self._asked_s: deque[float] = deque()
+        self._sources = [_Source() for _ in range(context.config.replay.shards)]
         self._batch_size = 0  # of the last update
         self._starved_since_s: float | None = None
         self._published_updates = -1
@@ -101,33 +115,43 @@ class Learner(Role):
         self._offered = self.merge
 
     def _receive(self, now: float) -> None:
-        lacked_s = 0.0  # how long the replay had nothing to give
-        for _, reply in self.messages(self._batches):
+        lacked_s: float | None = None  # how long the replay had nothing to give; None: it has not answered
+        for message, reply in self.messages(self._batches):
             if not isinstance(reply, SampleReply):
                 continue
-            if self._asked_s:
-                self._asked_s.popleft()
-            lacked_s = max(lacked_s, reply.waited_s)
+            source = self._sources[int(keys.parse(message.key).fields.get("shard", 0))]
+            if source.asked_s:
+                source.asked_s.popleft()
+            source.held = max(1, reply.held)
+            lacked_s = max(lacked_s or 0.0, reply.waited_s)
             if reply.batch is not None:
-                self._ready.append(reply.batch)
-        while self._asked_s and now - self._asked_s[0] > ANSWER_WITHIN_S:
-            self._asked_s.popleft()
-        if self._ready or self._paused:
-            if self._starved_since_s is not None:
-                waited_s = now - self._starved_since_s
-                self.waiting_data_s += waited_s
-                self.waiting_reply_s += max(0.0, waited_s - lacked_s)
+                source.ready.append(reply.batch)
+        for source in self._sources:
+            while source.asked_s and now - source.asked_s[0] > ANSWER_WITHIN_S:
+                source.asked_s.popleft()
+        self._account_waiting(now, lacked_s)
+
+    def _account_waiting(self, now: float, lacked_s: float | None) -> None:
+        since_s, starved = self._starved_since_s, not any(source.ready for source in self._sources)
+        if since_s is not None and (lacked_s is not None or self._paused):
+            self.waiting_data_s += now - since_s
+            self.waiting_reply_s += max(0.0, now - since_s - lacked_s) if lacked_s is not None else 0.0
+            since_s = None
+        if self._paused or not starved:
             self._starved_since_s = None
-        elif self._starved_since_s is None:
-            self._starved_since_s = now
+        else:
+            self._starved_since_s = now if since_s is None else since_s
 
     def _learn(self, now: float) -> int:
         """Learns from what is there; what that takes away is asked for before, so that it comes meanwhile."""
         for done in range(UPDATES_A_STEP):
-            if not self._ready or self._paused:
+            full = [source for source in self._sources if source.ready]
+            if not full or self._paused:
                 self._ask(now)
                 return done
-            batch = self._ready.popleft()
+            source = min(full, key=lambda source: source.turn)
+            batch = source.ready.popleft()
+            source.served += 1
             self._ask(now)
             self._recent_batches.append(batch)
             self.dqn.update(batch)
@@ -136,11 +160,12 @@ class Learner(Role):
         return UPDATES_A_STEP
 
     def _ask(self, now: float) -> None:
-        while not self._paused and len(self._asked_s) + len(self._ready) < PREFETCH:
-            request = codec.encode(SampleRequest(self.context.epoch, self.level, self.updates))
-            key = keys.sample(self.context.run, self.level)
-            self.transport.request(key, request, self._batches, timeout_s=ANSWER_WITHIN_S)
-            self._asked_s.append(now)
+        for index, source in enumerate(self._sources):
+            while not self._paused and len(source.asked_s) + len(source.ready) < PREFETCH:
+                request = codec.encode(SampleRequest(self.context.epoch, self.level, self.updates))
+                key = keys.sample(self.context.run, self.level, index)
+                self.transport.request(key, request, self._batches, timeout_s=ANSWER_WITHIN_S)
+                source.asked_s.append(now)
 
     def _publish(self, now: float) -> None:
         fresh = self.updates != self._published_updates and now - self._published_s >= WEIGHTS_EVERY_S

@@ -9,6 +9,7 @@ from enum import IntEnum
 
 from zsdist.replay.journal import Journal, Record
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
+from zsdist.roles.shards import ROLE, Shard
 from zsdist.roles.shelf import Shape, Shelf
 from zsdist.types import Level
 from zsdist.wire import codec, keys
@@ -26,7 +27,7 @@ class Entry(IntEnum):
 
 
 class Replay(Role):
-    """Both levels' shelves behind one set of mailboxes.
+    """Both levels' shelves of one shard behind one set of mailboxes.
 
     Args:
         context: who this is.
@@ -40,7 +41,10 @@ class Replay(Role):
     ) -> None:
         super().__init__(context)
         run = context.run
-        self.shelves = {level: Shelf(level, shape, context.config, context.epoch) for level, shape in shapes.items()}
+        self.shard = Shard.of(context.config, int(context.id))
+        self.shelves = {
+            level: Shelf(level, shape, context.config, self.shard, context.epoch) for level, shape in shapes.items()
+        }
         self.journal = journal
         self.recovered = 0  # frames read from the journal
         self._entries: list[Record] = []  # to be written before the next acknowledgement
@@ -52,11 +56,12 @@ class Replay(Role):
         self._requests = self.mailbox("sample")
         self._orders = self.mailbox("orders")
         self._checkpoints = self.mailbox("checkpoint")
-        self.transport.subscribe(keys.push(run, keys.ANY, keys.ANY, keys.ANY), self._pushes)
+        for actor in sorted(self.shard.actors or (keys.ANY,)):
+            self.transport.subscribe(keys.push(run, keys.ANY, actor, keys.ANY), self._pushes)
         for level in self.shelves:
-            self.transport.serve(keys.sample(run, level), self._requests)
-        self.transport.serve(keys.control(run, "replay"), self._checkpoints)
-        self.transport.subscribe(keys.control(run, "replay"), self._orders, retained=True)
+            self.transport.serve(keys.sample(run, level, self.shard.index), self._requests)
+        self.transport.serve(keys.control(run, self.shard.name), self._checkpoints)
+        self.transport.subscribe(keys.control(run, ROLE), self._orders, retained=True)
 
     def work(self, now: float) -> float:
         """Stores what has come and answers who may be answered; writes it down, then acknowledges and grants credit."""
@@ -109,7 +114,7 @@ class Replay(Role):
         for level, shelf in self.shelves.items():
             meta[level.value], columns = shelf.state()
             arrays |= {f"{level}/{name}": array for name, array in columns.items()}
-        return State("replay", meta, arrays)
+        return State(self.shard.name, meta, arrays)
 
     def _recover(self, restored: State | None) -> None:
         """Goes on from the journal; where there is none, from a checkpoint or from nothing, and begins one."""
@@ -153,7 +158,7 @@ class Replay(Role):
 
     def _follow(self, content: dict) -> None:
         for actor, epoch in content["epochs"].items():
-            if self._issue(actor, epoch):
+            if self.shard.owns(actor) and self._issue(actor, epoch):
                 self._entries.append((Entry.EPOCH, json.dumps([actor, epoch]).encode()))
         for shelf in self.shelves.values():
             shelf.resize(content["buffer_size"], content["batch_size"])

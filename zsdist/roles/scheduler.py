@@ -6,6 +6,7 @@ from enum import StrEnum
 from zsdist.dqn.exploration import epsilon
 from zsdist.protocol.inbox import Inbox
 from zsdist.replay.sizing import AdaptiveSizing, RewardAverages
+from zsdist.roles import shards
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.leases import Leases
 from zsdist.roles.ledger import Ledger
@@ -15,7 +16,6 @@ from zsdist.types import Level, Outcome
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import EPISODES, EVALUATION, Candidate, Jobs, Orders, Records, State, WeightsMessage
 
-CHECKPOINTED = ("replay", "learner-high", "learner-low")
 ANSWER_WITHIN_S = 10.0
 
 
@@ -52,6 +52,8 @@ class Scheduler(Role):
         self._inboxes = {stream: Inbox(stream, sender_epoch=context.epoch) for stream in (EPISODES, EVALUATION)}
         self._offered: dict[Level, set[tuple[int, str]]] = {level: set() for level in Level}
         self._merged = dict.fromkeys(Level, 0)
+        self._shards = shards.state_names(context.config)
+        self._checkpointed = [*self._shards, "learner-high", "learner-low"]
         self._states: dict[str, State] = {}
         self._ask_again_s = 0.0
         self._final_states: dict[str, State] = {}
@@ -256,11 +258,11 @@ class Scheduler(Role):
         for _, state in self.messages(self._answers):
             if isinstance(state, State):
                 self._states[state.role] = state
-        replay = self._states.get("replay")
-        if final and replay is not None and any(part["open"] for part in replay.meta.values()):
-            del self._states["replay"]  # frames are still on their way
-            self._ask_again_s = now + HEARTBEAT_S
-        missing = [name for name in CHECKPOINTED if name not in self._states]
+        for name in self._shards if final else ():
+            if name in self._states and any(part["open"] for part in self._states[name].meta.values()):
+                del self._states[name]  # frames are still on their way
+                self._ask_again_s = now + HEARTBEAT_S
+        missing = [name for name in self._checkpointed if name not in self._states]
         if not missing:
             finished = len(self.leases.finished)
             self.ledger.checkpoint(finished, {**self._states, "scheduler": self.state()})
@@ -305,7 +307,7 @@ class Scheduler(Role):
                 "closing": ending,
                 "cut": ending and self._interrupted,
             },
-            "replay": {
+            shards.ROLE: {
                 "epochs": self._epochs,
                 "buffer_size": self.sizing.size,
                 "batch_size": self.sizing.batch_size,
@@ -364,14 +366,17 @@ class Scheduler(Role):
 
     def _summary(self) -> dict:
         learners = {level: self._final_states[f"learner-{level}"].meta for level in Level}
-        books = {level.value: self._final_states["replay"].meta[level.value]["books"] for level in Level}
+        books = {level.value: Counter() for level in Level}
+        for name in self._shards:
+            for level, counts in books.items():
+                counts.update(self._final_states[name].meta[level]["books"])
         wall_s = self.ledger.wall_s()
         return {
             "episodes": len(self.leases.finished),
             "ended": "interrupted" if self._interrupted else "complete",
             "env_steps": self.env_steps,
             "learner_updates": {level.value: meta["updates"] for level, meta in learners.items()},
-            "transitions": books,
+            "transitions": {level: dict(counts) for level, counts in books.items()},
             "weights": {
                 "version": {level.value: meta["version"] for level, meta in learners.items()},
                 "max_lag_versions": self.snapshot.max_lag_versions,

@@ -9,7 +9,8 @@ import numpy as np
 from zsdist.config import Config
 from zsdist.protocol.inbox import Inbox
 from zsdist.replay.buffer import RingBuffer
-from zsdist.replay.limiter import Limiter
+from zsdist.replay.limiter import BAND, Limiter
+from zsdist.roles.shards import Shard
 from zsdist.transport.base import Message
 from zsdist.types import Level
 from zsdist.wire import codec
@@ -27,18 +28,19 @@ class Shape:
 
 
 class Shelf:
-    """One level's part of the replay: ring, sizes, limiter and inbox, with the requests that wait for data."""
+    """One level's part of a shard of the replay: ring, sizes, limiter and inbox, with the requests that wait."""
 
-    def __init__(self, level: Level, shape: Shape, config: Config, sender_epoch: int) -> None:
+    def __init__(self, level: Level, shape: Shape, config: Config, shard: Shard, sender_epoch: int) -> None:
         self.level = level
         self.batch_size = config.replay.batch_initial
-        self.buffer = RingBuffer(shape.state_size, shape.actions, config.replay.size_initial)
+        self.buffer = RingBuffer(shape.state_size, shape.actions, shard.part(config.replay.size_initial))
         self.inbox = Inbox(level, sender_epoch=sender_epoch)
         learning = config.high if level is Level.HIGH else config.low
         # Trajectories of both levels are complete when an option ends, so every car must be able to end one.
         grain = config.agent.option_max_steps * config.run.cars_per_actor
-        self.limiter = Limiter(learning.updates_per_insert, learning.min_size, grain)
-        self.rng = np.random.default_rng([config.seed, 0 if level is Level.HIGH else 1])
+        self.limiter = Limiter(learning.updates_per_insert, shard.part(learning.min_size), grain, shard.part(BAND))
+        self.rng = np.random.default_rng([config.seed, 0 if level is Level.HIGH else 1, shard.index])
+        self._shard = shard
         self.stored = 0
         self.rejected: dict[str, int] = {}
         self.sampled = 0
@@ -98,10 +100,18 @@ class Shelf:
             message.reply(codec.encode(SampleReply(self.level, batch, len(self.buffer), now - asked_s)))
 
     def resize(self, buffer_size: int, batch_size: int) -> None:
-        """Takes over the sizes that the scheduler derives from the returns (`zsdist.replay.sizing`)."""
+        """Takes over the sizes that the scheduler derives from the returns (`zsdist.replay.sizing`).
+
+        Args:
+            buffer_size: of all shards together.
+            batch_size: of a batch, which comes from one shard.
+        """
         self.batch_size = batch_size
-        if buffer_size != self.buffer.capacity:
-            self.buffer.resize(buffer_size)
+        self._hold(self._shard.part(buffer_size))
+
+    def _hold(self, capacity: int) -> None:
+        if capacity != self.buffer.capacity:
+            self.buffer.resize(capacity)
 
     def books(self) -> dict[str, int]:
         """What was produced and what became of it; `produced = stored + rejected` once all epochs are closed."""
@@ -130,7 +140,8 @@ class Shelf:
         """Takes over what `pace` gave."""
         self.limiter.catch_up(pace["updates"])
         self.sampled = pace["sampled"]
-        self.resize(pace["capacity"], pace["batch_size"])
+        self.batch_size = pace["batch_size"]
+        self._hold(pace["capacity"])
 
     def state(self) -> tuple[dict, dict[str, np.ndarray]]:
         """Everything needed to go on: ring, sizes, limiter counts, books, generator state."""
@@ -166,3 +177,6 @@ class Shelf:
         if same_run:
             self._epochs = dict(meta["epochs"])
             self._closed = {(actor, epoch) for actor, epoch in meta["closed"]}
+        else:
+            for actor, epoch in self.inbox.open_streams():
+                self.inbox.close(actor, epoch)  # the next of its name may push to another shard

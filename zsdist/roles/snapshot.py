@@ -11,6 +11,7 @@ from zsdist.wire import keys
 
 Fields = dict[str, float | str]
 WORDS = ("role", "id", "host", "stage", "endpoint")  # fields of statistics that are no numbers
+_TOGETHER = {"batch_size": max, "oldest_version": min, "oldest_age_versions": max}  # of shards; all others add up
 HISTORY = 12  # statistics of a role that its rates are taken over
 
 
@@ -81,7 +82,6 @@ class Snapshot:
     def row(self) -> Fields:
         """One flat line of figures for `metrics.jsonl` and TensorBoard."""
         scheduler = next(iter(self.of("scheduler").values()), {})
-        replay = next(iter(self.of("replay").values()), {})
         row: Fields = {
             name: value for name, value in scheduler.items() if name not in ("role", "id", "host", "pid", "epoch")
         }
@@ -94,14 +94,26 @@ class Snapshot:
                 if name in learner:
                     row[f"{level}_{name}"] = learner[name]
             row[f"{level}_updates_per_s"] = round(self.rate("learner", "learner_updates", level), 2)
-        for name, value in replay.items():
-            if name.startswith(("high_", "low_")):
-                row[f"replay_{name}"] = value
+        row |= {f"replay_{name}": value for name, value in self._replay().items()}
         for level, lag in self.lag_versions().items():
             row[f"{level}_lag_versions"] = lag
             name = f"{level}_weights_lag_s"
             row[name] = max((float(fields.get(name, 0.0)) for fields in self.of("actor").values()), default=0.0)
         return row
+
+    def _replay(self) -> Fields:
+        """What the shards of the replay tell of both levels, put together."""
+        shards = list(self.of("replay").values())
+        names = {name: None for shard in shards for name in shard if name.startswith(("high_", "low_"))}
+        together: Fields = {}
+        for name in names:
+            values = [shard[name] for shard in shards if name in shard]
+            together[name] = _TOGETHER.get(name.partition("_")[2], sum)(values)
+        for level in Level:
+            if f"{level}_samples_per_insert" in together:
+                sampled, stored = (together[f"{level}_{name}"] for name in ("sampled", "stored"))
+                together[f"{level}_samples_per_insert"] = round(sampled / max(1, stored), 3)
+        return together
 
     def _take_json(self, parsed: keys.ParsedKey, payload: bytes) -> None:
         try:

@@ -17,7 +17,7 @@ from zsdist.errors import ConfigError, WeightsError
 from zsdist.planning.grid import Grid
 from zsdist.replay.buffer import row_bytes
 from zsdist.replay.journal import Journal
-from zsdist.roles import access
+from zsdist.roles import access, shards
 from zsdist.roles.actor import Actor
 from zsdist.roles.base import Context, Role
 from zsdist.roles.cars import CameraEnv, Car, Errand
@@ -72,8 +72,9 @@ def roles(config: Config, epochs: Sequence[int]) -> list[Place]:
 
 
 def _names(config: Config) -> list[tuple[str, str]]:
-    singles = [("scheduler", "0"), ("replay", "0"), ("learner", "high"), ("learner", "low")]
-    return singles + [("actor", str(index)) for index in range(config.run.actors)]
+    replays = [(shards.ROLE, str(index)) for index in range(config.replay.shards)]
+    learners = [("learner", level.value) for level in Level]
+    return [("scheduler", "0"), *replays, *learners, *(("actor", str(index)) for index in range(config.run.actors))]
 
 
 def role_count(config: Config) -> int:
@@ -158,6 +159,15 @@ def check_certificates(config: Config) -> None:
         Identity.load(config.transport.tls, name)
 
 
+def check_shards(config: Config, states: Mapping[str, State]) -> None:
+    """Holds that every shard of a checkpoint is gone on with; raises `ConfigError` where there are too few."""
+    held = sum(name.partition("-")[0] == shards.ROLE for name in states)
+    if held > config.replay.shards:
+        raise ConfigError(
+            f"replay.shards is {config.replay.shards} and the checkpoint holds {held}; allowed are {held} or more"
+        )
+
+
 def warm_up(config: Config) -> VisionIdentity:
     """Drives one car for a step, in this process: what is compiled or built at first use is then on disk for all.
 
@@ -224,10 +234,10 @@ class Setting:
                 restored = self.states.get("scheduler")
                 earlier_s = restored.meta["wall_s"] if restored else 0.0
                 return Scheduler(context, RunDirectory(self.folder, self.vision, earlier_s), restored)
-            case "replay":
-                # A start of the run has a journal of its own: that of an earlier one is older than its checkpoints.
-                journal = Journal(self.folder / "journal" / self.start)
-                return Replay(context, SHAPES, journal, self.states.get("replay"))
+            case shards.ROLE:
+                # A start of the run has journals of its own: those of an earlier one are older than its checkpoints.
+                journal = Journal(self.folder / "journal" / f"{self.start}-{place.id}")
+                return Replay(context, SHAPES, journal, self.states.get(shards.state_name(int(place.id))))
             case "learner":
                 level = Level(place.id)
                 return Learner(context, level, make_learner(config, level), self.states.get(place.name))

@@ -29,6 +29,7 @@ _FORMS = {
     "events": (),
     "alive": ("role", "id"),
 }
+_SHARDED = ("sample", "priority")  # these may have one part more: the number of a replay's further shard
 
 
 class ParsedKey(NamedTuple):
@@ -59,14 +60,14 @@ def ack(run: str, actor: str) -> str:
     return _join(run, "ack", actor)
 
 
-def sample(run: str, level: Level | str) -> str:
-    """Requests for batches, answered by the replay."""
-    return _join(run, "sample", level)
+def sample(run: str, level: Level | str, shard: int = 0) -> str:
+    """Requests for batches, answered by a shard of the replay; the first has the key that a single one has."""
+    return _join(run, "sample", level, *((shard,) if shard else ()))
 
 
-def priority(run: str, level: Level | str) -> str:
-    """Priorities of sampled transitions, learner to replay."""
-    return _join(run, "priority", level)
+def priority(run: str, level: Level | str, shard: int = 0) -> str:
+    """Priorities of sampled transitions, learner to a shard of the replay."""
+    return _join(run, "priority", level, *((shard,) if shard else ()))
 
 
 def weights(run: str, level: Level | str) -> str:
@@ -109,14 +110,21 @@ def parse(key: str) -> ParsedKey | None:
     parts = key.split("/")
     if len(parts) < 3 or parts[0] != ROOT or parts[2] not in _FORMS or not all(map(is_name, parts[1:])):
         return None
-    fields = dict(zip(_FORMS[parts[2]], parts[3:], strict=False))
-    if len(parts) != 3 + len(_FORMS[parts[2]]) or _misfit(fields) is not None:
+    form = _form(parts[2], len(parts) - 3)
+    fields = dict(zip(form, parts[3:], strict=False))
+    if len(parts) != 3 + len(form) or _misfit(fields) is not None:
         return None
     return ParsedKey(parts[1], parts[2], fields)
 
 
+def _form(kind: str, length: int) -> tuple[str, ...]:
+    """The names of the parts of a key of this kind that has so many."""
+    form = _FORMS[kind]
+    return (*form, "shard") if kind in _SHARDED and length == len(form) + 1 else form
+
+
 def _join(run: str, kind: str, *values: str | int) -> str:
-    fields = dict(zip(_FORMS[kind], map(str, values), strict=True))
+    fields = dict(zip(_form(kind, len(values)), map(str, values), strict=True))
     for name, value in {"run": run, **fields}.items():
         if value != ANY and not is_name(value):
             raise ProtocolError(f"key part {name} is {value!r}; allowed are 1 to 64 letters, digits, '.', '_', '-'")
@@ -126,11 +134,17 @@ def _join(run: str, kind: str, *values: str | int) -> str:
     return "/".join((ROOT, run, kind, *fields.values()))
 
 
-_ALLOWED = {"level": "high or low", "epoch": "a whole number from 0 without leading zeros"}
+_ALLOWED = {
+    "level": "high or low",
+    "epoch": "a whole number from 0 without leading zeros",
+    "shard": "a whole number from 1 without leading zeros",
+}
 
 
 def _misfit(fields: dict[str, str]) -> str | None:
     if "level" in fields and fields["level"] not in tuple(Level):
         return "level"
-    epoch = fields.get("epoch")
-    return None if epoch is None or re.fullmatch(r"0|[1-9][0-9]{0,17}", epoch) else "epoch"
+    for name, form in (("epoch", r"0|[1-9][0-9]{0,17}"), ("shard", r"[1-9][0-9]{0,3}")):
+        if name in fields and not re.fullmatch(form, fields[name]):
+            return name
+    return None

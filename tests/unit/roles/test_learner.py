@@ -1,3 +1,4 @@
+import dataclasses
 import threading
 
 import numpy as np
@@ -6,7 +7,7 @@ import pytest
 from zsdist.config import LevelConfig, parse
 from zsdist.dqn.learner import DqnLearner
 from zsdist.roles.base import Context
-from zsdist.roles.learner import PREFETCH, Learner
+from zsdist.roles.learner import PREFETCH, UPDATES_A_STEP, Learner
 from zsdist.transport.base import Mailbox
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import Batch, Level
@@ -14,7 +15,6 @@ from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders, SampleReply, WeightsMessage
 
 FEATURES, ACTIONS, RUN = 3, 2, "test"
-CONFIG = parse({})
 
 
 def batch(rng, rows=4):
@@ -33,22 +33,26 @@ def batch(rng, rows=4):
 class Bench:
     """A learner, with the replay and the scheduler played by the test."""
 
-    def __init__(self):
+    def __init__(self, shards=1):
         self.rng, self.broker, self.now = np.random.default_rng(0), MemoryBroker(), 0.0
         self.others = MemoryTransport(self.broker)
-        self.requests, self.weights = Mailbox(2**20), Mailbox(2**24)
-        self.others.serve(keys.sample(RUN, Level.LOW), self.requests)
+        self.shards, self.weights = [Mailbox(2**20) for _ in range(shards)], Mailbox(2**24)
+        self.requests = self.shards[0]
+        for index, box in enumerate(self.shards):
+            self.others.serve(keys.sample(RUN, Level.LOW, index), box)
         self.others.subscribe(keys.weights(RUN, Level.LOW), self.weights)
-        context = Context(CONFIG, RUN, "learner", "low", 1, MemoryTransport(self.broker), threading.Event())
+        config = parse({"replay": {"shards": shards}})
+        context = Context(config, RUN, "learner", "low", 1, MemoryTransport(self.broker), threading.Event())
         self.learner = Learner(context, Level.LOW, DqnLearner(FEATURES, ACTIONS, LevelConfig(hidden=(8,)), seed=0))
 
     def step(self, seconds=0.1):
         self.now += seconds
         return self.learner.step(self.now)
 
-    def answer(self, requests, waited_s=0.0):
+    def answer(self, requests, waited_s=0.0, held=100):
         for request in requests:
-            request.reply(codec.encode(SampleReply(Level.LOW, batch(self.rng), 100, waited_s)))
+            found = batch(self.rng) if held else None
+            request.reply(codec.encode(SampleReply(Level.LOW, found, held, waited_s)))
 
     def order(self, learning):
         content = {"learning": learning, "merge": 0, "phase": "", "candidates": [], "chosen": "", "stop": False}
@@ -88,6 +92,17 @@ def test_time_without_a_batch_is_told_with_whether_the_replay_had_one(bench):
     assert told["waiting_reply_s"] == pytest.approx(0.25)
 
 
+def test_a_replay_that_has_nothing_for_a_long_time_keeps_nobody_waiting_for_its_answers(bench):
+    bench.step()
+    for seconds, held in ((2.0, 0), (2.0, 0), (2.0, 0), (1.0, 100)):
+        bench.now += seconds
+        bench.answer(bench.requests.drain(), waited_s=seconds, held=held)
+        bench.step(0.0)
+    told = bench.learner.statistics()
+    assert told["waiting_data_s"] == pytest.approx(7.0)
+    assert told["waiting_reply_s"] == pytest.approx(0.0)
+
+
 def test_a_learner_that_was_told_to_pause_waits_for_nothing(bench):
     bench.order(learning=False)
     bench.step()
@@ -107,3 +122,30 @@ def test_weights_tell_when_their_version_came_to_be_also_when_they_are_said_agai
     assert len(last) > 1
     assert len({message.made_s for message in last}) == 1
     assert 0 < last[0].made_s <= bench.now - 2.0
+
+
+def test_batches_come_from_each_shard_in_proportion_to_what_it_holds():
+    bench, given = Bench(shards=2), [0, 0]
+    learned = []
+    bench.learner.dqn.update = lambda batch: learned.append(batch.rewards[0])
+    bench.step()
+    for _ in range(50):
+        for index, (box, held) in enumerate(zip(bench.shards, (300, 100), strict=True)):
+            for request in box.drain():
+                given[index] += 1
+                marked = dataclasses.replace(batch(bench.rng), rewards=np.full(4, index, np.float32))
+                request.reply(codec.encode(SampleReply(Level.LOW, marked, held, 0.0)))
+        bench.step()
+    assert bench.learner.updates == 50 * UPDATES_A_STEP
+    assert learned.count(0) / learned.count(1) == pytest.approx(3.0, rel=0.05)
+    assert given[0] - learned.count(0) <= PREFETCH and given[1] - learned.count(1) <= PREFETCH
+
+
+def test_a_shard_that_is_away_does_not_keep_the_others_from_being_learned_from():
+    bench = Bench(shards=2)
+    bench.step()
+    for _ in range(5):
+        bench.answer(bench.shards[1].drain())
+        bench.step()
+    assert bench.learner.updates == 5 * PREFETCH
+    assert len(bench.shards[0]) == PREFETCH

@@ -34,6 +34,16 @@ def test_lag_in_seconds_is_that_of_the_latest_actor_and_the_longest_is_kept():
     assert snapshot.max_lag_s == 0.7
 
 
+def test_a_row_puts_the_shards_of_the_replay_together():
+    snapshot = Snapshot()
+    first = {"low_stored": 300, "low_sampled": 900, "low_samples_per_insert": 3.0, "low_batch_size": 16}
+    second = {"low_stored": 100, "low_sampled": 100, "low_samples_per_insert": 1.0, "low_batch_size": 16}
+    snapshot.take([said("replay", "0", low_oldest_version=7, **first), said("replay", "1", **second)])
+    row = snapshot.row()
+    assert (row["replay_low_stored"], row["replay_low_batch_size"], row["replay_low_oldest_version"]) == (400, 16, 7)
+    assert row["replay_low_samples_per_insert"] == 2.5
+
+
 def test_a_rate_is_the_growth_of_a_counter_summed_over_instances():
     snapshot = Snapshot()
     for second in range(4):

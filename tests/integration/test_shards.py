@@ -1,0 +1,82 @@
+import pytest
+from rehearsal import Tap, episodes, rehearse, resume, start
+
+from zsdist.errors import ConfigError
+from zsdist.run import directory, program
+from zsdist.types import Level
+from zsdist.wire.messages import Push
+
+pytestmark = pytest.mark.integration
+TWO = ("replay.shards=2", "run.actors=3")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    tap = Tap()
+    setting = start(tmp_path_factory.mktemp("runs") / "two", *TWO, "run.episodes=24", "merge.every_episodes=12")
+    return setting, rehearse(setting, watch=tap), tap.by_kind()
+
+
+def last(said, role):
+    return {one["id"]: one for one in said["stats"] if one["role"] == role}
+
+
+def test_the_books_balance_over_all_shards(run):
+    setting, summary, said = run
+    replays = last(said, "replay")
+    assert set(replays) == {"0", "1"}
+    for level in Level:
+        books = summary["transitions"][level]
+        assert books["produced"] == books["stored"] + books["rejected"] == summary["env_steps"]
+        for name, total in books.items():
+            assert sum(one[f"{level}_{name}"] for one in replays.values()) == total
+    assert sorted(record["episode"] for record in episodes(setting.folder)) == list(range(1, 25))
+
+
+def test_each_shard_stores_what_its_actors_push_and_nothing_else(run):
+    _, _, said = run
+    for level in Level:
+        pushed = {
+            (push.actor, push.sequence): push.count
+            for push in said["push"]
+            if isinstance(push, Push) and push.stream is level
+        }
+        for identifier, one in last(said, "replay").items():
+            mine = sum(count for (actor, _), count in pushed.items() if int(actor[-1]) % 2 == int(identifier))
+            assert one[f"{level}_stored"] == mine > 0
+
+
+def test_updates_an_insert_keep_to_the_setting_in_each_shard_and_overall(run):
+    setting, summary, said = run
+    for level, settings in ((Level.HIGH, setting.config.high), (Level.LOW, setting.config.low)):
+        for one in last(said, "replay").values():
+            assert one[f"{level}_updates_served"] <= one[f"{level}_stored"] * settings.updates_per_insert
+        served = sum(one[f"{level}_updates_served"] for one in last(said, "replay").values())
+        stored = summary["transitions"][level]["stored"]
+        assert 0.9 * settings.updates_per_insert < served / stored <= settings.updates_per_insert
+        assert summary["learner_updates"][level] <= served
+
+
+def test_sizes_are_divided_as_the_actors_are(run):
+    _, _, said = run
+    for level in Level:
+        large, small = (last(said, "replay")[identifier][f"{level}_capacity"] for identifier in ("0", "1"))
+        assert large == pytest.approx(2 * small, abs=2)
+
+
+def test_two_runs_with_one_seed_and_two_shards_end_in_equal_weights(tmp_path):
+    one, two = (rehearse(start(tmp_path / name, *TWO)) for name in ("one", "two"))
+    assert one["weights"]["sha256"] == two["weights"]["sha256"]
+    assert one["transitions"] == two["transitions"]
+
+
+def test_a_run_is_gone_on_with_a_shard_more_but_not_with_one_less(tmp_path):
+    first = rehearse(start(tmp_path / "run", "run.episodes=4"))
+    second = rehearse(resume(tmp_path / "run", "run.episodes=8", "replay.shards=2"))
+    for level in Level:
+        books = second["transitions"][level]
+        assert books["produced"] == books["stored"] + books["rejected"] > first["transitions"][level]["produced"]
+    assert len(list((tmp_path / "run").glob("checkpoints/00000008/replay*.state"))) == 2
+    settings, states = directory.reopen(tmp_path / "run", ("replay.shards=1",))
+    with pytest.raises(ConfigError, match=r"replay\.shards is 1 and the checkpoint holds 2; allowed are 2 or more"):
+        program.check_shards(settings, states)
