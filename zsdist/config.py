@@ -137,6 +137,7 @@ class ReplayConfig(Section):
     """Adaptive replay (Eqs. 21-23, Table 2)."""
 
     shards: Count = 1  # processes a level is divided among, each with the transitions of some of the actors
+    n_step: Count = 1  # transitions of a trajectory whose rewards make up a return, at most
     adaptive: bool = True
     size_initial: Count = 10_000
     size_min: Count = 1_000

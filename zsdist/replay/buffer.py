@@ -11,6 +11,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from zsdist.errors import RunError
+from zsdist.replay import returns
 from zsdist.types import NO_GUIDE, Batch, Behaviour, Trajectory
 
 # Why a transition is refused, in the order in which it is looked for; each counts under the first that applies.
@@ -46,14 +47,16 @@ class RingBuffer:
         state_size: features of a state, `D`.
         actions: number of actions, `A`.
         capacity: transitions held at most.
+        n_step: transitions of a trajectory that are stored as one return, at most (`zsdist.replay.returns`).
     """
 
-    def __init__(self, state_size: int, actions: int, capacity: int) -> None:
-        self._state_size, self._actions = state_size, actions
+    def __init__(self, state_size: int, actions: int, capacity: int, n_step: int = 1) -> None:
+        self._state_size, self._actions, self._n_step = state_size, actions, n_step
         self._columns = _allocate(state_size, actions, capacity)
         self.capacity = capacity
         self._size = 0
         self._head = 0  # row that is written next
+        self._newest_version = 0
 
     def __len__(self) -> int:
         return self._size
@@ -67,6 +70,11 @@ class RingBuffer:
     def oldest_version(self) -> int | None:
         """Weight version that chose the oldest stored transition; None: nothing is stored."""
         return int(self._columns["versions"][(self._head - self._size) % self.capacity]) if self._size else None
+
+    @property
+    def oldest_age_versions(self) -> int | None:
+        """Weight versions between the newest transition seen and the oldest stored one; None: nothing is stored."""
+        return self._newest_version - self.oldest_version if self._size else None
 
     def insert(self, *trajectories: Trajectory) -> tuple[int, dict[str, int]]:
         """Stores the sound transitions of `trajectories`, in order, evicting the oldest.
@@ -94,6 +102,8 @@ class RingBuffer:
             rejected[reason] = rejected.get(reason, 0) + count
         chosen = np.flatnonzero(sound)
         stored = len(chosen)
+        if self._n_step > 1 and stored:
+            offer = offer.joined(self._n_step, sound)
         self._write(offer, chosen[-self.capacity :])
         return stored, rejected
 
@@ -149,6 +159,7 @@ class RingBuffer:
                 )
             column[:size] = found
         self._columns, self.capacity, self._size, self._head = columns, capacity, size, head
+        self._newest_version = int(columns["versions"][:size].max(initial=0))
 
     def check_valid(self) -> None:
         """Asserts what always holds of what is stored; for tests, after any operation."""
@@ -217,6 +228,8 @@ class RingBuffer:
             written += len(part)
             self._head = place.stop % self.capacity
         self._size = min(self._size + len(chosen), self.capacity)
+        if len(chosen):
+            self._newest_version = max(self._newest_version, int(offer.versions[chosen].max()))
 
 
 class _Offer(NamedTuple):
@@ -252,6 +265,14 @@ class _Offer(NamedTuple):
             versions=np.array([trajectory.weight_version for trajectory in trajectories]).repeat(lengths),
             columns=joined,
         )
+
+    def joined(self, steps: int, sound: np.ndarray) -> Self:
+        """The same with rewards, discounts and successors over up to `steps` sound transitions."""
+        rewards, discounts, successors = returns.n_step(
+            steps, self.rows, self.successors, self.columns["rewards"], self.columns["discounts"], sound
+        )
+        columns = self.columns | {"rewards": rewards, "discounts": discounts}
+        return self._replace(columns=columns, successors=successors)
 
 
 def row_bytes(state_size: int, actions: int) -> int:

@@ -105,6 +105,7 @@ class Replay(Role):
             }
             if len(shelf.buffer):
                 fields[f"{level}_oldest_version"] = shelf.buffer.oldest_version
+                fields[f"{level}_oldest_age_versions"] = shelf.buffer.oldest_age_versions
             fields |= {f"{level}_refused_{reason}": count for reason, count in shelf.inbox.refused.items()}
         return fields
 

@@ -33,7 +33,8 @@ class Shelf:
     def __init__(self, level: Level, shape: Shape, config: Config, shard: Shard, sender_epoch: int) -> None:
         self.level = level
         self.batch_size = config.replay.batch_initial
-        self.buffer = RingBuffer(shape.state_size, shape.actions, shard.part(config.replay.size_initial))
+        size = shard.part(config.replay.size_initial)
+        self.buffer = RingBuffer(shape.state_size, shape.actions, size, config.replay.n_step)
         self.inbox = Inbox(level, sender_epoch=sender_epoch)
         learning = config.high if level is Level.HIGH else config.low
         # Trajectories of both levels are complete when an option ends, so every car must be able to end one.

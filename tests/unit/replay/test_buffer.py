@@ -63,12 +63,14 @@ def test_it_always_holds_exactly_the_newest_whatever_is_inserted_and_resized(cap
 
 def test_the_oldest_version_is_that_of_the_oldest_transition_still_held():
     buffer = RingBuffer(STATE_SIZE, ACTIONS, 6)
-    assert buffer.oldest_version is None
+    assert buffer.oldest_version is None and buffer.oldest_age_versions is None
     for version in range(5):
         buffer.insert(trajectory(2, 2 * version, version))
-    assert buffer.oldest_version == 2
+    assert (buffer.oldest_version, buffer.oldest_age_versions) == (2, 2)
     buffer.resize(3)
-    assert buffer.oldest_version == 3
+    assert (buffer.oldest_version, buffer.oldest_age_versions) == (3, 1)
+    buffer.insert(trajectory(1, version=1))  # of an actor whose weights are late
+    assert (buffer.oldest_version, buffer.oldest_age_versions) == (4, 0)
 
 
 def test_a_successor_may_be_any_later_state():
@@ -106,6 +108,19 @@ def test_every_stored_transition_is_drawn_equally_often():
     assert (counts[:7] == 0).all()
     chi_square = ((counts[7:] - 2000) ** 2 / 2000).sum()
     assert chi_square < 43.8  # 19 degrees of freedom, p = 0.001
+
+
+def test_with_n_steps_a_return_ends_with_its_trajectory_and_before_what_was_refused():
+    buffer = RingBuffer(STATE_SIZE, ACTIONS, 50, n_step=3)
+    whole = spoiled("discounts", slice(None), 0.5)(trajectory(4, first=1))
+    refused = spoiled("rewards", 2, np.nan)(spoiled("discounts", slice(None), 0.5)(trajectory(4, first=11)))
+    assert buffer.insert(whole, refused) == (7, {"reward": 1})
+    state = buffer.state()
+    assert state["states"][:, 0].tolist() == [1, 2, 3, 4, 11, 12, 14]
+    assert state["rewards"].tolist() == [1 + 1 + 0.75, 2 + 1.5 + 1, 3 + 2, 4, 11 + 6, 12, 14]
+    assert state["discounts"].tolist() == [0.125, 0.125, 0.25, 0.5, 0.25, 0.5, 0.5]
+    assert state["next_states"][:, 0].tolist() == [4, 5, 5, 5, 13, 13, 15]
+    buffer.check_valid()
 
 
 def test_an_empty_buffer_has_nothing_to_sample():
