@@ -178,7 +178,9 @@ def plain_torch(state_size: int, config: LevelConfig, device: str) -> Update:
     optimiser = torch.optim.Adam(online.parameters(), lr=config.learning_rate)
 
     def update(batch: Batch) -> float:
-        columns = {name: torch.from_numpy(column).to(device) for name, column in vars(batch).items()}
+        columns = {
+            name: torch.from_numpy(column).to(device) for name, column in vars(batch).items() if column is not None
+        }
         with torch.no_grad():
             targets = losses.td_targets(
                 columns["rewards"],

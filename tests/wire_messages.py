@@ -15,6 +15,7 @@ from zsdist.wire.messages import (
     Candidate,
     Jobs,
     Orders,
+    Priorities,
     Push,
     Records,
     SampleReply,
@@ -66,6 +67,11 @@ def batch(rng: np.random.Generator, rows: int = 16) -> Batch:
     )
 
 
+def drawn_by_priority(rng: np.random.Generator, rows: int = 16) -> Batch:
+    weights = rng.uniform(0.1, 1.0, rows).astype(np.float32)
+    return dataclasses.replace(batch(rng, rows), weights=weights, serials=rng.integers(0, 10**9, rows))
+
+
 def parameters(rng: np.random.Generator) -> dict[str, np.ndarray]:
     return {"hidden.0.weight": rng.normal(size=(8, 12)).astype(np.float32), "bias": np.zeros(8, np.float32)}
 
@@ -89,6 +95,8 @@ def every_message(rng: np.random.Generator) -> list[AnyMessage]:
         SampleRequest(2, Level.HIGH, 900),
         SampleReply(Level.LOW, batch(rng), 100, 0.25),
         SampleReply(Level.LOW, None, 0, 2.0),
+        SampleReply(Level.LOW, drawn_by_priority(rng), 100, 0.25),
+        Priorities(2, Level.LOW, np.arange(5), rng.random(5).astype(np.float32)),
         WeightsMessage(1, 2, "ab" * 32, 1.7e9, Weights(Level.LOW, 12, parameters(rng))),
         Candidate(1, Level.HIGH, 3, "distilled", parameters(rng)),
         Orders(9, "actor", content),

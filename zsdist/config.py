@@ -138,6 +138,9 @@ class ReplayConfig(Section):
 
     shards: Count = 1  # processes a level is divided among, each with the transitions of some of the actors
     n_step: Count = 1  # transitions of a trajectory whose rewards make up a return, at most
+    prioritised: bool = False  # draw transitions by their last error instead of uniformly
+    priority_exponent: Share = 0.6  # of the error; 0: uniformly
+    importance_exponent: Share = 0.4  # of the weights that make good for drawing unequally; 1: wholly
     adaptive: bool = True
     size_initial: Count = 10_000
     size_min: Count = 1_000

@@ -128,13 +128,15 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class Batch:
-    """A uniform sample of one level's replay.
+    """A sample of one level's replay, uniform unless it has `weights`.
 
     Attributes:
         states: `(B, D)` float32.            next_states: `(B, D)` float32.
         actions: `(B,)` int64.               next_masks: `(B, A)` bool.
         rewards: `(B,)` float32.             masks: `(B, A)` bool.
         discounts: `(B,)` float32.           guides: `(B,)` int64.
+        weights: `(B,)` float32 in (0, 1], of each row in the loss, where rows were drawn by priority.
+        serials: `(B,)` int64, by which the replay knows its rows again; there are as many where there are weights.
     """
 
     states: np.ndarray
@@ -145,6 +147,8 @@ class Batch:
     next_masks: np.ndarray
     masks: np.ndarray
     guides: np.ndarray
+    weights: np.ndarray | None = None
+    serials: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.actions)

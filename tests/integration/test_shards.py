@@ -70,6 +70,19 @@ def test_two_runs_with_one_seed_and_two_shards_end_in_equal_weights(tmp_path):
     assert one["transitions"] == two["transitions"]
 
 
+def test_a_run_by_priority_with_n_steps_and_shards_keeps_its_books_and_repeats(tmp_path):
+    options = (*TWO, "replay.prioritised=true", "replay.n_step=3")
+    tap = Tap()
+    one = rehearse(start(tmp_path / "one", *options), watch=tap)
+    two = rehearse(start(tmp_path / "two", *options))
+    assert one["weights"]["sha256"] == two["weights"]["sha256"]
+    for level in Level:
+        books = one["transitions"][level]
+        assert books["produced"] == books["stored"] + books["rejected"] == one["env_steps"]
+        for replay in last(tap.by_kind(), "replay").values():
+            assert 0 < replay[f"{level}_prioritised"] <= replay[f"{level}_sampled"]
+
+
 def test_a_run_is_gone_on_with_a_shard_more_but_not_with_one_less(tmp_path):
     first = rehearse(start(tmp_path / "run", "run.episodes=4"))
     second = rehearse(resume(tmp_path / "run", "run.episodes=8", "replay.shards=2"))

@@ -6,6 +6,7 @@ copy into the target network are one operation each, whatever the number of laye
 
 import copy
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -58,6 +59,7 @@ class DqnLearner:
     ) -> None:
         self.updates = 0
         self._figures: dict[str, torch.Tensor] = {}
+        self._errors: torch.Tensor | None = None
         self._state_size, self._actions = state_size, actions
         self._config = config
         self._mirror = mirror
@@ -75,17 +77,29 @@ class DqnLearner:
 
         Deviation: Adam with a clipped gradient in place of the plain step; Huber loss where so configured.
         """
-        self._figures = self._step(batch, self._config.guide_margin_weight)
+        self._figures, self._errors = self._step(batch, self._config.guide_margin_weight)
         if self._config.target_tau:
             self._target_weights.lerp_(self._weights, self._config.target_tau)
         self.updates += 1
 
     def figures(self) -> dict[str, float]:
-        """Of the last update: `loss`, `q_mean` (of all actions), `gradient_norm` before clipping. Before any: nothing.
+        """Of the last update: `loss` before weighting, `q_mean` of all actions, `gradient_norm` before clipping.
 
-        Asked for apart, since on a GPU the answer has to be waited for.
+        Before any update: nothing. Asked for apart, since on a GPU the answer has to be waited for.
         """
         return {name: float(value) for name, value in self._figures.items()}
+
+    def errors(self) -> np.ndarray:
+        """Absolute temporal-difference errors of the rows of the last update's batch, `(B,)` float32.
+
+        Asked for apart, as `figures` are.
+
+        Raises:
+            RunError: there has been no update.
+        """
+        if self._errors is None:
+            raise RunError("errors of the last update were asked for; there has been none")
+        return self._errors.abs().cpu().numpy()
 
     def distilled(self, batches: Iterable[Batch]) -> Parameters:
         """Parameters of a copy that took one step on each of `batches` with the large-margin loss on guide actions.
@@ -149,7 +163,7 @@ class DqnLearner:
         _set_generator(self._rng, state["generator"])
 
     @torch.no_grad()
-    def _step(self, batch: Batch, margin_weight: float) -> dict[str, torch.Tensor]:
+    def _step(self, batch: Batch, margin_weight: float) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
         config = self._config
         if self._mirror is not None:
             batch = reflected(batch, self._mirror, self._rng.random(len(batch)) < 0.5)
@@ -176,16 +190,18 @@ class DqnLearner:
             next_masks,
             values[size:] if config.double else None,
         )
-        loss, gradient = losses.td_loss(q, actions, targets, config.huber)
+        loss, gradient, errors = losses.td_loss(q, actions, targets, config.huber)
         if margin_weight:
             margin, margin_gradient = losses.margin_loss(q, masks, guides, config.guide_margin)
             loss += margin_weight * margin
             gradient.add_(margin_gradient, alpha=margin_weight)
+        if batch.weights is not None:  # drawn by priority: each row counts as much as its importance weight
+            gradient.mul_(torch.from_numpy(batch.weights).to(self._device).unsqueeze(1))
         self._online.backward(gradient, trace)
         norm = torch.linalg.vector_norm(self._gradient)
         self._gradient.mul_((config.max_gradient_norm / (norm + 1e-6)).clamp_(max=1.0))
         self._optimiser.step()
-        return {"loss": loss, "q_mean": q.mean(), "gradient_norm": norm}
+        return {"loss": loss, "q_mean": q.mean(), "gradient_norm": norm}, errors
 
     def _load(self, module: network.QNetwork, parameters: Parameters) -> None:
         network.check(parameters, self._state_size, self._actions)
@@ -216,11 +232,10 @@ def reflected(batch: Batch, mirror: Mirror, rows: np.ndarray) -> Batch:
         return array
 
     guides = np.where(batch.guides >= 0, swap[batch.guides], NO_GUIDE)
-    return Batch(
+    return replace(
+        batch,
         states=columns(batch.states, mirror.state_index, mirror.state_sign),
         actions=np.where(rows, swap[batch.actions], batch.actions),
-        rewards=batch.rewards,
-        discounts=batch.discounts,
         next_states=columns(batch.next_states, mirror.state_index, mirror.state_sign),
         next_masks=columns(batch.next_masks, swap),
         masks=columns(batch.masks, swap),

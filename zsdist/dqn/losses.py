@@ -41,8 +41,10 @@ def td_targets(
 
 def td_loss(
     q_t: torch.Tensor, action_t: torch.Tensor, target_t: torch.Tensor, huber: bool
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Mean loss of `target_t - Q(s_t, a_t)` and its gradient `(B, A)`: Huber with its bend at 1, or half the square.
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Mean loss of `target_t - Q(s_t, a_t)`, its gradient `(B, A)`, and the errors `Q(s_t, a_t) - target_t` `(B,)`.
+
+    Huber with its bend at 1, or half the square.
 
     Args:
         q_t: `(B, A)` float32.
@@ -57,7 +59,7 @@ def td_loss(
     error = q_t.gather(1, action).squeeze(1) - target_t
     bounded = error.clamp(-1.0, 1.0) if huber else error
     loss = (bounded * (error - 0.5 * bounded)).mean()
-    return loss, torch.zeros_like(q_t).scatter_(1, action, (bounded / len(error)).unsqueeze(1))
+    return loss, torch.zeros_like(q_t).scatter_(1, action, (bounded / len(error)).unsqueeze(1)), error
 
 
 def margin_loss(

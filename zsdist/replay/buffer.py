@@ -1,4 +1,4 @@
-"""A ring of transitions by column, with uniform sampling.
+"""A ring of transitions by column, with uniform sampling or sampling by priority.
 
 State and successor lie side by side in each row. Sharing the states between rows would save nothing where it matters:
 a trajectory of one transition has two states, so a ring of shared states needs the same bound, and indices besides.
@@ -12,6 +12,7 @@ import numpy as np
 
 from zsdist.errors import RunError
 from zsdist.replay import returns
+from zsdist.replay.priorities import Priorities
 from zsdist.types import NO_GUIDE, Batch, Behaviour, Trajectory
 
 # Why a transition is refused, in the order in which it is looked for; each counts under the first that applies.
@@ -48,14 +49,19 @@ class RingBuffer:
         actions: number of actions, `A`.
         capacity: transitions held at most.
         n_step: transitions of a trajectory that are stored as one return, at most (`zsdist.replay.returns`).
+        priorities: of `capacity` rows, by which they are drawn; None: uniformly.
     """
 
-    def __init__(self, state_size: int, actions: int, capacity: int, n_step: int = 1) -> None:
+    def __init__(
+        self, state_size: int, actions: int, capacity: int, n_step: int = 1, priorities: Priorities | None = None
+    ) -> None:
         self._state_size, self._actions, self._n_step = state_size, actions, n_step
+        self._priorities = priorities
         self._columns = _allocate(state_size, actions, capacity)
         self.capacity = capacity
         self._size = 0
         self._head = 0  # row that is written next
+        self._written = 0  # rows in all; the serial of a row is how many were written before it
         self._newest_version = 0
 
     def __len__(self) -> int:
@@ -108,18 +114,39 @@ class RingBuffer:
         return stored, rejected
 
     def sample(self, rng: np.random.Generator, batch_size: int) -> Batch:
-        """`batch_size` stored transitions, each drawn uniformly and independently.
+        """`batch_size` stored transitions, drawn uniformly and independently, or by priority with weights and serials.
 
         Raises:
             ValueError: nothing is stored.
         """
         if not self._size:
             raise ValueError("cannot sample from a replay buffer that holds 0 transitions; at least 1 is needed")
-        places = rng.integers(0, self._size, batch_size)  # rows 0 to size - 1 are those in use, wherever the head is
+        drawn = {}
+        if self._priorities is None:
+            places = rng.integers(0, self._size, batch_size)  # rows 0 to size - 1 are in use, wherever the head is
+        else:
+            places, weights = self._priorities.draw(rng, batch_size, self._size)
+            drawn = {"weights": weights, "serials": self._written - 1 - (self._head - 1 - places) % self.capacity}
         taken = {name: column.take(places, axis=0) for name, column in self._columns.items() if name != "versions"}
         taken["actions"] = taken["actions"].astype(np.int64)
         taken["guides"] = taken["guides"].astype(np.int64)
-        return Batch(**taken)
+        return Batch(**taken, **drawn)
+
+    def prioritise(self, serials: np.ndarray, errors: np.ndarray) -> int:
+        """Draws rows by new errors from here on; those that were overwritten since are passed over.
+
+        Args:
+            serials: `(B,)` int64, of a batch.
+            errors: `(B,)` float32, finite and 0 or more.
+
+        Returns:
+            How many rows it concerned.
+        """
+        ages = self._written - 1 - serials
+        held = (ages >= 0) & (ages < self._size)
+        if self._priorities is not None and held.any():
+            self._priorities.update((self._head - 1 - ages[held]) % self.capacity, errors[held])
+        return int(np.count_nonzero(held))
 
     def resize(self, capacity: int) -> None:
         """Changes the capacity, keeping the newest transitions that fit."""
@@ -128,6 +155,8 @@ class RingBuffer:
         columns = _allocate(self._state_size, self._actions, capacity)
         for name, column in self._columns.items():
             columns[name][:kept] = column[places]
+        if self._priorities is not None:
+            self._priorities.moved(capacity, self._priorities.of(places))
         self._columns, self.capacity, self._size, self._head = columns, capacity, kept, kept % capacity
 
     def state(self) -> dict[str, np.ndarray]:
@@ -135,15 +164,19 @@ class RingBuffer:
         arrays = {name: column[: self._size].copy() for name, column in self._columns.items()}
         arrays["capacity"] = np.array(self.capacity, np.int64)
         arrays["head"] = np.array(self._head, np.int64)
+        arrays["written"] = np.array(self._written, np.int64)
+        if self._priorities is not None:
+            arrays["priorities"] = self._priorities.of(np.arange(self._size))
+            arrays["largest_priority"] = np.array(self._priorities.largest)
         return arrays
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Takes over a `state()`.
+        """Takes over a `state()`; one without priorities too, whose rows then are as if they had come just now.
 
         Raises:
             RunError: an entry is missing, or belongs to a buffer of other shapes.
         """
-        missing = sorted({*self._columns, "capacity", "head"} - set(state))
+        missing = sorted({*self._columns, "capacity", "head", "written"} - set(state))
         if missing:
             raise RunError(f"replay state lacks {', '.join(missing)}")
         capacity, head, size = int(state["capacity"]), int(state["head"]), len(state["actions"])
@@ -159,7 +192,11 @@ class RingBuffer:
                 )
             column[:size] = found
         self._columns, self.capacity, self._size, self._head = columns, capacity, size, head
+        self._written = int(state["written"])
         self._newest_version = int(columns["versions"][:size].max(initial=0))
+        if self._priorities is not None:
+            self._priorities.largest = float(state.get("largest_priority", 1.0))
+            self._priorities.moved(capacity, state.get("priorities", np.full(size, self._priorities.largest)))
 
     def check_valid(self) -> None:
         """Asserts what always holds of what is stored; for tests, after any operation."""
@@ -225,9 +262,12 @@ class RingBuffer:
                 ("versions", offer.versions, part),
             ):
                 source.take(index, axis=0, out=self._columns[name][place], mode="clip")  # "raise" would copy twice
+            if self._priorities is not None:
+                self._priorities.written(np.arange(place.start, place.stop))
             written += len(part)
             self._head = place.stop % self.capacity
         self._size = min(self._size + len(chosen), self.capacity)
+        self._written += len(chosen)
         if len(chosen):
             self._newest_version = max(self._newest_version, int(offer.versions[chosen].max()))
 

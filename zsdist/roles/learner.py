@@ -9,7 +9,15 @@ from zsdist.roles.base import Context, Role
 from zsdist.roles.merge import BEST, DISTILLED, RECENT, Phase
 from zsdist.types import Batch, Level, Parameters, Weights
 from zsdist.wire import codec, keys
-from zsdist.wire.messages import Candidate, Orders, SampleReply, SampleRequest, State, WeightsMessage
+from zsdist.wire.messages import (
+    Candidate,
+    Orders,
+    Priorities,
+    SampleReply,
+    SampleRequest,
+    State,
+    WeightsMessage,
+)
 
 PREFETCH = 8  # batches of a shard asked for or waiting: what is learned from while the next answer is on its way
 UPDATES_A_STEP = 8  # before mailboxes are looked at again
@@ -155,6 +163,10 @@ class Learner(Role):
             self._ask(now)
             self._recent_batches.append(batch)
             self.dqn.update(batch)
+            if batch.serials is not None:
+                found = Priorities(self.context.epoch, self.level, batch.serials, self.dqn.errors())
+                key = keys.priority(self.context.run, self.level, self._sources.index(source))
+                self.transport.publish(key, codec.encode(found))
             self._batch_size = len(batch)
             self.updates += 1
         return UPDATES_A_STEP

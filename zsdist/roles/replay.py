@@ -13,7 +13,7 @@ from zsdist.roles.shards import ROLE, Shard
 from zsdist.roles.shelf import Shape, Shelf
 from zsdist.types import Level
 from zsdist.wire import codec, keys
-from zsdist.wire.messages import Orders, Push, SampleRequest, State
+from zsdist.wire.messages import Orders, Priorities, Push, SampleRequest, State
 
 PACE_EVERY_S = 0.05  # at most so long ago is what a journal knows of updates served; transitions it knows all
 
@@ -54,12 +54,15 @@ class Replay(Role):
         self._scheduler_epoch = -1
         self._pushes = self.mailbox("push")
         self._requests = self.mailbox("sample")
+        self._errors = self.mailbox("priority")
         self._orders = self.mailbox("orders")
         self._checkpoints = self.mailbox("checkpoint")
         for actor in sorted(self.shard.actors or (keys.ANY,)):
             self.transport.subscribe(keys.push(run, keys.ANY, actor, keys.ANY), self._pushes)
         for level in self.shelves:
             self.transport.serve(keys.sample(run, level, self.shard.index), self._requests)
+            if context.config.replay.prioritised:
+                self.transport.subscribe(keys.priority(run, level, self.shard.index), self._errors)
         self.transport.serve(keys.control(run, self.shard.name), self._checkpoints)
         self.transport.subscribe(keys.control(run, ROLE), self._orders, retained=True)
 
@@ -72,6 +75,10 @@ class Replay(Role):
         for message, push in self.messages(self._pushes):
             if isinstance(push, Push) and self.shelves[push.stream].receive(push, now):
                 self._entries.append((Entry.PUSH, message.payload))
+        for _, found in self.messages(self._errors):
+            if isinstance(found, Priorities):
+                shelf = self.shelves[found.level]
+                shelf.prioritised += shelf.buffer.prioritise(found.serials, found.errors)
         for message, request in self.messages(self._requests):
             if isinstance(request, SampleRequest):
                 self.shelves[request.level].waiting.append((now, message))
@@ -103,6 +110,8 @@ class Replay(Role):
                 f"{level}_waiting_requests": len(shelf.waiting),
                 f"{level}_bytes": shelf.buffer.nbytes,
             }
+            if self.config.replay.prioritised:
+                fields[f"{level}_prioritised"] = shelf.prioritised
             if len(shelf.buffer):
                 fields[f"{level}_oldest_version"] = shelf.buffer.oldest_version
                 fields[f"{level}_oldest_age_versions"] = shelf.buffer.oldest_age_versions

@@ -10,6 +10,7 @@ from zsdist.config import Config
 from zsdist.protocol.inbox import Inbox
 from zsdist.replay.buffer import RingBuffer
 from zsdist.replay.limiter import BAND, Limiter
+from zsdist.replay.priorities import Priorities
 from zsdist.roles.shards import Shard
 from zsdist.transport.base import Message
 from zsdist.types import Level
@@ -33,8 +34,12 @@ class Shelf:
     def __init__(self, level: Level, shape: Shape, config: Config, shard: Shard, sender_epoch: int) -> None:
         self.level = level
         self.batch_size = config.replay.batch_initial
-        size = shard.part(config.replay.size_initial)
-        self.buffer = RingBuffer(shape.state_size, shape.actions, size, config.replay.n_step)
+        settings, size = config.replay, shard.part(config.replay.size_initial)
+        priorities = Priorities(size, settings.priority_exponent, settings.importance_exponent)
+        self.buffer = RingBuffer(
+            shape.state_size, shape.actions, size, settings.n_step, priorities if settings.prioritised else None
+        )
+        self.prioritised = 0  # rows whose priority was told anew
         self.inbox = Inbox(level, sender_epoch=sender_epoch)
         learning = config.high if level is Level.HIGH else config.low
         # Trajectories of both levels are complete when an option ends, so every car must be able to end one.

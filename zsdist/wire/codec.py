@@ -22,6 +22,7 @@ from zsdist.wire.messages import (
     Candidate,
     Jobs,
     Orders,
+    Priorities,
     Push,
     Records,
     SampleReply,
@@ -239,6 +240,22 @@ def _build_sample_reply(meta: Meta, columns: Columns) -> SampleReply:
     return SampleReply(Level(meta["level"]), batch, meta["held"], meta["waited_s"])
 
 
+def _split_priorities(message: Priorities) -> tuple[Meta, Columns]:
+    meta = {"sender_epoch": message.sender_epoch, "level": str(message.level)}
+    return meta, {"serials": message.serials, "errors": message.errors}
+
+
+def _check_priorities(meta: Meta, columns: Columns) -> None:
+    _fields(meta, "sender_epoch", "level")
+    _counts(meta, "sender_epoch")
+    _one_of(meta, "level", _LEVELS)
+    column_codec.check_priorities(columns)
+
+
+def _build_priorities(meta: Meta, columns: Columns) -> Priorities:
+    return Priorities(meta["sender_epoch"], Level(meta["level"]), columns["serials"], columns["errors"])
+
+
 def _split_weights(message: WeightsMessage) -> tuple[Meta, Columns]:
     weights = message.weights
     meta = {name: getattr(message, name) for name in ("sender_epoch", "merge", "sha256", "made_s")}
@@ -327,5 +344,6 @@ _KINDS: Mapping[type, _Kind] = {
     Orders: _Kind(8, 16 * MIB, _plain, _check_orders, lambda meta, columns: Orders(**meta)),
     Jobs: _Kind(9, 16 * MIB, _plain, _check_jobs, lambda meta, columns: Jobs(**meta)),
     State: _Kind(10, 2048 * MIB, _split_state, _check_state, _build_state),
+    Priorities: _Kind(11, MIB, _split_priorities, _check_priorities, _build_priorities, frame.PLAIN),
 }
 _BY_NUMBER = {kind.number: (message_type, kind) for message_type, kind in _KINDS.items()}

@@ -41,6 +41,9 @@ BATCH_COLUMNS = {
     "guides": (np.dtype("int8"), 1),
 }
 
+PRIORITISED_BATCH_COLUMNS = BATCH_COLUMNS | {"weights": (np.dtype("float32"), 1), "serials": (np.dtype("int64"), 1)}
+PRIORITY_COLUMNS = {"serials": (np.dtype("int64"), 1), "errors": (np.dtype("float32"), 1)}
+
 
 def from_trajectories(trajectories: Sequence[Trajectory], level: Level) -> tuple[dict[str, np.ndarray], int]:
     """Columns of trajectories one after the other, and how many actions there are; raises `DecodeError`."""
@@ -131,12 +134,15 @@ def from_batch(batch: Batch) -> tuple[dict[str, np.ndarray], int]:
     }
     for name in ("masks", "next_masks"):
         columns[name] = np.packbits(_narrow(getattr(batch, name), name, np.bool_), axis=1)
+    if batch.serials is not None:
+        columns |= {"weights": batch.weights, "serials": batch.serials}
     return columns, batch.masks.shape[1]
 
 
 def check_batch(columns: Mapping[str, np.ndarray], actions: int) -> None:
     """Raises `DecodeError` unless the columns are a sound batch of one row or more."""
-    require_columns(columns, BATCH_COLUMNS)
+    prioritised = "serials" in columns
+    require_columns(columns, PRIORITISED_BATCH_COLUMNS if prioritised else BATCH_COLUMNS)
     rows = len(columns["actions"])
     if not rows:
         raise DecodeError("lengths", "an empty batch")
@@ -145,6 +151,23 @@ def check_batch(columns: Mapping[str, np.ndarray], actions: int) -> None:
         raise DecodeError("shape", "states and next_states differ")
     _check_decisions(columns, actions, "states", "masks")
     _check_decisions(columns, actions, "next_states", "next_masks")
+    if prioritised:
+        _check_serials(columns)
+        if not (columns["weights"].min() > 0 and columns["weights"].max() <= 1):  # of NaN neither holds
+            raise DecodeError("weight", "outside 0 to 1")
+
+
+def check_priorities(columns: Mapping[str, np.ndarray]) -> None:
+    """Raises `DecodeError` unless the columns are the errors of one row or more."""
+    require_columns(columns, PRIORITY_COLUMNS)
+    rows = len(columns["serials"])
+    if not rows:
+        raise DecodeError("lengths", "priorities of no rows")
+    _require_rows(columns, dict.fromkeys(columns, rows))
+    _check_serials(columns)
+    require_finite(columns["errors"], "errors")
+    if columns["errors"].min() < 0:
+        raise DecodeError("range", "an error below 0")
 
 
 def to_batch(columns: Mapping[str, np.ndarray], actions: int) -> Batch:
@@ -158,6 +181,8 @@ def to_batch(columns: Mapping[str, np.ndarray], actions: int) -> Batch:
         next_masks=_unpack_masks(columns["next_masks"], actions),
         masks=_unpack_masks(columns["masks"], actions),
         guides=columns["guides"].astype(np.int64),
+        weights=columns.get("weights"),
+        serials=columns.get("serials"),
     )
 
 
@@ -227,6 +252,11 @@ def _check_decisions(columns: Mapping[str, np.ndarray], actions: int, states: st
         require_finite(columns[name], name)
     if not (columns["discounts"].min() >= 0 and columns["discounts"].max() <= 1):  # of NaN neither holds
         raise DecodeError("discount", "outside 0 to 1")
+
+
+def _check_serials(columns: Mapping[str, np.ndarray]) -> None:
+    if columns["serials"].min() < 0:
+        raise DecodeError("range", "a serial below 0")
 
 
 def _unpack_masks(packed: np.ndarray, actions: int) -> np.ndarray:

@@ -93,6 +93,21 @@ class SampleReply:
 
 
 @dataclass(frozen=True)
+class Priorities:
+    """What a learner found of the rows of a batch that were drawn by priority.
+
+    Attributes:
+        serials: `(B,)` int64, as the batch has them.
+        errors: `(B,)` float32, absolute temporal-difference errors.
+    """
+
+    sender_epoch: int
+    level: Level
+    serials: np.ndarray
+    errors: np.ndarray
+
+
+@dataclass(frozen=True)
 class WeightsMessage:
     """A learner's weights for every actor.
 
@@ -151,4 +166,6 @@ class State:
         return {name.removeprefix(prefix): array for name, array in self.arrays.items() if name.startswith(prefix)}
 
 
-AnyMessage = Push | Records | Ack | SampleRequest | SampleReply | WeightsMessage | Candidate | Orders | Jobs | State
+AnyMessage = (
+    Push | Records | Ack | SampleRequest | SampleReply | Priorities | WeightsMessage | Candidate | Orders | Jobs | State
+)

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -112,6 +113,33 @@ def test_eq11_the_gradient_is_that_of_the_losses_through_the_network_as_recorded
     assert figures["loss"] == pytest.approx(loss.item(), rel=1e-5)
     expected = torch.cat([tensor.grad.reshape(-1) for tensor in network_t.tensors])
     torch.testing.assert_close(dqn._gradient, expected, rtol=1e-4, atol=1e-6)
+
+
+def test_eq11_rows_drawn_by_priority_count_as_much_as_their_weights():
+    config, data = LevelConfig(hidden=(16,), guide_margin_weight=0.3, max_gradient_norm=1e9), batch(4)
+    weights = np.random.default_rng(0).integers(1, 4, len(data)) / np.float32(4)
+    repeated = np.repeat(np.arange(len(data)), (4 * weights).astype(int))
+    weighted, plain = learner(config), learner(config)
+    weighted.update(replace(data, weights=weights.astype(np.float32), serials=np.arange(len(data))))
+    plain.update(Batch(**{name: column[repeated] for name, column in vars(data).items() if column is not None}))
+    ratio = len(repeated) / (4 * len(data))  # the mean is over all rows, whatever they weigh
+    torch.testing.assert_close(weighted._gradient, ratio * plain._gradient, rtol=1e-4, atol=1e-6)
+
+
+def test_errors_are_those_of_the_last_update_before_it():
+    dqn, data = learner(LevelConfig(hidden=(), target_tau=0)), batch(1)
+    with pytest.raises(RunError, match="there has been none"):
+        dqn.errors()
+    q = network.apply(dqn.parameters(), data.states)[np.arange(len(data)), data.actions]
+    best = network.apply(dqn.parameters(), data.next_states).max(axis=1)
+    dqn.update(data)
+    np.testing.assert_allclose(dqn.errors(), np.abs(data.rewards + data.discounts * best - q), rtol=1e-4, atol=1e-5)
+
+
+def test_a_reflected_batch_keeps_its_weights_and_serials():
+    data = replace(batch(0), weights=np.full(32, 0.5, np.float32), serials=np.arange(32))
+    turned = reflected(data, MIRROR, np.arange(32) < 16)
+    assert turned.weights is data.weights and turned.serials is data.serials
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")

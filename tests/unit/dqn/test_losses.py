@@ -35,10 +35,11 @@ def test_double_learning_lets_the_policy_network_choose_and_the_target_network_v
 
 def test_both_losses_have_the_temporal_difference_as_gradient_and_huber_bounds_it():
     q, actions, targets = torch.tensor([[0.0, 5.0], [1.0, 0.0]]), torch.tensor([0, 0]), torch.tensor([0.5, 11.0])
-    square, gradient = losses.td_loss(q, actions, targets, huber=False)
+    square, gradient, errors = losses.td_loss(q, actions, targets, huber=False)
     assert square.item() == pytest.approx((0.125 + 50.0) / 2)
     torch.testing.assert_close(gradient, torch.tensor([[-0.25, 0.0], [-5.0, 0.0]]))
-    huber, gradient = losses.td_loss(q, actions, targets, huber=True)
+    torch.testing.assert_close(errors, torch.tensor([-0.5, -10.0]))
+    huber, gradient, _ = losses.td_loss(q, actions, targets, huber=True)
     assert huber.item() == pytest.approx((0.125 + 9.5) / 2)
     torch.testing.assert_close(gradient, torch.tensor([[-0.25, 0.0], [-0.5, 0.0]]))
 
@@ -54,8 +55,8 @@ def test_gradients_are_those_that_torch_finds_by_differences():
     )
     guides = torch.from_numpy(rng.integers(-1, 5, 40))
     for loss in (
-        lambda values: losses.td_loss(values, choices, 2 * targets, huber=True),
-        lambda values: losses.td_loss(values, choices, targets, huber=False),
+        lambda values: losses.td_loss(values, choices, 2 * targets, huber=True)[:2],
+        lambda values: losses.td_loss(values, choices, targets, huber=False)[:2],
         lambda values: losses.margin_loss(values, masks, guides, 0.3),
     ):
         at, gradient = loss(q)

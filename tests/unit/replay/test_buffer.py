@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from zsdist.errors import RunError
 from zsdist.replay.buffer import REASONS, RingBuffer, row_bytes
+from zsdist.replay.priorities import SMALLEST_ERROR, Priorities
 from zsdist.types import Level, Trajectory
 
 STATE_SIZE, ACTIONS = 4, 5
@@ -86,7 +87,7 @@ def test_samples_are_whole_transitions_of_the_promised_types():
     assert (batch.states == batch.rewards[:, None]).all() and (batch.next_states == batch.rewards[:, None] + 1).all()
     assert (batch.actions == batch.rewards % ACTIONS).all()
     assert batch.masks.shape == batch.next_masks.shape == (400, ACTIONS)
-    assert {name: value.dtype for name, value in vars(batch).items()} == {
+    assert {name: value.dtype for name, value in vars(batch).items() if value is not None} == {
         "states": np.float32,
         "actions": np.int64,
         "rewards": np.float32,
@@ -172,7 +173,7 @@ def test_unsound_transitions_are_refused_by_reason_and_stored_and_rejected_add_u
 def oldest_first(buffer):
     """What is stored, where the ring begins left aside."""
     state = buffer.state()
-    head, capacity = (int(state.pop(name)) for name in ("head", "capacity"))
+    head, capacity, _ = (int(state.pop(name)) for name in ("head", "capacity", "written"))
     start = head if len(buffer) == capacity else 0
     return {name: np.roll(column, -start, axis=0).tolist() for name, column in state.items()}
 
@@ -244,3 +245,63 @@ def test_a_state_that_contradicts_itself_is_refused_and_changes_nothing(spoil, m
     with pytest.raises(RunError, match=message):
         buffer.restore(state)
     assert held(buffer) == [0, 1]
+
+
+def prioritised(capacity):
+    return RingBuffer(STATE_SIZE, ACTIONS, capacity, priorities=Priorities(capacity, 1.0, 1.0))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    capacity=st.integers(1, 12),
+    operations=st.lists(st.tuples(st.sampled_from(["insert", "resize", "restore"]), st.integers(1, 15)), max_size=12),
+)
+def test_a_serial_names_its_transition_until_that_is_overwritten(capacity, operations):
+    buffer, offered, serials = prioritised(capacity), 0, {}
+    for what, amount in [("insert", 1), *operations]:
+        if what == "insert":
+            buffer.insert(trajectory(amount, offered))
+            offered += amount
+        elif what == "resize":
+            buffer.resize(amount)
+        else:
+            buffer, state = prioritised(3), buffer.state()
+            buffer.restore(state)
+        batch = buffer.sample(np.random.default_rng(0), 64)
+        found = dict(zip(batch.rewards.astype(int).tolist(), batch.serials.tolist(), strict=True))
+        assert all(serials.get(number, serial) == serial for number, serial in found.items())
+        serials |= found
+        assert len(set(serials.values())) == len(serials)
+        numbers = np.array(sorted(serials))
+        assert buffer.prioritise(
+            np.array([serials[number] for number in numbers]), (1 + numbers).astype(np.float32)
+        ) == len(set(serials) & set(held(buffer)))
+        state = buffer.state()
+        known = np.isin(state["rewards"], numbers)
+        np.testing.assert_allclose(state["priorities"][known], 1 + state["rewards"][known] + SMALLEST_ERROR, rtol=1e-6)
+
+
+def test_rows_are_drawn_by_the_errors_that_were_told_of_them():
+    buffer = prioritised(8)
+    buffer.insert(trajectory(11))
+    batch = buffer.sample(np.random.default_rng(0), 64)
+    errors = np.where(batch.rewards == 7, 50.0, 0.0).astype(np.float32)
+    assert buffer.prioritise(batch.serials, errors) == 64
+    again = buffer.sample(np.random.default_rng(1), 1000)
+    assert (again.rewards == 7).mean() > 0.99
+    assert again.weights[again.rewards == 7].max() < 0.001 * again.weights.max()
+
+
+def test_a_ring_that_knew_no_priorities_is_taken_over_with_equal_ones():
+    plain, buffer = RingBuffer(STATE_SIZE, ACTIONS, 8), prioritised(3)
+    plain.insert(trajectory(11))
+    buffer.restore(plain.state())
+    counts = np.bincount(buffer.sample(np.random.default_rng(0), 800).rewards.astype(int), minlength=11)
+    assert counts[3:].tolist() == [100] * 8
+
+
+def test_without_priorities_a_batch_has_neither_weights_nor_serials():
+    buffer = RingBuffer(STATE_SIZE, ACTIONS, 8)
+    buffer.insert(trajectory(5))
+    batch = buffer.sample(np.random.default_rng(0), 4)
+    assert batch.weights is None and batch.serials is None

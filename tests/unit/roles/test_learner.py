@@ -12,7 +12,7 @@ from zsdist.transport.base import Mailbox
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import Batch, Level
 from zsdist.wire import codec, keys
-from zsdist.wire.messages import Orders, SampleReply, WeightsMessage
+from zsdist.wire.messages import Orders, Priorities, SampleReply, WeightsMessage
 
 FEATURES, ACTIONS, RUN = 3, 2, "test"
 
@@ -41,7 +41,7 @@ class Bench:
         for index, box in enumerate(self.shards):
             self.others.serve(keys.sample(RUN, Level.LOW, index), box)
         self.others.subscribe(keys.weights(RUN, Level.LOW), self.weights)
-        config = parse({"replay": {"shards": shards}})
+        config = parse({"replay": {"shards": shards, "prioritised": True}})
         context = Context(config, RUN, "learner", "low", 1, MemoryTransport(self.broker), threading.Event())
         self.learner = Learner(context, Level.LOW, DqnLearner(FEATURES, ACTIONS, LevelConfig(hidden=(8,)), seed=0))
 
@@ -149,3 +149,19 @@ def test_a_shard_that_is_away_does_not_keep_the_others_from_being_learned_from()
         bench.step()
     assert bench.learner.updates == 5 * PREFETCH
     assert len(bench.shards[0]) == PREFETCH
+
+
+def test_errors_of_rows_drawn_by_priority_are_told_to_the_shard_they_came_from():
+    bench, told = Bench(shards=2), [Mailbox(2**20), Mailbox(2**20)]
+    for index, box in enumerate(told):
+        bench.others.subscribe(keys.priority(RUN, Level.LOW, index), box)
+    bench.step()
+    drawn = dataclasses.replace(batch(bench.rng), weights=np.ones(4, np.float32), serials=np.array([7, 9, 7, 3]))
+    bench.shards[1].drain()[0].reply(codec.encode(SampleReply(Level.LOW, drawn, 100, 0.0)))
+    bench.answer(bench.shards[0].drain()[:1])  # without priorities there is nothing to tell
+    bench.step()
+    assert bench.learner.updates == 2
+    assert not told[0]
+    (found,) = (codec.decode(message.payload, expect=Priorities) for message in told[1].drain())
+    assert found.serials.tolist() == [7, 9, 7, 3]
+    assert (found.errors > 0).all()

@@ -13,7 +13,7 @@ from zsdist.transport.base import Mailbox
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import NO_GUIDE, Level, Trajectory
 from zsdist.wire import codec, keys
-from zsdist.wire.messages import Ack, Orders, Push, SampleRequest, State
+from zsdist.wire.messages import Ack, Orders, Priorities, Push, SampleReply, SampleRequest, State
 
 FEATURES, ACTIONS, RUN = 3, 2, "test"
 CONFIG = parse({"low": {"min_size": 4}, "replay": {"batch_initial": 16}})
@@ -39,8 +39,8 @@ class Bench:
         self.others.subscribe(keys.ack(RUN, keys.ANY), self.acks)
         self.now = 0.0
 
-    def begin(self, epoch=1, restored=None):
-        context = Context(CONFIG, RUN, "replay", "0", epoch, MemoryTransport(self.broker), threading.Event())
+    def begin(self, epoch=1, restored=None, config=CONFIG):
+        context = Context(config, RUN, "replay", "0", epoch, MemoryTransport(self.broker), threading.Event())
         self.replay = Replay(context, SHAPES, Journal(self.folder), restored)
         return self.replay
 
@@ -159,3 +159,52 @@ def test_a_finished_run_leaves_no_journal(bench):
     bench.others.publish(keys.control(RUN, "replay"), codec.encode(Orders(1, "replay", content)))
     bench.step()
     assert not bench.folder.exists()
+
+
+def test_batches_by_priority_follow_the_errors_that_the_learner_tells(tmp_path):
+    bench = Bench(tmp_path / "journal")
+    settings = {"prioritised": True, "priority_exponent": 1.0, "batch_initial": 16}
+    bench.begin(config=parse({"low": {"min_size": 4, "updates_per_insert": 9.0}, "replay": settings}))
+    bench.issue(a=7)
+    bench.push(0, 8, trajectory(10, 8))
+    bench.ask()
+    bench.step()
+    (first,) = (codec.decode(message.payload, expect=SampleReply).batch for message in bench.replies.drain())
+    assert (first.weights == 1.0).all()
+    errors = np.where(first.states[:, 0] == 12, 100.0, 0.0).astype(np.float32)
+    found = Priorities(1, Level.LOW, first.serials, errors)
+    bench.others.publish(keys.priority(RUN, Level.LOW), codec.encode(found))
+    bench.ask()
+    bench.step()
+    (second,) = (codec.decode(message.payload, expect=SampleReply).batch for message in bench.replies.drain())
+    assert (second.states[:, 0] == 12).mean() > 0.9
+    assert bench.replay.statistics()["low_prioritised"] == 8
+
+
+def test_two_shards_take_in_their_own_actors_transitions_alone_and_answer_for_themselves(tmp_path):
+    broker = MemoryBroker()
+    others, boxes, acks = MemoryTransport(broker), [Mailbox(2**24), Mailbox(2**24)], Mailbox(2**20)
+    others.subscribe(keys.ack(RUN, keys.ANY), acks)
+    config = parse({"low": {"min_size": 4}, "replay": {"shards": 2}, "run": {"actors": 3}})
+    shards = [
+        Replay(Context(config, RUN, "replay", str(i), i, MemoryTransport(broker)), SHAPES, Journal(tmp_path / str(i)))
+        for i in (0, 1)
+    ]
+    content = {"epochs": {f"actor-{i}": 7 for i in range(3)}, "buffer_size": 3000, "batch_size": 16, "stop": False}
+    others.publish(keys.control(RUN, "replay"), codec.encode(Orders(1, "replay", content)))
+    for actor, length in enumerate((4, 5, 6)):
+        frame = Push(Level.LOW, f"actor-{actor}", 7, 0, length, False, (trajectory(10 * actor, length),))
+        others.publish(keys.push(RUN, Level.LOW, f"actor-{actor}", 7), codec.encode(frame))
+    for index, box in enumerate(boxes):
+        request = codec.encode(SampleRequest(1, Level.LOW, 0))
+        others.request(keys.sample(RUN, Level.LOW, index), request, box, timeout_s=1.0)
+    for now in (0.1, 0.2):
+        for shard in shards:
+            shard.step(now)
+    assert [shard.statistics()["low_stored"] for shard in shards] == [10, 5]
+    assert [shard.statistics()["low_capacity"] for shard in shards] == [2000, 1000]
+    held = [codec.decode(message.payload, expect=SampleReply).held for box in boxes for message in box.drain()]
+    assert held == [10, 5]
+    told = [codec.decode(message.payload, expect=Ack) for message in acks.drain()]
+    for index in (0, 1):
+        assert {ack.actor for ack in told if ack.sender_epoch == index} == set(shards[index].shard.actors)

@@ -4,13 +4,25 @@ import dataclasses
 
 import numpy as np
 import pytest
-from wire_messages import ACTIONS, STATE_SIZE, batch, broken, every_message, parameters, plain, push, reason, trajectory
+from wire_messages import (
+    ACTIONS,
+    STATE_SIZE,
+    batch,
+    broken,
+    drawn_by_priority,
+    every_message,
+    parameters,
+    plain,
+    push,
+    reason,
+    trajectory,
+)
 
 from zsdist.errors import ProtocolError
 from zsdist.types import Level, Weights
 from zsdist.wire import frame
 from zsdist.wire.codec import decode, encode
-from zsdist.wire.messages import Orders, Push, SampleReply, WeightsMessage
+from zsdist.wire.messages import Orders, Priorities, Push, SampleReply, WeightsMessage
 
 
 def reseal(payload: bytes, meta: dict, columns: dict[str, np.ndarray]) -> bytes:
@@ -124,6 +136,30 @@ def test_wrong_columns_are_refused_by_reason() -> None:
 def test_an_empty_frame_must_close() -> None:
     with pytest.raises(ProtocolError, match="empty"):
         encode(Push(Level.LOW, "a", 0, 0, 0, False, ()))
+
+
+@pytest.mark.parametrize(
+    ("message", "column", "value", "expected"),
+    [
+        ("reply", "weights", 0.0, "weight"),
+        ("reply", "weights", 1.5, "weight"),
+        ("reply", "weights", np.nan, "weight"),
+        ("reply", "serials", -1, "range"),
+        ("priorities", "serials", -1, "range"),
+        ("priorities", "errors", -0.5, "range"),
+        ("priorities", "errors", np.inf, "nonfinite"),
+    ],
+)
+def test_wrong_priorities_are_refused(message: str, column: str, value: float, expected: str) -> None:
+    rng = np.random.default_rng(0)
+    sound = {
+        "reply": SampleReply(Level.LOW, drawn_by_priority(rng), 100, 0.0),
+        "priorities": Priorities(1, Level.LOW, np.arange(5), np.ones(5, np.float32)),
+    }[message]
+    payload = encode(sound)
+    meta, columns = frame.unpack(payload, 2**20)
+    columns[column][2] = value
+    assert reason(reseal(payload, meta, columns)) == expected
 
 
 def test_weights_must_be_finite_float32_under_a_hash() -> None:

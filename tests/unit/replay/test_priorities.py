@@ -1,0 +1,97 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from zsdist.replay.priorities import SMALLEST_ERROR, Priorities, SumTree
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    size=st.integers(1, 40),
+    changes=st.lists(st.lists(st.tuples(st.integers(0, 39), st.floats(0, 1e6)), min_size=1, max_size=8), max_size=8),
+)
+def test_whatever_is_set_the_total_is_the_sum_and_a_mass_is_found_where_it_lies(size, changes):
+    tree, values = SumTree(size), np.zeros(size)
+    for change in changes:
+        last = {place % size: value for place, value in change}
+        tree[np.array(list(last))] = np.array(list(last.values()))
+        for place, value in last.items():
+            values[place] = value
+    assert tree.total == pytest.approx(values.sum())
+    assert np.array_equal(tree[np.arange(size)], values)
+    if values.sum():
+        middles = values.cumsum() - values / 2
+        chosen = np.flatnonzero(values > 1e-6 * values.sum())
+        assert np.array_equal(tree.find(middles[chosen]), chosen)
+
+
+def test_of_a_place_that_is_named_twice_the_last_number_counts():
+    tree = SumTree(5)
+    tree[np.array([3, 1, 3])] = np.array([7.0, 2.0, 4.0])
+    assert tree.total == 6.0
+
+
+def test_a_mass_at_the_very_end_is_not_found_where_there_is_nothing():
+    tree = SumTree(8)
+    tree[np.array([0, 1, 2])] = np.array([0.1, 0.2, 0.3])
+    assert tree.find(np.array([tree.total, 2 * tree.total])).tolist() == [2, 2]
+    assert tree.find(np.array([0.0])).tolist() == [0]
+
+
+@pytest.mark.parametrize("exponent", [0.0, 0.6, 1.0])
+def test_rows_are_drawn_in_proportion_to_their_priorities(exponent):
+    rng, errors = np.random.default_rng(0), np.array([0.0, 0.5, 1.0, 2.0, 8.0], np.float32)
+    priorities = Priorities(9, exponent, 0.4)
+    priorities.written(np.arange(5))
+    priorities.update(np.arange(5), errors)
+    drawn = np.concatenate([priorities.draw(rng, 4, 5)[0] for _ in range(10_000)])
+    counts = np.bincount(drawn, minlength=9)
+    expected = (errors + SMALLEST_ERROR) ** exponent
+    expected = 40_000 * expected / expected.sum()
+    assert (counts[5:] == 0).all()
+    assert ((counts[:5] - expected) ** 2 / expected).sum() < 18.5  # 4 degrees of freedom, p = 0.001
+
+
+def test_importance_weights_make_good_for_the_priorities():
+    rng, values = np.random.default_rng(1), np.array([3.0, -1.0, 5.0, 10.0])
+    priorities = Priorities(4, 1.0, 1.0)
+    priorities.update(np.arange(4), np.array([0.1, 1.0, 2.0, 4.0], np.float32))
+    places, weights = priorities.draw(rng, 200_000, 4)
+    assert weights.dtype == np.float32 and weights.max() == 1.0
+    assert (weights * values[places]).sum() / weights.sum() == pytest.approx(values.mean(), rel=0.02)
+
+
+def test_equal_priorities_have_equal_weights():
+    priorities = Priorities(6, 0.6, 0.4)
+    priorities.written(np.arange(6))
+    _, weights = priorities.draw(np.random.default_rng(0), 64, 6)
+    assert (weights == 1.0).all()
+
+
+def test_new_rows_have_the_largest_priority_so_far():
+    priorities = Priorities(4, 1.0, 0.4)
+    priorities.written(np.array([0]))
+    priorities.update(np.array([0]), np.array([9.0], np.float32))
+    priorities.update(np.array([0]), np.array([2.0], np.float32))
+    priorities.written(np.array([1]))
+    assert priorities.of(np.arange(4)).tolist() == pytest.approx([2 + SMALLEST_ERROR, 9 + SMALLEST_ERROR, 0, 0])
+
+
+def test_no_weight_is_zero_however_unequal_the_priorities():
+    priorities = Priorities(2, 1.0, 1.0)
+    priorities.update(np.array([0, 1]), np.array([0.0, np.finfo(np.float32).max]))
+    _, weights = priorities.draw(np.random.default_rng(0), 1000, 2)
+    assert (weights > 0).all() and np.isfinite(weights).all()
+
+
+@pytest.mark.parametrize("size", [1_000, 32_000])
+def test_drawing_and_updating_touch_as_many_sums_as_rows_times_depth(size, monkeypatch):
+    touched = []
+    unique = np.unique
+    monkeypatch.setattr(np, "unique", lambda nodes: touched.append(len(nodes)) or unique(nodes))
+    priorities = Priorities(size, 0.6, 0.4)
+    priorities.written(np.arange(size))
+    touched.clear()
+    priorities.update(np.arange(0, size, size // 100)[:100], np.ones(100, np.float32))
+    assert sum(touched) <= 100 * np.ceil(np.log2(size))
