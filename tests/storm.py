@@ -5,6 +5,7 @@ against what the actors were told had arrived.
 """
 
 import threading
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -26,13 +27,16 @@ RUN, STEP_S = "storm", 0.02
 ACTORS, ACTIONS, FEATURES = 3, 3, 4
 TRAJECTORIES = 16  # of each actor's last epoch; those before are cut off somewhere
 PATIENCE_S = 400.0
-CONFIG = parse(
-    {
-        "run": {"actors": ACTORS, "cars_per_actor": 1},
-        "low": {"min_size": 8, "updates_per_insert": 0.5},
-        "replay": {"size_initial": 4000, "size_min": 1000, "size_max": 4000},
-    }
-)
+CONFIGS = {
+    shards: parse(
+        {
+            "run": {"actors": ACTORS, "cars_per_actor": 1},
+            "low": {"min_size": 8, "updates_per_insert": 0.5},
+            "replay": {"shards": shards, "size_initial": 4000, "size_min": 1000, "size_max": 4000},
+        }
+    )
+    for shards in (1, 2)
+}
 
 
 def trajectory(actor: int, epoch: int, number: int, length: int) -> Trajectory:
@@ -85,9 +89,9 @@ class Driver:
 
 
 class Storm:
-    """One seed's worth of trouble; `ride` goes through it and returns what happened."""
+    """One seed's worth of trouble for a replay of so many shards; `ride` goes through it, `check` looks at the end."""
 
-    def __init__(self, seed: int, folder: Path) -> None:
+    def __init__(self, seed: int, folder: Path, shards: int = 1) -> None:
         self.rng = np.random.default_rng(seed)
         shares = self.rng.random(4) * (0.4, 0.3, 0.5, 0.5)
         self.faults = Faults(drop=shares[0], repeat=shares[1], delay=shares[2], reorder=shares[3], delay_s=0.6)
@@ -100,7 +104,15 @@ class Storm:
         self.sampled = 0
         self.dead: list[Driver] = []
         self.drivers = [Driver(index, self.next_epoch(), self.connect()) for index in range(ACTORS)]
-        self.begin_replay()
+        self.config = CONFIGS[shards]
+        self.replays: list[Replay] = []
+        for index in range(shards):
+            self.begin_replay(index)
+
+    @property
+    def recovered(self) -> int:
+        """Frames that the shards there are now read from journals."""
+        return sum(replay.recovered for replay in self.replays)
 
     def connect(self) -> FaultyTransport:
         transport = FaultyTransport(MemoryTransport(self.broker), self.seed + len(self.transports), self.faults)
@@ -111,10 +123,10 @@ class Storm:
         self.epoch += 1
         return self.epoch
 
-    def begin_replay(self) -> None:
-        transport = self.connect()
-        context = Context(CONFIG, RUN, "replay", "0", self.next_epoch(), transport, threading.Event())
-        self.replay = Replay(context, {Level.LOW: Shape(FEATURES, ACTIONS)}, Journal(self.folder))
+    def begin_replay(self, index: int) -> None:
+        context = Context(self.config, RUN, "replay", str(index), self.next_epoch(), self.connect(), threading.Event())
+        shapes = {Level.LOW: Shape(FEATURES, ACTIONS)}
+        self.replays[index : index + 1] = [Replay(context, shapes, Journal(self.folder / str(index)))]
 
     def ride(self) -> None:
         """Until every actor's last epoch is closed and held."""
@@ -126,7 +138,8 @@ class Storm:
             self.ask()
             for driver in self.drivers:
                 driver.step(self.rng, self.now)
-            self.replay.step(self.now)
+            for replay in self.replays:
+                replay.step(self.now)
             for transport in self.transports:
                 transport.tick(self.now)
 
@@ -135,9 +148,10 @@ class Storm:
         luck = self.rng.random()
         if luck < 0.03 and self.deaths["replay"] < 4:
             self.deaths["replay"] += 1
-            self.replay.transport.close()  # what it had not sent is gone; its journal's file is as it is
-            self.tear()
-            self.begin_replay()
+            index = int(self.rng.integers(len(self.replays)))
+            self.replays[index].transport.close()  # what it had not sent is gone; its journal's file is as it is
+            self.tear(index)
+            self.begin_replay(index)
         elif luck < 0.05 and self.deaths["actor"] < 4:
             self.deaths["actor"] += 1
             victim = int(self.rng.integers(ACTORS))
@@ -152,10 +166,10 @@ class Storm:
             for transport in self.transports:
                 transport.faults = self.faults
 
-    def tear(self) -> None:
+    def tear(self, index: int) -> None:
         """The dying replay may have been writing: some bytes of a record that was never acknowledged."""
         if self.rng.random() < 0.5:
-            log = max(self.folder.glob("*.log"))
+            log = max((self.folder / str(index)).glob("*.log"))
             with log.open("ab") as file:
                 file.write(bytes(self.rng.integers(0, 256, int(self.rng.integers(1, 40)), np.uint8)))
 
@@ -171,16 +185,22 @@ class Storm:
 
     def ask(self) -> None:
         request = codec.encode(SampleRequest(1, Level.LOW, 0))
-        self.learner.request(keys.sample(RUN, Level.LOW), request, self.batches, timeout_s=1.0)
+        for index in range(len(self.replays)):
+            self.learner.request(keys.sample(RUN, Level.LOW, index), request, self.batches, timeout_s=1.0)
         for message in self.batches.drain():
             reply = codec.decode(message.payload)
             self.sampled += isinstance(reply, SampleReply) and reply.batch is not None
 
     def check(self) -> None:
-        """Nothing lost, doubled, torn or joined; the books agree with the ring."""
-        shelf = self.replay.shelves[Level.LOW]
-        shelf.buffer.check_valid()
-        rows = shelf.buffer.state()
+        """Nothing lost, doubled, torn, joined or in another's shard; the books agree with the rings."""
+        shelves = [replay.shelves[Level.LOW] for replay in self.replays]
+        rings = []
+        for replay, shelf in zip(self.replays, shelves, strict=True):
+            shelf.buffer.check_valid()
+            rings.append(shelf.buffer.state())
+            actors = set(rings[-1]["states"][:, 0].astype(int).tolist())
+            assert all(replay.shard.owns(f"actor-{actor}") for actor in actors)
+        rows = {name: np.concatenate([ring[name] for ring in rings]) for name in ("states", "next_states", "rewards")}
         states, following = rows["states"], rows["next_states"]
         assert (states[:, :3] == following[:, :3]).all(), "a transition joins two trajectories"
         assert (following[:, 3] == states[:, 3] + 1).all()
@@ -194,5 +214,7 @@ class Storm:
         for driver in self.dead:
             mine = [row for row in held if row[:2] == (driver.index, driver.epoch)]
             assert driver.confirmed <= len(mine) <= driver.outbox.produced, "what was acknowledged is held"
-        books = shelf.books()
+        books = Counter()
+        for shelf in shelves:
+            books.update(shelf.books())
         assert books["produced"] == books["stored"] == len(held) and books["rejected"] == 0
