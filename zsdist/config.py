@@ -207,6 +207,7 @@ class RunConfig(Section):
     cars_per_actor: Annotated[int, Field(ge=1, le=256)] = 4
     checkpoint_every_episodes: Count = 50
     cpus_per_role: Annotated[float, Field(gt=0)] = 0.1  # what each role asks Ray for
+    standby: bool = True  # keep a process warm that takes over from one that dies
     address: str | None = None  # of a Ray cluster; None: start one on this machine
     final_evaluation_episodes: Annotated[int, Field(ge=0)] = 30
 

@@ -93,7 +93,7 @@ def summary_of(folder):
     return json.loads((folder / "summary.json").read_text())
 
 
-def test_a_stranger_sees_every_role_and_a_killed_actor_and_a_killed_replay_are_replaced(tmp_path):
+def test_a_stranger_sees_every_role_and_a_killed_actor_hub_and_replay_are_replaced(tmp_path):
     folder = tmp_path / "watched"
     process = begin(folder, "--episodes", "20")
     stranger = Stranger((folder / "endpoint").read_text(), "watched")
@@ -121,6 +121,11 @@ def test_a_stranger_sees_every_role_and_a_killed_actor_and_a_killed_replay_are_r
         victim = stranger.said["actor/1"]["pid"]
         os.kill(victim, signal.SIGKILL)
         until(lambda: stranger.said["actor/1"]["pid"] != victim, process, "the actor is back")
+        victim = stranger.said["hub/0"]["pid"]
+        os.kill(victim, signal.SIGKILL)
+        until(lambda: stranger.said["hub/0"]["pid"] != victim, process, "the hub is back")
+        assert stranger.said["hub/0"]["endpoint"] == (folder / "endpoint").read_text()
+        until(lambda: stranger.alive() >= ROLES, process, "every role is back at the hub")
         before = stranger.said["replay/0"]
         os.kill(before["pid"], signal.SIGKILL)
         until(lambda: stranger.said["replay/0"]["pid"] != before["pid"], process, "the replay is back")
@@ -134,7 +139,7 @@ def test_a_stranger_sees_every_role_and_a_killed_actor_and_a_killed_replay_are_r
     assert process.returncode == 0, output
     assert not [child for child in family if child.is_running() and child.status() != psutil.STATUS_ZOMBIE]
     summary = summary_of(folder)
-    assert summary["restarts"] == {"actor": 1, "replay": 1}
+    assert summary["restarts"] == {"actor": 1, "hub": 1, "replay": 1}
     assert sorted(record["episode"] for record in episodes(folder)) == list(range(1, 21))
     for books in summary["transitions"].values():
         assert books["produced"] == books["stored"] + books["rejected"] > 0

@@ -71,7 +71,7 @@ class Journal:
             base = self._path("base").read_bytes()
             self._open_log()
             content = self._path("log").read_bytes()
-            records, self._log_bytes = _whole(content)
+            records, self._log_bytes = whole(content)
             os.ftruncate(self._log, self._log_bytes)
         except OSError as error:
             raise self._failed("read", error) from error
@@ -139,7 +139,7 @@ class Journal:
         return RunError(f"replay journal {self._folder} cannot be {done}: {error.strerror or error}")
 
 
-def _whole(content: bytes) -> tuple[list[Record], int]:
+def whole(content: bytes) -> tuple[list[Record], int]:
     """The records up to the first that is not whole, and how many bytes they take."""
     records, at = [], 0
     while at + _HEAD.size <= len(content):

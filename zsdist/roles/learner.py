@@ -21,7 +21,8 @@ from zsdist.wire.messages import (
 
 PREFETCH = 8  # batches of a shard asked for or waiting: what is learned from while the next answer is on its way
 UPDATES_A_STEP = 8  # before mailboxes are looked at again
-ANSWER_WITHIN_S = 4.0  # a request not answered by then is asked again; a replay that lives answers within two seconds
+ANSWER_WITHIN_S = 4.0  # a request not answered by then is forgotten
+ASK_AGAIN_AFTER_S = 0.6  # a replay that lives answers sooner; one that died, or its hub, may be back by now
 WEIGHTS_EVERY_S = 0.5
 REPEAT_EVERY_S = 2.0  # unchanged weights and pending candidates are said again, in case a pipe was full
 DISTIL_BATCHES = 32  # most recent batches that distillation learns from
@@ -135,7 +136,7 @@ class Learner(Role):
             if reply.batch is not None:
                 source.ready.append(reply.batch)
         for source in self._sources:
-            while source.asked_s and now - source.asked_s[0] > ANSWER_WITHIN_S:
+            while source.asked_s and now - source.asked_s[0] > ASK_AGAIN_AFTER_S:
                 source.asked_s.popleft()
         self._account_waiting(now, lacked_s)
 

@@ -17,7 +17,7 @@ from zsdist.types import Level
 from zsdist.wire import codec
 from zsdist.wire.messages import Push, SampleReply
 
-HOLD_REQUEST_S = 2.0  # a request that cannot be served for so long is answered with "no batch yet"
+HOLD_REQUEST_S = 0.3  # a request that cannot be served for so long is answered with "no batch yet"
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from zsdist.sim.env import CarNavigation
 from zsdist.sim.scene import Scene
 from zsdist.transport.base import Transport
 from zsdist.transport.certificates import Identity
-from zsdist.transport.zenoh import ZenohHub, ZenohTransport
+from zsdist.transport.zenoh import PORTS_TRIED, ZenohHub, ZenohTransport
 from zsdist.types import Level
 from zsdist.vision.identity import VisionIdentity
 from zsdist.vision.reading_cache import ReadingCache
@@ -209,10 +209,11 @@ class Setting:
     make_parts: Callable[[Config], Parts] = simulation
     start: str = field(default_factory=lambda: uuid.uuid4().hex)
 
-    def open_hub(self) -> ZenohHub:
-        """The router, at the configured endpoint or the next free port above it."""
-        grants = access.access_list(self.config.run.actors)
-        return ZenohHub(self.config.transport.endpoint, self._identity(access.HUB), grants)
+    def open_hub(self, endpoint: str | None = None) -> ZenohHub:
+        """The router, at `endpoint`; None: at the configured one, or the next free port above it."""
+        grants, tries = access.access_list(self.config.run.actors), PORTS_TRIED if endpoint is None else 1
+        endpoint = endpoint or self.config.transport.endpoint
+        return ZenohHub(endpoint, self._identity(access.HUB), grants, ports_tried=tries)
 
     def connect(self, place: Place, endpoint: str) -> ZenohTransport:
         """A role's connection to the hub, with its certificate where the run has certificates."""
@@ -226,8 +227,15 @@ class Setting:
         """The context of one role."""
         return Context(self.config, self.run, place.role, place.id, place.epoch, transport, wake)
 
-    def build(self, place: Place, transport: Transport, wake: threading.Event) -> Role:
-        """One role, with its state restored where the run is gone on with."""
+    def build(self, place: Place, transport: Transport, wake: threading.Event, parts: Parts | None = None) -> Role:
+        """One role, with its state restored where the run is gone on with.
+
+        Args:
+            place: which.
+            transport: its own.
+            wake: set when mail comes for it.
+            parts: what an actor is to be made of, where that has been made already.
+        """
         context, config = self.context(place, transport, wake), self.config
         match place.role:
             case "scheduler":
@@ -242,7 +250,7 @@ class Setting:
                 level = Level(place.id)
                 return Learner(context, level, make_learner(config, level), self.states.get(place.name))
             case "actor":
-                parts = self.make_parts(config)
+                parts = parts or self.make_parts(config)
                 seen = VisionIdentity.of(parts.visual_act, config.vision.network)
                 if seen != self.vision:
                     raise WeightsError(f"{place.name} sees by {seen}; allowed is what the run sees by, {self.vision}")

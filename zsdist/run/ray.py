@@ -16,48 +16,61 @@ from zsdist.errors import RunError, ZsdistError
 from zsdist.roles.base import HEARTBEAT_S, Role
 from zsdist.run import program
 from zsdist.run.directory import issue_epochs
-from zsdist.run.program import Place, Setting, Watch
+from zsdist.run.program import Parts, Place, Setting, Watch
 from zsdist.transport.base import Transport
 from zsdist.transport.zenoh import ZenohHub
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders
 
 OBJECT_STORE_BYTES = 256 * 2**20  # it carries settings and checkpoints at the start, and nothing afterwards
-RESTARTED = ("actor", "replay")  # roles that lose nothing which counts when their process dies
+RESTARTED = ("actor", "replay", "hub")  # roles that lose nothing which counts when their process dies
 RESTARTS_ALLOWED = 20  # of one role, before the run is given up
 LEAVE_WITHIN_S = 5.0  # roles have so long to end by themselves once the run is over
+STANDBY_AFTER_S = 1.0  # a start takes the processor for seconds: not while the others begin or the run is recovering
+HUB = "hub-0"
 
 
 class RoleHost:
-    """Lives in a Ray actor: builds one role there and steps it until it has finished."""
+    """Lives in a Ray actor: takes on one role there and steps it until it has finished."""
 
-    def __init__(self, setting: Setting, place: Place) -> None:
+    def __init__(self, setting: Setting) -> None:
         import torch
 
         torch.set_num_threads(1)
-        self.setting, self.place = setting, place
+        self.setting = setting
         self.wake = threading.Event()
         self._stop = False
         self._hub: ZenohHub | None = None
-        self._redirect_output()
+        self._parts: Parts | None = None
 
-    def open_hub(self) -> str:
-        """Opens the router in this process and returns the endpoint at which it listens."""
-        self._hub = self.setting.open_hub()
+    def warm_up(self) -> None:
+        """Makes what takes longest to make, so that whatever role is taken on later begins at once."""
+        self._parts = self.setting.make_parts(self.setting.config)
+
+    def open_hub(self, endpoint: str | None) -> str:
+        """Opens the router in this process and returns the endpoint at which it listens.
+
+        Args:
+            endpoint: where its predecessor listened; None: it is the run's first.
+        """
+        self._hub = self.setting.open_hub(endpoint)
         return self._hub.endpoint
 
-    def drive(self, endpoint: str) -> str:
-        """Builds the role and steps it to its end; returns an empty string, or in one line why it could not go on."""
+    def drive(self, place: Place, endpoint: str) -> str:
+        """Builds a role and steps it to its end; returns an empty string, or in one line why it could not go on."""
+        self._redirect_output(place)
         transport = None
         try:
-            transport = self.setting.connect(self.place, endpoint)
+            if place.name == HUB and self._hub is None:
+                self.open_hub(endpoint)
+            transport = self.setting.connect(place, endpoint)
             if self._hub is None:
-                role = self.setting.build(self.place, transport, self.wake)
+                role = self.setting.build(place, transport, self.wake, self._parts)
             else:
-                role = program.make_hub(self.setting, self.place, transport, self.wake, endpoint)
+                role = program.make_hub(self.setting, place, transport, self.wake, endpoint)
             self._step(role)
         except ZsdistError as error:
-            return f"{self.place.name}: {error}"
+            return f"{place.name}: {error}"
         except Exception:
             traceback.print_exc()  # into the role's log; the supervisor ends the run
             raise
@@ -82,12 +95,12 @@ class RoleHost:
             self.wake.wait(max(0.0, due_s - offset_s - time.monotonic()))
             self.wake.clear()
 
-    def _redirect_output(self) -> None:
+    def _redirect_output(self, place: Place) -> None:
         """What the process prints goes to `logs/{role}.log` of the run directory where that is on this machine."""
         logs = self.setting.folder / "logs"
         if not logs.is_dir():
             return
-        log = os.open(logs / f"{self.place.name}.log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        log = os.open(logs / f"{place.name}.log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         for stream in (sys.stdout, sys.stderr):
             stream.flush()
             os.dup2(log, stream.fileno())
@@ -103,8 +116,8 @@ def run(
 ) -> None:
     """Runs to the end, or until `interrupted` has been heard and everything is saved.
 
-    A dead actor is replaced by a new incarnation, and so is a dead replay, which goes on from its journal; the death of
-    any other role ends the run.
+    A dead actor is replaced by a new incarnation; so is a dead replay, which goes on from its journal, and a dead hub,
+    which listens where its predecessor did. The death of any other role ends the run.
 
     Args:
         setting: what the roles share.
@@ -126,7 +139,7 @@ def _connect(setting: Setting) -> None:
     config = setting.config
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # else roles that reserve no GPU cannot see one
-    wanted = config.run.cpus_per_role * (program.role_count(config) + 1)
+    wanted = config.run.cpus_per_role * (program.role_count(config) + 1 + config.run.standby)
     if config.run.address is None:
         # Logical cores only steer Ray's placement: enough of them, and no role ever waits for a place.
         cores = max(os.cpu_count() or 1, int(wanted) + 1)
@@ -159,21 +172,26 @@ class _Supervisor:
     def __init__(self, setting: Setting, epochs: Sequence[int]) -> None:
         self.setting = setting
         self.epoch, hub_epoch, *role_epochs = epochs
-        self.places = {place.name: place for place in program.roles(setting.config, role_epochs)}
+        places = [Place("hub", "0", hub_epoch), *program.roles(setting.config, role_epochs)]
+        self.places = {place.name: place for place in places}
         self.hosts: dict[str, ray.actor.ActorHandle] = {}
         self.work: dict[ray.ObjectRef, str] = {}
         self.restarts: dict[str, int] = {}
-        self.hub = self._host(Place("hub", "0", hub_epoch))
+        self.standby: ray.actor.ActorHandle | None = None
+        self.standby_due_s = 0.0
 
     def run(self, interrupted: Callable[[], bool], watch: Watch) -> None:
         """Until the scheduler has finished."""
-        self.endpoint = self._ask(self.hub.open_hub.remote(), "hub")
+        self.hosts[HUB] = self._host(self.places[HUB])
+        self.endpoint = self._ask(self.hosts[HUB].open_hub.remote(None), "hub")
         (self.setting.folder / "endpoint").write_text(self.endpoint)
-        self.hub.drive.remote(self.endpoint)
+        self._drive(self.places[HUB])
         transport = self.setting.connect(program.supervisor([self.epoch]), self.endpoint)
         try:
-            for place in self.places.values():
-                self._start(place)
+            for name, place in self.places.items():
+                if name != HUB:
+                    self.hosts[name] = self._host(place)
+                    self._drive(place)
             while "scheduler-0" in self.work.values():
                 self._supervise(transport, interrupted())
                 watch(transport, time.time())
@@ -181,7 +199,7 @@ class _Supervisor:
             watch(transport, time.time())
         finally:
             transport.close()
-            for host in [*self.hosts.values(), self.hub]:
+            for host in [*self.hosts.values(), *([self.standby] if self.standby else [])]:
                 ray.kill(host)
 
     def _supervise(self, transport: Transport, interrupted: bool) -> None:
@@ -195,6 +213,9 @@ class _Supervisor:
         ended, _ = ray.wait(list(self.work), timeout=HEARTBEAT_S)
         for reference in ended:
             self._account_for(self.work.pop(reference), reference)
+        if self.standby is None and self.setting.config.run.standby and time.monotonic() > self.standby_due_s:
+            self.standby = self._host(self.places[HUB])
+            self.standby.warm_up.remote()
 
     def _account_for(self, name: str, reference: ray.ObjectRef) -> None:
         """A role ended: by itself, with a reason, or with its process."""
@@ -216,26 +237,38 @@ class _Supervisor:
             raise RunError(f"{reason}; it had been restarted {RESTARTS_ALLOWED} times")
         old = self.places[name]
         self.places[name] = Place(old.role, old.id, issue_epochs(self.setting.folder, 1)[0])
-        self._start(self.places[name])
+        self.hosts[name] = self._stand_in(self.places[name])
+        self._drive(self.places[name])
 
-    def _start(self, place: Place) -> None:
-        self.hosts[place.name] = self._host(place)
-        self.work[self.hosts[place.name].drive.remote(self.endpoint)] = place.name
+    def _drive(self, place: Place) -> None:
+        self.work[self.hosts[place.name].drive.remote(place, self.endpoint)] = place.name
+        self.standby_due_s = time.monotonic() + STANDBY_AFTER_S
+
+    def _stand_in(self, place: Place) -> "ray.actor.ActorHandle":
+        """The process that waits for this, or a new one: there is none, or the role may live on another machine."""
+        if self.standby is None or not (self._stays(place) or self.setting.config.run.address is None):
+            return self._host(place)
+        host, self.standby = self.standby, None
+        return host
 
     def _host(self, place: Place) -> "ray.actor.ActorHandle":
         options = {"num_cpus": self.setting.config.run.cpus_per_role, "max_restarts": 0, "max_concurrency": 2}
-        guarded = self.setting.config.transport.tls is not None and place.role != "actor"
-        # Beside the run directory, at the address that was announced; and keys that are trusted stay where they are.
-        if guarded or place.role in ("hub", "scheduler"):
+        if self._stays(place):
             here = ray.get_runtime_context().get_node_id()
             options["scheduling_strategy"] = NodeAffinitySchedulingStrategy(here, soft=False)
-        return ray.remote(**options)(RoleHost).remote(self.setting, place)
+        return ray.remote(**options)(RoleHost).remote(self.setting)
+
+    def _stays(self, place: Place) -> bool:
+        """Whether a role lives on this machine: at the address that was announced, or beside its files and keys."""
+        guarded = self.setting.config.transport.tls is not None and place.role != "actor"
+        return guarded or place.role in ("hub", "scheduler", "replay")
 
     def _leave(self) -> None:
         """Gives the other roles the time to end by themselves."""
-        if self.work:
-            ray.wait(list(self.work), num_returns=len(self.work), timeout=LEAVE_WITHIN_S)
-        ray.wait([self.hub.stop.remote()], timeout=LEAVE_WITHIN_S)
+        others = [reference for reference, name in self.work.items() if name != HUB]
+        if others:
+            ray.wait(others, num_returns=len(others), timeout=LEAVE_WITHIN_S)
+        ray.wait([self.hosts[HUB].stop.remote()], timeout=LEAVE_WITHIN_S)
 
     def _ask(self, reference: ray.ObjectRef, name: str) -> str:
         try:

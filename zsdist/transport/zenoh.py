@@ -36,20 +36,28 @@ class ZenohHub:
         endpoint: where it listens, such as `tcp/127.0.0.1:7447`; another port than asked for where that was taken.
     """
 
-    def __init__(self, endpoint: str, identity: Identity | None = None, grants: Sequence[Grant] = ()) -> None:
+    def __init__(
+        self,
+        endpoint: str,
+        identity: Identity | None = None,
+        grants: Sequence[Grant] = (),
+        *,
+        ports_tried: int = PORTS_TRIED,
+    ) -> None:
         """Listens at `endpoint`, or at the next free port above it.
 
         Args:
             endpoint: such as `tcp/127.0.0.1:7447`, or `tls/HOST:7447` with an identity.
             identity: whom it shows itself as; it then lets only clients in that show a certificate of its authority.
             grants: what each of these may do, and nobody else anything; without an identity everybody may do all.
+            ports_tried: from that of `endpoint` on; 1: there or nowhere.
 
         Raises:
             TransportError: the endpoint is malformed, cannot be listened at, or no port above it is free.
         """
         address, port = _split(endpoint)
         self._session: zenoh.Session | None = None
-        for candidate in range(port, min(port + PORTS_TRIED, 65_536)):
+        for candidate in range(port, min(port + ports_tried, 65_536)):
             self.endpoint = f"{address}:{candidate}"
             try:
                 self._session = zenoh.open(_config("router", listen=self.endpoint, identity=identity, grants=grants))
@@ -57,7 +65,8 @@ class ZenohHub:
             except zenoh.ZError as error:
                 if "in use" not in str(error):
                     raise TransportError(f"cannot listen at {self.endpoint}: {_brief(error)}") from error
-        raise TransportError(f"cannot listen at {endpoint}: it and the {PORTS_TRIED - 1} ports above it are taken")
+        others = f" and the {ports_tried - 1} ports above it are" if ports_tried > 1 else " is"
+        raise TransportError(f"cannot listen at {endpoint}: it{others} taken")
 
     def __enter__(self) -> Self:
         return self

@@ -293,6 +293,12 @@ def test_a_hub_whose_port_is_taken_listens_at_the_next_free_one(hub: ZenohHub) -
         ZenohTransport(second.endpoint).close()
 
 
+def test_a_hub_that_must_listen_where_its_predecessor_did_takes_no_other_port(hub: ZenohHub) -> None:
+    with pytest.raises(TransportError) as caught:
+        ZenohHub(hub.endpoint, ports_tried=1)
+    assert str(caught.value) == f"cannot listen at {hub.endpoint}: it is taken"
+
+
 def test_clients_outlive_their_hub_and_retained_values_of_the_gap_arrive() -> None:
     endpoint = free_endpoint()
     hub = ZenohHub(endpoint)
