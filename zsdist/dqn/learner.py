@@ -7,17 +7,19 @@ copy into the target network are one operation each, whatever the number of laye
 import copy
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
+from torch.optim.adam import adam
 
 from zsdist.config import LevelConfig
 from zsdist.dqn import losses, network
 from zsdist.errors import RunError, WeightsError
-from zsdist.types import NO_GUIDE, Batch, Parameters
+from zsdist.types import Batch, Parameters
 
 _DISTIL_MARGIN_WEIGHT = 1.0
+_BETAS, _ADAM_EPSILON = (0.9, 0.999), 1e-8
 
 
 class Mirror(Protocol):
@@ -58,8 +60,7 @@ class DqnLearner:
         device: str | torch.device | None = None,
     ) -> None:
         self.updates = 0
-        self._figures: dict[str, torch.Tensor] = {}
-        self._errors: torch.Tensor | None = None
+        self._last: _Step | None = None
         self._state_size, self._actions = state_size, actions
         self._config = config
         self._mirror = mirror
@@ -77,7 +78,7 @@ class DqnLearner:
 
         Deviation: Adam with a clipped gradient in place of the plain step; Huber loss where so configured.
         """
-        self._figures, self._errors = self._step(batch, self._config.guide_margin_weight)
+        self._last = self._step(batch, self._config.guide_margin_weight)
         if self._config.target_tau:
             self._target_weights.lerp_(self._weights, self._config.target_tau)
         self.updates += 1
@@ -85,9 +86,16 @@ class DqnLearner:
     def figures(self) -> dict[str, float]:
         """Of the last update: `loss` before weighting, `q_mean` of all actions, `gradient_norm` before clipping.
 
-        Before any update: nothing. Asked for apart, since on a GPU the answer has to be waited for.
+        Before any update: nothing. Asked for apart, since they take a while, and on a GPU have to be waited for.
         """
-        return {name: float(value) for name, value in self._figures.items()}
+        if self._last is None:
+            return {}
+        last, config = self._last, self._config
+        loss = losses.td_loss(last.errors, config.huber)
+        if config.guide_margin_weight:
+            margin = losses.margin_loss(last.q, last.masks, last.guides, config.guide_margin)
+            loss += config.guide_margin_weight * margin
+        return {"loss": float(loss), "q_mean": float(last.q.mean()), "gradient_norm": float(last.gradient_norm)}
 
     def errors(self) -> np.ndarray:
         """Absolute temporal-difference errors of the rows of the last update's batch, `(B,)` float32.
@@ -97,9 +105,9 @@ class DqnLearner:
         Raises:
             RunError: there has been no update.
         """
-        if self._errors is None:
+        if self._last is None:
             raise RunError("errors of the last update were asked for; there has been none")
-        return self._errors.abs().cpu().numpy()
+        return self._last.errors.abs().cpu().numpy()
 
     def distilled(self, batches: Iterable[Batch]) -> Parameters:
         """Parameters of a copy that took one step on each of `batches` with the large-margin loss on guide actions.
@@ -136,10 +144,9 @@ class DqnLearner:
 
     def state(self) -> dict[str, np.ndarray]:
         """All that the next update depends on: a learner that restores it goes on as if it had never stopped."""
-        moments = self._optimiser.state[self._weights]
         arrays = {f"online/{name}": value for name, value in self.parameters().items()}
         arrays |= {f"target/{name}": value for name, value in self.target_parameters().items()}
-        arrays |= {f"adam/{name}": moments[name].cpu().numpy().copy() for name in ("step", "exp_avg", "exp_avg_sq")}
+        arrays |= {f"adam/{name}": value.cpu().numpy().copy() for name, value in self._adam.items()}
         return arrays | {"updates": np.array(self.updates, np.int64), "generator": _generator_words(self._rng)}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
@@ -156,14 +163,13 @@ class DqnLearner:
                 raise RunError(f"learner state {name} is {found}; allowed is an array of shape {shape}")
         for prefix, module in (("online/", self._online), ("target/", self._target)):
             self._load(module, {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)})
-        moments = self._optimiser.state[self._weights]
-        for name in ("step", "exp_avg", "exp_avg_sq"):
-            moments[name].copy_(torch.from_numpy(np.array(state[f"adam/{name}"])))
+        for name, value in self._adam.items():
+            value.copy_(torch.from_numpy(np.array(state[f"adam/{name}"])))
         self.updates = int(state["updates"])
         _set_generator(self._rng, state["generator"])
 
     @torch.no_grad()
-    def _step(self, batch: Batch, margin_weight: float) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
+    def _step(self, batch: Batch, margin_weight: float) -> "_Step":
         config = self._config
         if self._mirror is not None:
             batch = reflected(batch, self._mirror, self._rng.random(len(batch)) < 0.5)
@@ -190,18 +196,32 @@ class DqnLearner:
             next_masks,
             values[size:] if config.double else None,
         )
-        loss, gradient, errors = losses.td_loss(q, actions, targets, config.huber)
+        errors = losses.td_error(q, actions, targets)
+        gradient = losses.td_gradient(q, actions, errors, config.huber)
         if margin_weight:
-            margin, margin_gradient = losses.margin_loss(q, masks, guides, config.guide_margin)
-            loss += margin_weight * margin
-            gradient.add_(margin_gradient, alpha=margin_weight)
+            gradient.add_(losses.margin_gradient(q, masks, guides, config.guide_margin), alpha=margin_weight)
         if batch.weights is not None:  # drawn by priority: each row counts as much as its importance weight
             gradient.mul_(torch.from_numpy(batch.weights).to(self._device).unsqueeze(1))
         self._online.backward(gradient, trace)
         norm = torch.linalg.vector_norm(self._gradient)
         self._gradient.mul_((config.max_gradient_norm / (norm + 1e-6)).clamp_(max=1.0))
-        self._optimiser.step()
-        return {"loss": loss, "q_mean": q.mean(), "gradient_norm": norm}, errors
+        adam(  # without the hooks and groups of its class, which take as long as it does
+            [self._weights],
+            [self._gradient],
+            [self._adam["exp_avg"]],
+            [self._adam["exp_avg_sq"]],
+            [],
+            [self._adam["step"]],
+            fused=True,
+            amsgrad=False,
+            beta1=_BETAS[0],
+            beta2=_BETAS[1],
+            lr=config.learning_rate,
+            weight_decay=0.0,
+            eps=_ADAM_EPSILON,
+            maximize=False,
+        )
+        return _Step(q, errors, masks, guides, norm)
 
     def _load(self, module: network.QNetwork, parameters: Parameters) -> None:
         network.check(parameters, self._state_size, self._actions)
@@ -212,34 +232,41 @@ class DqnLearner:
             tensor.data.copy_(torch.from_numpy(parameters[name]))
 
     def _restart_optimiser(self) -> None:
-        self._optimiser = torch.optim.Adam([self._weights], lr=self._config.learning_rate, fused=True)
-        # Made here rather than at the first step, so that a checkpoint has the same entries whenever it is taken.
-        self._optimiser.state[self._weights] = {
+        self._adam = {
             "step": torch.zeros((), device=self._device),
             "exp_avg": torch.zeros_like(self._weights),
             "exp_avg_sq": torch.zeros_like(self._weights),
         }
 
 
+class _Step(NamedTuple):
+    """What is left of a gradient step, for those who ask."""
+
+    q: torch.Tensor
+    errors: torch.Tensor
+    masks: torch.Tensor
+    guides: torch.Tensor
+    gradient_norm: torch.Tensor
+
+
 def reflected(batch: Batch, mirror: Mirror, rows: np.ndarray) -> Batch:
     """`batch` with the given rows (`(B,)` bool) reflected left to right."""
-    swap, chosen = mirror.action_index, np.flatnonzero(rows)
-
-    def columns(array: np.ndarray, index: np.ndarray, sign: np.ndarray | None = None) -> np.ndarray:
-        array = array.copy()
-        turned = array[chosen].take(index, axis=1)
-        array[chosen] = turned if sign is None else turned * sign
-        return array
-
-    guides = np.where(batch.guides >= 0, swap[batch.guides], NO_GUIDE)
+    size, swap, chosen = len(batch), mirror.action_index, np.flatnonzero(rows)
+    both = np.concatenate((chosen, chosen + size))  # their states, and the next ones
+    states = np.concatenate((batch.states, batch.next_states))
+    turned = states[both].take(mirror.state_index, axis=1)
+    turned *= mirror.state_sign
+    states[both] = turned
+    masks = np.concatenate((batch.masks, batch.next_masks))
+    masks[both] = masks[both].take(swap, axis=1)
     return replace(
         batch,
-        states=columns(batch.states, mirror.state_index, mirror.state_sign),
+        states=states[:size],
         actions=np.where(rows, swap[batch.actions], batch.actions),
-        next_states=columns(batch.next_states, mirror.state_index, mirror.state_sign),
-        next_masks=columns(batch.next_masks, swap),
-        masks=columns(batch.masks, swap),
-        guides=np.where(rows, guides, batch.guides),
+        next_states=states[size:],
+        next_masks=masks[size:],
+        masks=masks[:size],
+        guides=np.where(rows & (batch.guides >= 0), swap[batch.guides], batch.guides),
     )
 
 

@@ -39,33 +39,34 @@ def td_targets(
     return reward_t + discount_t * value_tp1
 
 
-def td_loss(
-    q_t: torch.Tensor, action_t: torch.Tensor, target_t: torch.Tensor, huber: bool
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Mean loss of `target_t - Q(s_t, a_t)`, its gradient `(B, A)`, and the errors `Q(s_t, a_t) - target_t` `(B,)`.
-
-    Huber with its bend at 1, or half the square.
+def td_error(q_t: torch.Tensor, action_t: torch.Tensor, target_t: torch.Tensor) -> torch.Tensor:
+    """`Q(s_t, a_t) - target_t`, `(B,)`.
 
     Args:
         q_t: `(B, A)` float32.
         action_t: `(B,)` int64.
         target_t: `(B,)` float32, taken as constant.
-        huber: which of the two; both have the same gradient for errors below 1.
     """
     _check(q_t, 2, torch.float32)
     _check(action_t, 1, torch.int64)
     _check(target_t, 1, torch.float32)
-    action = action_t.unsqueeze(1)
-    error = q_t.gather(1, action).squeeze(1) - target_t
-    bounded = error.clamp(-1.0, 1.0) if huber else error
-    loss = (bounded * (error - 0.5 * bounded)).mean()
-    return loss, torch.zeros_like(q_t).scatter_(1, action, (bounded / len(error)).unsqueeze(1)), error
+    return q_t.gather(1, action_t.unsqueeze(1)).squeeze(1) - target_t
 
 
-def margin_loss(
-    q_t: torch.Tensor, mask_t: torch.Tensor, guide_t: torch.Tensor, margin: float
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """How far guide actions are from being best by `margin`, averaged over the batch, and its gradient `(B, A)`.
+def td_loss(error_t: torch.Tensor, huber: bool) -> torch.Tensor:
+    """Mean loss of `td_error`: Huber with its bend at 1, or half the square."""
+    bounded = _bounded(error_t, huber)
+    return (bounded * (error_t - 0.5 * bounded)).mean()
+
+
+def td_gradient(q_t: torch.Tensor, action_t: torch.Tensor, error_t: torch.Tensor, huber: bool) -> torch.Tensor:
+    """Gradient of `td_loss` with respect to `q_t`, `(B, A)`; both kinds have the same for errors below 1."""
+    rows = _bounded(error_t, huber) / len(error_t)
+    return torch.zeros_like(q_t).scatter_(1, action_t.unsqueeze(1), rows.unsqueeze(1))
+
+
+def margin_loss(q_t: torch.Tensor, mask_t: torch.Tensor, guide_t: torch.Tensor, margin: float) -> torch.Tensor:
+    """How far guide actions are from being best by `margin`, averaged over the batch.
 
     `max_a [Q(s, a) + margin * (a != guide)] - Q(s, guide)` over allowed actions: the large-margin loss of deep
     Q-learning from demonstrations. Rows count nothing where there is no guide action or it is not allowed.
@@ -76,16 +77,35 @@ def margin_loss(
         guide_t: `(B,)` int64, negative where the guide has nothing to say.
         margin: in units of value.
     """
+    guide, counts, lifted = _lifted(q_t, mask_t, guide_t, margin)
+    return torch.where(counts, lifted.amax(dim=1, keepdim=True) - q_t.gather(1, guide), 0.0).mean()
+
+
+def margin_gradient(q_t: torch.Tensor, mask_t: torch.Tensor, guide_t: torch.Tensor, margin: float) -> torch.Tensor:
+    """Gradient of `margin_loss` with respect to `q_t`, `(B, A)`."""
+    guide, counts, lifted = _lifted(q_t, mask_t, guide_t, margin)
+    share = counts * (1.0 / len(q_t))
+    return (
+        torch.zeros_like(q_t).scatter_add_(1, lifted.argmax(dim=1, keepdim=True), share).scatter_add_(1, guide, -share)
+    )
+
+
+def _bounded(error_t: torch.Tensor, huber: bool) -> torch.Tensor:
+    _check(error_t, 1, torch.float32)
+    return error_t.clamp(-1.0, 1.0) if huber else error_t
+
+
+def _lifted(
+    q_t: torch.Tensor, mask_t: torch.Tensor, guide_t: torch.Tensor, margin: float
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Guide actions `(B, 1)`, whether each counts, and the values of all allowed actions, others than it lifted."""
     _check(q_t, 2, torch.float32)
     _check(mask_t, 2, torch.bool)
     _check(guide_t, 1, torch.int64)
     guide = guide_t.clamp_min(0).unsqueeze(1)
     counts = (guide_t.unsqueeze(1) >= 0) & mask_t.gather(1, guide)
-    guided = q_t.gather(1, guide)
-    lifted, rival = (q_t + margin).scatter_(1, guide, guided).masked_fill_(~mask_t, -torch.inf).max(dim=1, keepdim=True)
-    gap = torch.where(counts, lifted - guided, 0.0)
-    share = counts.to(q_t.dtype) / len(q_t)
-    return gap.mean(), torch.zeros_like(q_t).scatter_add_(1, rival, share).scatter_add_(1, guide, -share)
+    lifted = (q_t + margin).scatter_(1, guide, q_t.gather(1, guide)).masked_fill_(~mask_t, -torch.inf)
+    return guide, counts, lifted
 
 
 def _check(tensor: torch.Tensor, rank: int, dtype: torch.dtype) -> None:

@@ -48,7 +48,7 @@ class QNetwork(torch.nn.Module):
             linear = functional.linear(x, weight, bias)
             normal, mean, spread = torch.native_layer_norm(linear, bias.shape, scale, shift, _NORM_EPSILON)
             trace.append((x, linear, mean, spread))
-            x = functional.relu(normal)
+            x = torch.relu_(normal)
         trace.append((x,))
         return functional.linear(x, *self._head), trace
 

@@ -35,11 +35,12 @@ def test_double_learning_lets_the_policy_network_choose_and_the_target_network_v
 
 def test_both_losses_have_the_temporal_difference_as_gradient_and_huber_bounds_it():
     q, actions, targets = torch.tensor([[0.0, 5.0], [1.0, 0.0]]), torch.tensor([0, 0]), torch.tensor([0.5, 11.0])
-    square, gradient, errors = losses.td_loss(q, actions, targets, huber=False)
+    errors = losses.td_error(q, actions, targets)
+    torch.testing.assert_close(errors, torch.tensor([-0.5, -10.0]))
+    square, gradient = losses.td_loss(errors, huber=False), losses.td_gradient(q, actions, errors, huber=False)
     assert square.item() == pytest.approx((0.125 + 50.0) / 2)
     torch.testing.assert_close(gradient, torch.tensor([[-0.25, 0.0], [-5.0, 0.0]]))
-    torch.testing.assert_close(errors, torch.tensor([-0.5, -10.0]))
-    huber, gradient, _ = losses.td_loss(q, actions, targets, huber=True)
+    huber, gradient = losses.td_loss(errors, huber=True), losses.td_gradient(q, actions, errors, huber=True)
     assert huber.item() == pytest.approx((0.125 + 9.5) / 2)
     torch.testing.assert_close(gradient, torch.tensor([[-0.25, 0.0], [-0.5, 0.0]]))
 
@@ -54,11 +55,16 @@ def test_gradients_are_those_that_torch_finds_by_differences():
         torch.from_numpy(rng.normal(size=40).astype(np.float32)),
     )
     guides = torch.from_numpy(rng.integers(-1, 5, 40))
-    for loss in (
-        lambda values: losses.td_loss(values, choices, 2 * targets, huber=True)[:2],
-        lambda values: losses.td_loss(values, choices, targets, huber=False)[:2],
-        lambda values: losses.margin_loss(values, masks, guides, 0.3),
-    ):
+
+    def td(values, targets, huber):
+        errors = losses.td_error(values, choices, targets)
+        return losses.td_loss(errors, huber), losses.td_gradient(values, choices, errors, huber)
+
+    def margin(values):
+        given = (values, masks, guides, 0.3)
+        return losses.margin_loss(*given), losses.margin_gradient(*given)
+
+    for loss in (lambda values: td(values, 2 * targets, True), lambda values: td(values, targets, False), margin):
         at, gradient = loss(q)
         direction = torch.from_numpy(rng.normal(size=(40, 5)).astype(np.float32))
         moved = (loss(q + 1e-3 * direction)[0] - at) / 1e-3
@@ -70,21 +76,22 @@ def test_the_margin_loss_is_zero_only_when_the_guide_leads_every_allowed_action_
     q = torch.tensor([[2.0, 1.0, 9.0]])
     mask = torch.tensor([[True, True, False]])
     guide = torch.tensor([0])
-    assert losses.margin_loss(q, mask, guide, margin=1.0)[0].item() == 0.0
-    assert losses.margin_loss(q, mask, guide, margin=1.5)[0].item() == pytest.approx(0.5)
-    assert losses.margin_loss(q, mask, torch.tensor([1]), margin=0.5)[0].item() == pytest.approx(1.5)
+    assert losses.margin_loss(q, mask, guide, margin=1.0).item() == 0.0
+    assert losses.margin_loss(q, mask, guide, margin=1.5).item() == pytest.approx(0.5)
+    assert losses.margin_loss(q, mask, torch.tensor([1]), margin=0.5).item() == pytest.approx(1.5)
 
 
 def test_the_margin_loss_pushes_the_guide_up_and_its_strongest_rival_down():
     q = torch.tensor([[0.0, 1.0, 0.5]])
-    _, gradient = losses.margin_loss(q, torch.ones(1, 3, dtype=torch.bool), torch.tensor([0]), 0.8)
+    gradient = losses.margin_gradient(q, torch.ones(1, 3, dtype=torch.bool), torch.tensor([0]), 0.8)
     torch.testing.assert_close(gradient, torch.tensor([[-1.0, 1.0, 0.0]]))
 
 
 def test_rows_without_an_allowed_guide_action_count_nothing_but_keep_their_share():
     q = torch.tensor([[0.0, 1.0], [0.0, 1.0], [0.0, 1.0], [0.0, 1.0]])
     mask = torch.tensor([[True, True], [True, True], [False, True], [False, False]])
-    loss, gradient = losses.margin_loss(q, mask, torch.tensor([0, -1, 0, -1]), 0.5)
+    given = (q, mask, torch.tensor([0, -1, 0, -1]), 0.5)
+    loss, gradient = losses.margin_loss(*given), losses.margin_gradient(*given)
     assert loss.item() == pytest.approx(1.5 / 4)
     assert gradient[1:].abs().max().item() == 0.0 and torch.isfinite(gradient).all()
 
