@@ -73,6 +73,10 @@ class DqnLearner:
         self._target_weights, _ = _flatten(self._target)
         self._restart_optimiser()
 
+    def fits(self, batch: Batch) -> bool:
+        """Whether `batch` is of this network's states and actions."""
+        return (batch.states.shape[1], batch.masks.shape[1]) == (self._state_size, self._actions)
+
     def update(self, batch: Batch) -> None:
         """One gradient step of the policy network on `batch`, then a soft copy into the target network: Eq. (11).
 

@@ -6,15 +6,20 @@ from typing import Protocol
 import numpy as np
 
 from zsdist.agent.hierarchy import QFunctions, q_functions
+from zsdist.dqn import network
 from zsdist.dqn.exploration import epsilon
-from zsdist.errors import RunError
+from zsdist.errors import RunError, WeightsError
 from zsdist.protocol.outbox import Outbox
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.cars import Car, Errand
+from zsdist.roles.contents import ActorOrders, DriveJobs
+from zsdist.roles.shapes import SHAPES
 from zsdist.roles.sight import Sight
 from zsdist.types import Level, Parameters
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import EPISODES, EVALUATION, Ack, Candidate, Jobs, Orders, Push, Records, WeightsMessage
+
+MAX_CANDIDATES = 16  # pairs kept; a merge has three
 
 
 class Itinerary(Protocol):
@@ -44,12 +49,11 @@ class Actor(Role):
         self._candidates: dict[tuple[int, str], dict[Level, Parameters]] = {}
         self._leases: list[int] = []
         self._started: set[int] = set()  # leases taken up; a number is driven once by this process
-        self._jobs: dict = {"merge": 0, "drives": []}
+        self._jobs = DriveJobs(merge=0, drives=[])
         self._driven: set[tuple[int, str, int]] = set()
         self._finished_episodes = 0
         self._closing = False
         self._cut = False
-        self._scheduler_epoch = -1
         settings = context.config.transport
         self._outboxes = {
             stream: Outbox(
@@ -111,38 +115,55 @@ class Actor(Role):
         return fields
 
     def _receive(self, now: float) -> None:
-        for _, ack in self.messages(self._acks):
-            if isinstance(ack, Ack) and ack.stream in self._outboxes:
-                self._outboxes[ack.stream].on_ack(ack, now)
-        for _, message in self.messages(self._news):
+        for _, ack in self.messages(self._acks, Ack):
+            self._outboxes[ack.stream].on_ack(ack, now)
+        for _, message in self.messages(self._news, WeightsMessage, Candidate):
             if isinstance(message, WeightsMessage):
                 self._take_weights(message, now)
-            elif isinstance(message, Candidate):
-                pair = self._candidates.setdefault((message.merge, message.name), {})
-                pair[message.level] = message.parameters
-        for _, orders in self.messages(self._orders):
-            if not isinstance(orders, Orders | Jobs) or orders.sender_epoch < self._scheduler_epoch:
-                continue
-            self._scheduler_epoch = orders.sender_epoch
-            if isinstance(orders, Jobs):
-                self._jobs = orders.content
+            elif self._fits(message.level, message.parameters):
+                self._take_candidate(message)
+        for content in self.orders(self._orders, {Orders: ActorOrders, Jobs: DriveJobs}):
+            if isinstance(content, DriveJobs):
+                self._jobs = content
             else:
-                self._follow(orders.content)
+                self._follow(content)
 
-    def _follow(self, content: dict) -> None:
-        if content["epochs"].get(self.context.name) != self.context.epoch:
+    def _follow(self, content: ActorOrders) -> None:
+        if content.epochs.get(self.context.name) != self.context.epoch:
             return  # said to a predecessor of this process, or to its successor
-        self._leases = content["leases"].get(self.context.name, [])
-        self._finished_episodes = content["finished"]
-        self._closing = content["closing"]
-        self._cut = content["cut"]
-        for key in [key for key in self._candidates if key[0] < content["merge"]]:
+        self._leases = content.leases.get(self.context.name, [])
+        self._finished_episodes = content.finished
+        self._closing = content.closing
+        self._cut = content.cut
+        for key in [key for key in self._candidates if key[0] < content.merge]:
             del self._candidates[key]
+
+    def _take_candidate(self, message: Candidate) -> None:
+        key = (message.merge, message.name)
+        if key in self._candidates or len(self._candidates) < MAX_CANDIDATES:
+            self._candidates.setdefault(key, {})[message.level] = message.parameters
+        else:
+            self.refuse("candidates")
+
+    def _fits(self, level: Level, parameters: Parameters, sha256: str | None = None) -> bool:
+        """Whether these are weights of a level's network, and those that the hash is of; counted where not."""
+        shape = SHAPES[level]
+        try:
+            network.check(parameters, shape.state_size, shape.actions)
+        except WeightsError:
+            self.refuse("weights")
+            return False
+        if sha256 is not None and network.sha256(parameters) != sha256:
+            self.refuse("hash")
+            return False
+        return True
 
     def _take_weights(self, message: WeightsMessage, now: float) -> None:
         level, version = message.weights.level, message.weights.version
         held = self._weights.get(level)
         if held is not None and (message.sender_epoch, version) <= (held.sender_epoch, held.weights.version):
+            return
+        if not self._fits(level, message.weights.parameters, message.sha256):
             return
         self._weights[level] = message
         if held is not None:
@@ -161,8 +182,8 @@ class Actor(Role):
                 car.begin(errand, versions, self._candidate_q(errand))
 
     def _next_errand(self) -> Errand | None:
-        merge, agent = self._jobs["merge"], self.config.agent
-        for candidate, index in self._jobs["drives"]:
+        merge, agent = self._jobs.merge, self.config.agent
+        for candidate, index in self._jobs.drives:
             job = (merge, candidate, index)
             if job not in self._driven and len(self._candidates.get((merge, candidate), {})) == len(Level):
                 self._driven.add(job)
@@ -244,7 +265,7 @@ class Actor(Role):
     def _unwanted(self, errand: Errand) -> bool:
         if errand.trains:
             return False
-        return errand.merge != self._jobs["merge"] or [errand.candidate, errand.number] not in self._jobs["drives"]
+        return errand.merge != self._jobs.merge or (errand.candidate, errand.number) not in self._jobs.drives
 
     def _metered(self) -> list[tuple[Level, Outbox]]:
         return [(level, self._outboxes[level]) for level in Level]

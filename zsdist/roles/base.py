@@ -5,14 +5,21 @@ import os
 import socket
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 from zsdist.config import Config
 from zsdist.errors import DecodeError
+from zsdist.roles import contents
+from zsdist.roles.contents import Content
 from zsdist.transport.base import Mailbox, Message, Transport
-from zsdist.wire import codec, keys
-from zsdist.wire.messages import AnyMessage
+from zsdist.wire import addresses, codec, keys
+from zsdist.wire.messages import AnyMessage, Jobs, Orders, Records
+
+Some = TypeVar("Some", bound=AnyMessage)
+Checked = TypeVar("Checked")
 
 STATISTICS_EVERY_S = 0.5  # the key space promises once a second; a step may take a while
 HEARTBEAT_S = 0.25  # absolute states (orders, jobs) are said again this often
@@ -54,7 +61,8 @@ class Role(ABC):
         self.transport = context.transport
         self.finished = False  # set by `work` when nothing is left to do
         self._mailboxes: dict[str, Mailbox] = {}
-        self._undecodable: dict[str, int] = {}
+        self._refused: Counter[str] = Counter()
+        self._orders_epoch = -1  # of whoever gave orders last; older ones are stale
         self._next_statistics_s = 0.0
         self.transport.declare_alive(keys.alive(context.run, context.role, context.id))
 
@@ -82,20 +90,46 @@ class Role(ABC):
         self._mailboxes[name] = box
         return box
 
-    def messages(self, box: Mailbox) -> Iterator[tuple[Message, AnyMessage]]:
-        """Drains `box`, decoded; what cannot be decoded is counted by reason and dropped."""
+    def messages(self, box: Mailbox, *expected: type[Some]) -> Iterator[tuple[Message, Some]]:
+        """Drains `box`, decoded; what is none of the kinds expected, or not under its own key, is refused."""
         for message in box.drain():
             try:
-                yield message, codec.decode(message.payload)
+                decoded = codec.decode(message.payload, expect=expected)
+                addresses.require(message.key, self.context.run, decoded)
             except DecodeError as error:
-                self._undecodable[error.reason] = self._undecodable.get(error.reason, 0) + 1
+                self.refuse(error.reason)
+            else:
+                yield message, decoded
+
+    def orders(self, box: Mailbox, models: Mapping[type[Orders | Jobs], type[Content]]) -> Iterator[Content]:
+        """Drains `box` of orders of its scheduler, or for the scheduler of its runner, read by their models."""
+        for _, orders in self.messages(box, *models, Records):
+            if isinstance(orders, Records):
+                continue  # an actor's own, under the key that its jobs come by
+            if orders.sender_epoch < self._orders_epoch:
+                self.refuse("stale")
+            elif (content := self.checked(contents.read, models[type(orders)], orders.content)) is not None:
+                self._orders_epoch = orders.sender_epoch
+                yield content
+
+    def checked(self, check: Callable[..., Checked], *arguments: Any) -> Checked | None:
+        """What `check` makes of its arguments; None, and counted, where it raises `DecodeError`."""
+        try:
+            return check(*arguments)
+        except DecodeError as error:
+            self.refuse(error.reason)
+            return None
+
+    def refuse(self, reason: str) -> None:
+        """Counts a message that is not acted on, as `rejected_{reason}` in the statistics."""
+        self._refused[reason] += 1
 
     def event(self, now: float, event: str, **fields: float | str) -> None:
         """Publishes something worth telling a watcher."""
         self._publish_json(keys.events(self.context.run), now, {"event": event, **fields})
 
     def _publish_statistics(self, now: float) -> None:
-        counts = {f"rejected_{reason}": count for reason, count in self._undecodable.items()}
+        counts = {f"rejected_{reason}": count for reason, count in self._refused.items()}
         dropped = {f"mailbox_{name}_dropped": box.dropped for name, box in self._mailboxes.items() if box.dropped}
         context = self.context
         key = keys.stats(context.run, context.role, context.id)

@@ -5,7 +5,9 @@ from collections import deque
 
 from zsdist.dqn import network
 from zsdist.dqn.learner import DqnLearner
+from zsdist.roles import contents
 from zsdist.roles.base import Context, Role
+from zsdist.roles.contents import LearnerOrders, StateRequest
 from zsdist.roles.merge import BEST, DISTILLED, RECENT, Phase
 from zsdist.types import Batch, Level, Parameters, Weights
 from zsdist.wire import codec, keys
@@ -67,7 +69,6 @@ class Learner(Role):
         self._published_s = -REPEAT_EVERY_S
         self._made_s = 0.0  # when the version last broadcast came to be
         self._offered_s = 0.0
-        self._scheduler_epoch = -1
         if restored is not None:
             self._restore(restored)
         run = context.run
@@ -79,14 +80,14 @@ class Learner(Role):
 
     def work(self, now: float) -> float:
         """Learns from what has come, asks for more, and tells of new weights."""
-        for _, orders in self.messages(self._orders):
-            if isinstance(orders, Orders) and orders.sender_epoch >= self._scheduler_epoch:
-                self._scheduler_epoch = orders.sender_epoch
-                self._follow(orders.content, now)
+        for content in self.orders(self._orders, {Orders: LearnerOrders}):
+            self._follow(content, now)
         self._receive(now)
         learned = self._learn(now)
         self._publish(now)
-        for message in self._checkpoints.drain():
+        for message, ask in self.messages(self._checkpoints, Orders):
+            if self.checked(contents.read, StateRequest, ask.content) is None:
+                continue
             if self.updates != self._published_updates:  # what a checkpoint holds has a version of its own
                 self._publish_weights(now)
             message.reply(codec.encode(self.state()))
@@ -125,8 +126,9 @@ class Learner(Role):
 
     def _receive(self, now: float) -> None:
         lacked_s: float | None = None  # how long the replay had nothing to give; None: it has not answered
-        for message, reply in self.messages(self._batches):
-            if not isinstance(reply, SampleReply):
+        for message, reply in self.messages(self._batches, SampleReply):
+            if reply.batch is not None and not self.dqn.fits(reply.batch):
+                self.refuse("shape")
                 continue
             source = self._sources[int(keys.parse(message.key).fields.get("shard", 0))]
             if source.asked_s:
@@ -196,16 +198,16 @@ class Learner(Role):
         message = WeightsMessage(self.context.epoch, self.merge, network.sha256(parameters), self._made_s, weights)
         self.transport.publish(keys.weights(self.context.run, self.level), codec.encode(message), retained=True)
 
-    def _follow(self, content: dict, now: float) -> None:
-        index = content["merge"]
-        if content["phase"] == Phase.COLLECT and index > self._offered:
+    def _follow(self, content: LearnerOrders, now: float) -> None:
+        index = content.merge
+        if content.phase == Phase.COLLECT and index > self._offered:
             self._offered = index
-            self._candidates = self._make_candidates(content["candidates"])
+            self._candidates = self._make_candidates(content.candidates)
             self._publish_candidates(now)
-        if content["phase"] == Phase.PROMOTE and index > self.merge and content["chosen"] in self._candidates:
-            self._promote(index, content["chosen"], now)
-        self._paused = not content["learning"]
-        self.finished = content["stop"]
+        if content.phase == Phase.PROMOTE and index > self.merge and content.chosen in self._candidates:
+            self._promote(index, content.chosen, now)
+        self._paused = not content.learning
+        self.finished = content.stop
 
     def _make_candidates(self, names: list[str]) -> dict[str, Parameters]:
         makers = {

@@ -8,13 +8,17 @@ import json
 from enum import IntEnum
 
 from zsdist.replay.journal import Journal, Record
+from zsdist.roles import contents
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
+from zsdist.roles.contents import ReplayOrders, StateRequest
+from zsdist.roles.shapes import Shape
 from zsdist.roles.shards import ROLE, Shard
-from zsdist.roles.shelf import Shape, Shelf
+from zsdist.roles.shelf import Shelf
 from zsdist.types import Level
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders, Priorities, Push, SampleRequest, State
 
+MAX_WAITING = 256  # requests of a level; a learner has a few at a time
 PACE_EVERY_S = 0.05  # at most so long ago is what a journal knows of updates served; transitions it knows all
 
 
@@ -51,7 +55,6 @@ class Replay(Role):
         self._pace = b""
         self._next_pace_s = 0.0
         self._recover(restored)
-        self._scheduler_epoch = -1
         self._pushes = self.mailbox("push")
         self._requests = self.mailbox("sample")
         self._errors = self.mailbox("priority")
@@ -68,20 +71,20 @@ class Replay(Role):
 
     def work(self, now: float) -> float:
         """Stores what has come and answers who may be answered; writes it down, then acknowledges and grants credit."""
-        for _, orders in self.messages(self._orders):
-            if isinstance(orders, Orders) and orders.sender_epoch >= self._scheduler_epoch:
-                self._scheduler_epoch = orders.sender_epoch
-                self._follow(orders.content)
-        for message, push in self.messages(self._pushes):
-            if isinstance(push, Push) and self.shelves[push.stream].receive(push, now):
+        for content in self.orders(self._orders, {Orders: ReplayOrders}):
+            self._follow(content)
+        for message, push in self.messages(self._pushes, Push):
+            if self.shelves[push.stream].receive(push, now):
                 self._entries.append((Entry.PUSH, message.payload))
-        for _, found in self.messages(self._errors):
-            if isinstance(found, Priorities):
-                shelf = self.shelves[found.level]
-                shelf.prioritised += shelf.buffer.prioritise(found.serials, found.errors)
-        for message, request in self.messages(self._requests):
-            if isinstance(request, SampleRequest):
-                self.shelves[request.level].waiting.append((now, message))
+        for _, found in self.messages(self._errors, Priorities):
+            shelf = self.shelves[found.level]
+            shelf.prioritised += shelf.buffer.prioritise(found.serials, found.errors)
+        for message, request in self.messages(self._requests, SampleRequest):
+            waiting = self.shelves[request.level].waiting
+            if len(waiting) < MAX_WAITING:
+                waiting.append((now, message))
+            else:
+                self.refuse("requests")
         for shelf in self.shelves.values():
             shelf.serve(now)
         self._write_down(now)
@@ -90,8 +93,9 @@ class Replay(Role):
             for ack in shelf.inbox.acks(now, shelf.credit):
                 self.transport.publish(keys.ack(self.context.run, ack.actor), codec.encode(ack))
             wake_s = min(wake_s, shelf.inbox.next_wake(now) or wake_s)
-        for message in self._checkpoints.drain():
-            message.reply(codec.encode(self.state()))
+        for message, ask in self.messages(self._checkpoints, Orders):
+            if self.checked(contents.read, StateRequest, ask.content) is not None:
+                message.reply(codec.encode(self.state()))
         if self.finished:
             self.journal.remove()  # the last checkpoint holds everything
         return wake_s
@@ -166,10 +170,14 @@ class Replay(Role):
     def _issue(self, actor: str, epoch: int) -> bool:
         return any([shelf.issue(actor, epoch) for shelf in self.shelves.values()])
 
-    def _follow(self, content: dict) -> None:
-        for actor, epoch in content["epochs"].items():
+    def _follow(self, content: ReplayOrders) -> None:
+        limits = self.config.replay
+        if content.buffer_size > limits.size_max or content.batch_size > limits.batch_max:
+            self.refuse("size")
+            return
+        for actor, epoch in content.epochs.items():
             if self.shard.owns(actor) and self._issue(actor, epoch):
                 self._entries.append((Entry.EPOCH, json.dumps([actor, epoch]).encode()))
         for shelf in self.shelves.values():
-            shelf.resize(content["buffer_size"], content["batch_size"])
-        self.finished = content["stop"]
+            shelf.resize(content.buffer_size, content.batch_size)
+        self.finished = content.stop

@@ -6,8 +6,9 @@ from enum import StrEnum
 from zsdist.dqn.exploration import epsilon
 from zsdist.protocol.inbox import Inbox
 from zsdist.replay.sizing import AdaptiveSizing, RewardAverages
-from zsdist.roles import shards
+from zsdist.roles import contents, shards
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
+from zsdist.roles.contents import Supervision
 from zsdist.roles.leases import Leases
 from zsdist.roles.ledger import Ledger
 from zsdist.roles.merge import BEST, DISTILLED, RECENT, Merge, Phase
@@ -120,10 +121,8 @@ class Scheduler(Role):
     # -- what comes in ------------------------------------------------------------------------------------------
 
     def _obey_supervisor(self, now: float) -> None:
-        for _, orders in self.messages(self._commands):
-            if not isinstance(orders, Orders):
-                continue
-            for actor, epoch in orders.content["epochs"].items():
+        for content in self.orders(self._commands, {Orders: Supervision}):
+            for actor, epoch in content.epochs.items():
                 if epoch <= self._epochs.get(actor, -1):
                     continue
                 if actor in self._epochs:
@@ -133,15 +132,15 @@ class Scheduler(Role):
                 for inbox in self._inboxes.values():
                     inbox.issue(actor, epoch)
                 self._next_orders_s = 0.0
-            if orders.content["restarts"] != self._restarts_now:
-                self._restarts_now = orders.content["restarts"]
+            if content.restarts != self._restarts_now:
+                self._restarts_now = content.restarts
                 self.event(now, "restarted", **self._restarts())
-            self._interrupted |= orders.content["interrupted"]
+            self._interrupted |= content.interrupted
 
     def _take_reports(self, now: float) -> None:
-        for _, records in self.messages(self._reports):
-            if not isinstance(records, Records):
-                continue
+        for _, records in self.messages(self._reports, Records, Jobs):
+            if isinstance(records, Jobs) or self.checked(contents.drives, records) is None:
+                continue  # its own word to an actor, or one that comes again as it should be
             for frame in self._inboxes[records.stream].receive(records, now):
                 for record in frame.records:
                     (self._take_episode if frame.stream == EPISODES else self._take_drive)(frame.actor, record)
@@ -165,10 +164,10 @@ class Scheduler(Role):
             self.merge.drove(record["candidate"], record["scene_index"], Outcome(record["outcome"]))
 
     def _take_offers(self) -> None:
-        for _, message in self.messages(self._learners):
+        for _, message in self.messages(self._learners, Candidate, WeightsMessage):
             if isinstance(message, Candidate):
                 self._offered[message.level].add((message.merge, message.name))
-            elif isinstance(message, WeightsMessage):
+            else:
                 self._merged[message.weights.level] = max(self._merged[message.weights.level], message.merge)
 
     def _restarts(self) -> dict[str, int]:
@@ -255,8 +254,8 @@ class Scheduler(Role):
 
     def _save(self, now: float, final: bool = False) -> bool:
         """Asks every stateful role for its state and writes a checkpoint once all have answered; True when written."""
-        for _, state in self.messages(self._answers):
-            if isinstance(state, State):
+        for _, state in self.messages(self._answers, State):
+            if self.checked(contents.parts, state) is not None:
                 self._states[state.role] = state
         for name in self._shards if final else ():
             if name in self._states and any(part["open"] for part in self._states[name].meta.values()):

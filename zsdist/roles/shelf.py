@@ -2,7 +2,6 @@
 
 import json
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from zsdist.protocol.inbox import Inbox
 from zsdist.replay.buffer import RingBuffer
 from zsdist.replay.limiter import BAND, Limiter
 from zsdist.replay.priorities import Priorities
+from zsdist.roles.shapes import Shape
 from zsdist.roles.shards import Shard
 from zsdist.transport.base import Message
 from zsdist.types import Level
@@ -18,14 +18,6 @@ from zsdist.wire import codec
 from zsdist.wire.messages import Push, SampleReply
 
 HOLD_REQUEST_S = 0.3  # a request that cannot be served for so long is answered with "no batch yet"
-
-
-@dataclass(frozen=True)
-class Shape:
-    """What one level's transitions look like: state features and actions."""
-
-    state_size: int
-    actions: int
 
 
 class Shelf:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from zsdist.agent import blocks, features
+from zsdist.agent import features
 from zsdist.agent.hierarchy import HierarchicalAgent, q_functions
 from zsdist.config import Config
 from zsdist.dqn.learner import DqnLearner
@@ -25,7 +25,7 @@ from zsdist.roles.hub import Hub
 from zsdist.roles.learner import Learner
 from zsdist.roles.replay import Replay
 from zsdist.roles.scheduler import Scheduler
-from zsdist.roles.shelf import Shape
+from zsdist.roles.shapes import SHAPES
 from zsdist.roles.sight import Sight, VisualAct
 from zsdist.run.directory import RunDirectory
 from zsdist.sim import families, scene
@@ -41,10 +41,6 @@ from zsdist.vision.visual_act import VisualAct as PretrainedVisualAct
 from zsdist.wire.messages import State
 
 Watch = Callable[[Transport, float], None]  # called once a round with the runner's transport and the clock
-SHAPES = {
-    Level.HIGH: Shape(features.HIGH_STATE_SIZE, blocks.HIGH_ACTIONS),
-    Level.LOW: Shape(features.LOW_STATE_SIZE, features.LOW_ACTIONS),
-}
 
 
 @dataclass(frozen=True)

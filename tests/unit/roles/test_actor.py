@@ -1,11 +1,12 @@
 import threading
 
-import numpy as np
 import pytest
 
 from zsdist.config import parse
+from zsdist.dqn import network
 from zsdist.roles.actor import Actor
 from zsdist.roles.base import Context
+from zsdist.roles.shapes import SHAPES
 from zsdist.roles.sight import Sight
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import Level, Weights
@@ -13,6 +14,8 @@ from zsdist.wire import codec, keys
 from zsdist.wire.messages import WeightsMessage
 
 RUN, CONFIG = "test", parse({})
+LOW = SHAPES[Level.LOW]
+PARAMETERS = network.initial_parameters(LOW.state_size, LOW.actions, (4,), seed=0)
 
 
 class Blind(Sight):
@@ -38,8 +41,7 @@ class Bench:
         self.actor = Actor(context, [], Blind(), None)
 
     def say(self, version, made_s, epoch=1):
-        weights = Weights(Level.LOW, version, {"output.bias": np.zeros(2, np.float32)})
-        message = WeightsMessage(epoch, 0, "0" * 64, made_s, weights)
+        message = WeightsMessage(epoch, 0, network.sha256(PARAMETERS), made_s, Weights(Level.LOW, version, PARAMETERS))
         self.others.publish(keys.weights(RUN, Level.LOW), codec.encode(message))
 
     def told(self, now):

@@ -1,0 +1,97 @@
+"""Content is what its model says, to the type, or it is refused; what roles send passes."""
+
+import pytest
+
+from zsdist.errors import DecodeError
+from zsdist.roles import contents
+from zsdist.wire.messages import EPISODES, EVALUATION, Records, State
+
+ACTOR = {"epochs": {"actor-0": 3}, "leases": {"actor-0": [1, 2]}, "finished": 0, "merge": 1, "closing": False}
+ACTOR |= {"cut": False}
+REPLAY = {"epochs": {"actor-0": 3}, "buffer_size": 1000, "batch_size": 16, "stop": False}
+LEARNER = {"learning": True, "merge": 1, "phase": "drive", "candidates": ["recent"], "chosen": "", "stop": False}
+SUPERVISION = {"epochs": {}, "restarts": {"actor": 1}, "interrupted": False}
+JOBS = {"merge": 1, "drives": [["recent", 0], ["best", 3]]}
+DRIVE = {"actor": "actor-0", "scene": "s", "outcome": "success", "steps": 3, "return": -1.5, "epsilon": 0.5}
+DRIVE |= {"shielded": True, "path_m": 2.0, "start": [0, 0.0], "goal": [1.0, 1.0], "path": [[0.0, 0.0]], "options": 2}
+EPISODE = DRIVE | {"episode": 4}
+RESULT = DRIVE | {"scene_index": 1, "merge": 1, "candidate": "recent"}
+SOUND = [
+    (contents.ActorOrders, ACTOR),
+    (contents.ReplayOrders, REPLAY),
+    (contents.LearnerOrders, LEARNER),
+    (contents.Supervision, SUPERVISION),
+    (contents.StateRequest, {"ask": "state"}),
+    (contents.DriveJobs, JOBS),
+    (contents.EpisodeRecord, EPISODE),
+    (contents.DriveRecord, RESULT),
+]
+
+
+@pytest.mark.parametrize(("model", "content"), SOUND, ids=lambda value: getattr(value, "__name__", ""))
+def test_sound_content_is_read_and_nothing_may_be_missing_or_of_another_type(model, content):
+    assert contents.read(model, content)
+    for name in content.keys() - {"options"}:
+        for changed in ({key: value for key, value in content.items() if key != name}, content | {name: {"x": None}}):
+            with pytest.raises(DecodeError) as refused:
+                contents.read(model, changed)
+            assert refused.value.reason == "content"
+
+
+@pytest.mark.parametrize(
+    ("model", "changed"),
+    [
+        (contents.ActorOrders, ACTOR | {"more": 1}),
+        (contents.ActorOrders, ACTOR | {"finished": True}),
+        (contents.ActorOrders, ACTOR | {"finished": 1.0}),
+        (contents.ActorOrders, ACTOR | {"closing": 0}),
+        (contents.ActorOrders, ACTOR | {"epochs": {"actor-0": -1}}),
+        (contents.ActorOrders, ACTOR | {"epochs": {"a/b": 1}}),
+        (contents.ActorOrders, ACTOR | {"leases": {"actor-0": [0]}}),
+        (contents.ActorOrders, ACTOR | {"leases": {"actor-0": [1] * 300}}),
+        (contents.ActorOrders, ACTOR | {"merge": 2**62}),
+        (contents.ReplayOrders, REPLAY | {"buffer_size": 0}),
+        (contents.ReplayOrders, REPLAY | {"batch_size": "16"}),
+        (contents.LearnerOrders, LEARNER | {"phase": "dance"}),
+        (contents.LearnerOrders, LEARNER | {"candidates": ["worst"]}),
+        (contents.StateRequest, {"ask": "money"}),
+        (contents.DriveJobs, JOBS | {"drives": [["recent"]]}),
+        (contents.DriveJobs, JOBS | {"drives": [["recent", 0.5]]}),
+        (contents.EpisodeRecord, EPISODE | {"outcome": "victory"}),
+        (contents.EpisodeRecord, EPISODE | {"return": 1e300}),
+        (contents.EpisodeRecord, EPISODE | {"epsilon": 2.0}),
+        (contents.EpisodeRecord, EPISODE | {"path": [[0.0]]}),
+        (contents.EpisodeRecord, EPISODE | {"options": [1]}),
+        (contents.EpisodeRecord, EPISODE | {"scene": "s" * 2000}),
+        (contents.EpisodeRecord, EPISODE | {"episode": 2**40}),
+    ],
+)
+def test_what_is_almost_content_is_refused(model, changed):
+    with pytest.raises(DecodeError, match=model.__name__):
+        contents.read(model, changed)
+
+
+def test_a_frame_of_records_holds_only_those_of_its_actor_and_stream():
+    def frame(stream, *records):
+        return Records(stream, "actor-0", 1, 0, len(records), False, records)
+
+    assert len(contents.drives(frame(EPISODES, EPISODE, EPISODE))) == 2
+    assert len(contents.drives(frame(EVALUATION, RESULT))) == 1
+    for stream, record, reason in (
+        (EPISODES, RESULT, "content"),
+        (EVALUATION, EPISODE, "content"),
+        (EPISODES, EPISODE | {"actor": "actor-1"}, "actor"),
+    ):
+        with pytest.raises(DecodeError) as refused:
+            contents.drives(frame(stream, record))
+        assert refused.value.reason == reason
+
+
+def test_a_state_without_books_or_versions_is_refused():
+    shelf = {"open": 0, "books": {"produced": 1}, "more": []}
+    learner = {"version": 1, "updates": 1, "merge": 0, "sha256": "0" * 64}
+    assert len(contents.parts(State("replay", {"low": shelf, "high": shelf}, {}))) == 2
+    assert contents.parts(State("learner-low", learner, {}))
+    for state in (State("replay", {"low": {}}, {}), State("learner-low", learner | {"sha256": 1}, {})):
+        with pytest.raises(DecodeError):
+            contents.parts(state)

@@ -1,0 +1,199 @@
+"""What does not belong in a mailbox is counted in the role's statistics, by reason, and the role goes on."""
+
+import dataclasses
+import json
+import threading
+
+import numpy as np
+import pytest
+from fakes import FakeVisualAct
+from wire_messages import batch, push
+
+from zsdist.config import parse
+from zsdist.dqn import network
+from zsdist.dqn.learner import DqnLearner
+from zsdist.replay.journal import Journal
+from zsdist.roles.actor import Actor
+from zsdist.roles.base import Context
+from zsdist.roles.learner import Learner
+from zsdist.roles.replay import Replay
+from zsdist.roles.scheduler import Scheduler
+from zsdist.roles.shapes import SHAPES
+from zsdist.transport.base import Mailbox
+from zsdist.transport.memory import MemoryBroker, MemoryTransport
+from zsdist.types import Ack, Level, Weights
+from zsdist.wire import codec, keys
+from zsdist.wire.messages import Candidate, Jobs, Orders, Records, SampleReply, SampleRequest, WeightsMessage
+
+RUN, CONFIG = "test", parse({"low": {"hidden": (8,)}, "high": {"hidden": (8,)}})
+LOW = SHAPES[Level.LOW]
+PARAMETERS = network.initial_parameters(LOW.state_size, LOW.actions, (4,), seed=0)
+REPLAY = {"epochs": {"actor-0": 7}, "buffer_size": 2000, "batch_size": 16, "stop": False}
+
+
+class NoLedger:
+    """Of a scheduler whose run directory is of no interest."""
+
+    def __getattr__(self, name):
+        return lambda *arguments: 0.0
+
+
+class Bench:
+    """One role, and everybody else at the other end of a memory transport."""
+
+    def __init__(self, role, folder):
+        broker, self.now = MemoryBroker(), 0.0
+        self.others, self.said, self.answers = MemoryTransport(broker), Mailbox(2**20), Mailbox(2**26)
+        self.others.subscribe(keys.stats(RUN, keys.ANY, keys.ANY), self.said)
+        kind, _, identifier = role.partition("-")
+        context = Context(CONFIG, RUN, kind, identifier, 9, MemoryTransport(broker), threading.Event())
+        match kind:
+            case "replay":
+                self.role = Replay(context, SHAPES, Journal(folder))
+            case "scheduler":
+                self.role = Scheduler(context, NoLedger())
+            case "learner":
+                self.role = Learner(context, Level.LOW, DqnLearner(LOW.state_size, LOW.actions, CONFIG.low, seed=0))
+            case "actor":
+                self.role = Actor(context, [], Blind(), None)
+
+    def send(self, key, payload):
+        self.others.publish(key, payload if isinstance(payload, bytes) else codec.encode(payload))
+
+    def refused(self):
+        """By reason, as a watcher hears it after one step."""
+        self.now += 1.0
+        assert self.role.step(self.now) is not None
+        told = json.loads(self.said.drain()[-1].payload)
+        return {name.removeprefix("rejected_"): count for name, count in told.items() if name.startswith("rejected_")}
+
+
+class Blind:
+    """In the place of an actor's eyes: there are no cars."""
+
+    visual_act = FakeVisualAct()
+
+    def statistics(self):
+        return {}
+
+
+@pytest.fixture
+def bench(tmp_path):
+    return lambda role: Bench(role, tmp_path / "journal")
+
+
+def test_a_replay_hears_no_actor_under_anothers_key_and_no_run_but_its_own(bench):
+    replay = bench("replay-0")
+    replay.send(keys.control(RUN, "replay"), Orders(1, "replay", REPLAY | {"epochs": {"actor-0": 7, "actor-1": 8}}))
+    replay.refused()
+    true = push(np.random.default_rng(0), actor="actor-0", epoch=7, sequence=0, produced=21)
+    for level, actor, epoch in (("low", "actor-1", 8), ("low", "actor-0", 6), ("high", "actor-0", 7)):
+        replay.send(keys.push(RUN, level, actor, epoch), true)
+    replay.send(keys.push("other", "low", "actor-0", 7), true)  # not even heard
+    assert replay.refused() == {"key": 3}
+    for _ in range(2):
+        replay.send(keys.push(RUN, "low", "actor-0", 7), true)
+    replay.refused()
+    told = replay.role.statistics()
+    assert (told["low_produced"], told["low_duplicates"], told["low_rejected"]) == (21, 1, 21)  # states of another size
+
+
+def test_a_replay_follows_no_orders_that_are_senseless_too_large_or_stale(bench):
+    replay = bench("replay-0")
+    key = keys.control(RUN, "replay")
+    for content in ({}, REPLAY | {"epochs": [1]}, REPLAY | {"stop": 1}, REPLAY | {"buffer_size": -1}):
+        replay.send(key, Orders(5, "replay", content))
+    replay.send(key, Orders(5, "replay", REPLAY | {"buffer_size": 10**9}))
+    replay.send(key, Orders(5, "replay", REPLAY))
+    replay.send(key, Orders(4, "replay", REPLAY | {"stop": True}))
+    replay.send(key, Orders(5, "actor", REPLAY))
+    replay.send(key, Ack(1, "actor-0", 7, "low", 0, None))
+    assert replay.refused() == {"content": 4, "size": 1, "stale": 1, "key": 1, "unexpected": 1}
+    assert replay.role.shelves[Level.LOW].buffer.capacity == 2000
+
+
+def test_a_replay_gives_its_state_and_batches_only_to_a_question_for_them_and_queues_not_without_end(bench):
+    replay = bench("replay-0")
+    for payload in (b"", b"rubbish" * 9, codec.encode(Orders(1, "replay", {"ask": "money"}))):
+        replay.others.request(keys.control(RUN, "replay"), payload, replay.answers, timeout_s=1.0)
+    assert replay.refused() == {"short": 1, "magic": 1, "content": 1}
+    assert not replay.answers
+    replay.others.request(
+        keys.control(RUN, "replay"), codec.encode(Orders(1, "replay", {"ask": "state"})), replay.answers, timeout_s=1.0
+    )
+    for _ in range(300):
+        request = codec.encode(SampleRequest(1, Level.LOW, 0))
+        replay.others.request(keys.sample(RUN, "low"), request, replay.answers, timeout_s=1.0)
+    assert replay.refused()["requests"] == 300 - 256
+    assert len(replay.answers) == 1
+
+
+def test_an_actor_takes_no_weights_that_are_not_its_networks_or_not_those_of_their_hash(bench):
+    actor = bench("actor-0")
+    other = PARAMETERS | {"output.bias": np.zeros(LOW.actions + 1, np.float32)}
+    for sha256, parameters in ((network.sha256(other), other), ("0" * 64, PARAMETERS)):
+        actor.send(keys.weights(RUN, "low"), WeightsMessage(1, 0, sha256, 1.0, Weights(Level.LOW, 5, parameters)))
+    actor.send(keys.candidate(RUN, "low", "1-recent"), Candidate(1, Level.LOW, 1, "recent", other))
+    for merge in range(30):
+        actor.send(keys.candidate(RUN, "low", f"{merge}-x"), Candidate(1, Level.LOW, merge, "x", PARAMETERS))
+    assert actor.refused() == {"weights": 2, "hash": 1, "candidates": 14}
+    assert "low_weight_version" not in actor.role.statistics()
+    message = WeightsMessage(1, 0, network.sha256(PARAMETERS), 1.0, Weights(Level.LOW, 5, PARAMETERS))
+    actor.send(keys.weights(RUN, "low"), message)
+    actor.refused()
+    assert actor.role.statistics()["low_weight_version"] == 5
+
+
+def test_an_actor_follows_no_senseless_orders_jobs_or_acks(bench):
+    actor = bench("actor-0")
+    actor.send(keys.control(RUN, "actor"), Orders(1, "actor", {"closing": True}))
+    actor.send(keys.evaluation(RUN, "actor-0"), Jobs(1, "actor-0", {"merge": 1, "drives": [["recent", "x"]]}))
+    actor.send(keys.evaluation(RUN, "actor-0"), Records("evaluation", "actor-0", 9, 0, 1, False, ({},)))  # its own
+    actor.send(keys.ack(RUN, "actor-0"), Ack(1, "actor-1", 9, "low", 10**6, None))
+    actor.send(keys.ack(RUN, "actor-0"), Ack(1, "actor-0", 9, "low", 10**6, None))  # of more than was ever sent
+    assert actor.refused() == {"content": 2, "key": 1}
+    assert actor.role.statistics()["low_ignored_acks"] == 1
+
+
+def test_a_learner_learns_from_no_batch_of_another_shape(bench):
+    learner = bench("learner-low")
+    asked = Mailbox(2**20)
+    learner.others.serve(keys.sample(RUN, "low"), asked)
+    learner.refused()
+    for payload in (b"rubbish" * 9, codec.encode(Ack(1, "a", 0, "low", 0, None)), codec.encode(of_shape(3, 2))):
+        asked.drain()[0].reply(payload)
+        learner.refused()
+        learner.now += 10.0  # what was not answered well is asked again
+        learner.refused()
+    assert learner.refused() == {"magic": 1, "unexpected": 1, "shape": 1}
+    assert learner.role.updates == 0
+    asked.drain()[0].reply(codec.encode(of_shape(LOW.state_size, LOW.actions)))
+    learner.refused()
+    assert learner.role.updates == 1
+
+
+def of_shape(features, actions):
+    rng = np.random.default_rng(0)
+    sizes = {"states": features, "next_states": features, "masks": actions, "next_masks": actions}
+    sound = batch(rng)
+    changed = {name: np.zeros((16, size), getattr(sound, name).dtype) for name, size in sizes.items()}
+    changed |= {name: np.zeros(16, np.int64) for name in ("actions", "guides")}
+    return SampleReply(Level.LOW, dataclasses.replace(sound, **changed), 100, 0.0)
+
+
+def test_a_scheduler_counts_no_episode_that_is_none_and_acknowledges_it_not(bench):
+    scheduler = bench("scheduler-0")
+    acks = Mailbox(2**20)
+    scheduler.others.subscribe(keys.ack(RUN, keys.ANY), acks)
+    key = keys.control(RUN, "scheduler")
+    scheduler.send(key, Orders(1, "scheduler", {"epochs": {"actor-0": 7}, "restarts": {}, "interrupted": False}))
+    scheduler.send(key, Orders(1, "scheduler", {"epochs": {}, "restarts": {}, "interrupted": "yes"}))
+    scheduler.refused()
+    for record in ({}, {"episode": 1}):
+        scheduler.send(keys.episodes(RUN, "actor-0", 7), Records("episodes", "actor-0", 7, 0, 1, False, (record,)))
+    scheduler.send(keys.episodes(RUN, "actor-1", 7), Records("episodes", "actor-0", 7, 0, 1, False, ({},)))
+    scheduler.send(keys.weights(RUN, "low"), Orders(1, "actor", {}))
+    assert scheduler.refused() == {"content": 3, "key": 1, "unexpected": 1}
+    received = [codec.decode(message.payload).received for message in acks.drain()]
+    assert set(received) == {0}
+    assert scheduler.role.statistics()["episodes"] == 0
