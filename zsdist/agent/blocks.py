@@ -26,7 +26,8 @@ class Choices:
         exists: `(9,)` bool.
         blocks: `(9, 2)` int, (bx, by) of each neighbour; the goal's own block last.
         subgoals: `(9, 2)` metres: the cell of the block by which the straight lines from the car to it and from it to
-            the goal are shortest, among those a free way leads to; the goal itself last.
+            the goal are shortest, among those a free way leads to, and of these, where there are such, among those
+            from which one leads on without coming back; the goal itself last.
         onward: `(9,)` in how many of the subgoal's headings a free way leads on to the goal without coming back into
             the block the car is in, as a share.
     """
@@ -103,15 +104,16 @@ def _survey(reachable, leading, bx, by, heading, x, y, goal_x, goal_y, size, cel
         if not (0 <= nx < blocks_a_side and 0 <= ny < blocks_a_side):
             continue
         exists[k] = True
-        least, ix, iy = np.inf, nx * size + size // 2, ny * size + size // 2
+        least, most, ix, iy = np.inf, -1.0, nx * size + size // 2, ny * size + size // 2
         for row in range(ny * size, (ny + 1) * size):
             for column in range(nx * size, (nx + 1) * size):
                 if reachable[row, column]:
                     cx, cy = (column + 0.5) * cell - half, (row + 0.5) * cell - half
                     # a little for the nearer cell, so that of equal detours the one at the near border is taken
                     detour = math.hypot(cx - x, cy - y) * 1.05 + math.hypot(cx - goal_x, cy - goal_y)
-                    if detour < least:
-                        least, ix, iy = detour, column, row
+                    onwards = 1.0 if leading[row, column].any() else 0.0
+                    if onwards > most or (onwards == most and detour < least):
+                        least, most, ix, iy = detour, onwards, column, row
         subgoals[k, 0], subgoals[k, 1] = (ix + 0.5) * cell - half, (iy + 0.5) * cell - half
         if least < np.inf:
             onward[k] = leading[iy, ix].sum() / HEADINGS

@@ -12,7 +12,7 @@ DIRECTIONS = 16  # about the car, counter-clockwise from its heading
 SIGHT_M = 5.0
 ACTIONS = len(TURNS)
 RUN_CELLS = 8
-ACTION_FEATURES = 13
+ACTION_FEATURES = 12
 _TURNS = np.array(TURNS)
 _ADVANCES = np.array(ADVANCES)
 _STEPS = np.asarray(STEPS)
@@ -67,7 +67,6 @@ def clearances(occupied, seen, x, y, heading, arena_half, grid_half, square):  #
 @numba.njit(cache=True)
 def action_features(
     blocked: np.ndarray,
-    live: np.ndarray,
     seen: np.ndarray,
     visits: np.ndarray,
     ix: int,
@@ -83,7 +82,7 @@ def action_features(
 ) -> np.ndarray:
     """What each action leads to, as far as straight runs tell: `(ACTIONS, ACTION_FEATURES)`.
 
-    Columns: free, live, gain towards the subgoal (in cells' diagonals), cosine and sine of the subgoal's bearing
+    Columns: free, gain towards the subgoal (in cells' diagonals), cosine and sine of the subgoal's bearing
     afterwards, length of the free run straight on, most gain along it, most gain along one more action and a run,
     the same of the goal, visits of the cell and of the state at the end, unseen share and fresh share of the run.
     """
@@ -101,13 +100,12 @@ def action_features(
         after = math.hypot(sub_x - x, sub_y - y)
         bearing = math.atan2(sub_y - y, sub_x - x) - h * math.pi / 4
         row[0] = 1.0
-        row[1] = 1.0 if live[ey, ex, h] else 0.0
-        row[2] = (before - after) / (1.4142135 * cell)
-        row[3], row[4] = math.cos(bearing), math.sin(bearing)
+        row[1] = (before - after) / (1.4142135 * cell)
+        row[2], row[3] = math.cos(bearing), math.sin(bearing)
         length, nearest, goal_nearest, unseen, fresh = _run(
             blocked, seen, visits, ex, ey, h, sub_x, sub_y, goal_x, goal_y, cell, grid_half, border
         )
-        row[5], row[6] = length / SIGHT_M, (before - min(nearest, after)) / SIGHT_M
+        row[4], row[5] = length / SIGHT_M, (before - min(nearest, after)) / SIGHT_M
         best, goal_best = min(nearest, after), goal_nearest
         for second in range(1, ACTIONS):
             if blocked[ey, ex, h, second]:
@@ -118,12 +116,12 @@ def action_features(
                 blocked, seen, visits, x2, y2, h2, sub_x, sub_y, goal_x, goal_y, cell, grid_half, border
             )
             best, goal_best = min(best, near2), min(goal_best, goal_near2)
-        row[7], row[8] = (before - best) / SIGHT_M, (goal_before - goal_best) / SIGHT_M
+        row[6], row[7] = (before - best) / SIGHT_M, (goal_before - goal_best) / SIGHT_M
         cell_visits = 0
         for k in range(8):
             cell_visits += visits[ey, ex, k]
-        row[9], row[10] = min(cell_visits, 16) / 6, min(visits[ey, ex, h], 9) / 3
-        row[11], row[12] = unseen, fresh
+        row[8], row[9] = min(cell_visits, 16) / 6, min(visits[ey, ex, h], 9) / 3
+        row[10], row[11] = unseen, fresh
     return out
 
 

@@ -28,7 +28,7 @@ HERE_FEATURES = 10  # of the goal and of the block the car is in
 LOW_STATE_SIZE = LOW_ACTIONS * ACTION_FEATURES + 2 * DIRECTIONS + 3 + 8
 HIGH_STATE_SIZE = NEIGHBOURS * BLOCK_FEATURES + HERE_FEATURES + DIRECTIONS + 3
 
-_ACTION_SINE = 4  # column of `action_features` that a reflection turns round
+_ACTION_SINE = 3  # column of `action_features` that a reflection turns round
 _BLOCK_SINE = 8  # column of `_block_features`
 _FAR_M = 10.0
 
@@ -54,7 +54,6 @@ def low_state(situation: Situation, subgoal: tuple[float, float], seeks_goal: bo
     grid, state = situation.grid, situation.state
     actions = action_features(
         situation.blocked,
-        situation.live,
         situation.seen,
         situation.visits,
         *state,

@@ -211,8 +211,10 @@ class HierarchicalAgent:
         self._visits[state.iy, state.ix, state.heading] += 1
         if before is None or before.block != block:
             self._block_visits[block[1], block[0]] += 1
-        judgement = shield.judge(self._belief, state, self._goals)
+        judgement = shield.judge(self._belief, state, self._goals, self._visits)
+        self._shield_mask = judgement.allowed
         self._counts["shield_gave_way"] += judgement.gave_way
+        self._counts["shield_forced"] += judgement.forced and self._shielded
         return Situation(
             grid=self._grid,
             state=state,
@@ -222,7 +224,6 @@ class HierarchicalAgent:
             occupied=self._belief.occupied(),
             seen=self._belief.seen(),
             blocked=judgement.blocked,
-            live=judgement.live,
             squeezed=judgement.gave_way,
             reachable=reach.cells_from(judgement.blocked, state),
             visits=self._visits,
@@ -233,8 +234,6 @@ class HierarchicalAgent:
 
     def _allowed(self) -> np.ndarray:
         situation = self._situation
-        self._shield_mask, forced = shield.mask(situation.blocked, situation.live, situation.state)
-        self._counts["shield_forced"] += forced and self._shielded
         return self._shield_mask if self._shielded else shield.on_grid(situation.state, self._grid.cells)
 
     def _decide_option(self, q: Callable[[np.ndarray], np.ndarray]) -> Option:

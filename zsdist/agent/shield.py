@@ -11,41 +11,46 @@ from zsdist.agent import reach
 from zsdist.planning.belief import BeliefMap
 from zsdist.planning.footprint import ACTIONS, MARGIN_M, FootprintTable, successor
 from zsdist.planning.grid import Grid
+from zsdist.planning.lattice import successors
 from zsdist.planning.shortest_path import live_states
 from zsdist.types import Action, LatticeState
 
-WARY_M = 2.2  # how far from its centre the car reaches in one action
-HIDING_SQUARES = 3  # an obstacle does not hide in unseen ground this close to seen ground
+WARY_M = 2.2
+HIDING_SQUARES = 3  # unseen ground that is nowhere farther from seen ground is a sliver, in which no obstacle hides
 NEAR_CELLS = 3  # where the car may have to squeeze out
 _IN_PLACE = (Action.TURN_LEFT_90, Action.TURN_RIGHT_90)
 
 
-class Rung(NamedTuple):
-    """How careful a reading of the belief is.
+class Reading(NamedTuple):
+    """How carefully the belief is read.
 
     Attributes:
         margin_m: about the car's box.
         above: log-odds from which a square counts as occupied.
         wary: whether unseen ground within the reach of one action counts as occupied.
-        near: whether it holds about the car only, the usual reading elsewhere.
     """
 
     margin_m: float
     above: float
     wary: bool = False
-    near: bool = False
 
 
-USUAL = Rung(MARGIN_M, 0.0)
-RUNGS = (
-    Rung(MARGIN_M, 0.0, wary=True),
-    Rung(0.0, 0.0, wary=True, near=True),
-    Rung(0.0, 0.7, wary=True, near=True),
-    USUAL,
-    Rung(0.0, 0.0, near=True),
-    Rung(0.0, 0.7, near=True),
-    Rung(0.0, 0.7),
-    Rung(-0.08, 1.4, near=True),  # squares that are touched rather than covered add as much again
+USUAL, DOUBTFUL = Reading(MARGIN_M, 0.0), Reading(0.0, 0.7)
+CAREFUL, CLOSE, CLOSER = USUAL._replace(wary=True), Reading(0.0, 0.0, wary=True), DOUBTFUL._replace(wary=True)
+# The reading about the car and that of the rest. What is not seen from here is doubted before unseen ground is entered.
+CAREFUL_RUNGS = (
+    (CAREFUL, USUAL),
+    (CLOSE, USUAL),
+    (CLOSER, USUAL),
+    (CAREFUL, DOUBTFUL),
+    (CLOSE, DOUBTFUL),
+    (CLOSER, DOUBTFUL),
+)
+DARING_RUNGS = (
+    (USUAL, USUAL),
+    (USUAL, DOUBTFUL),
+    (DOUBTFUL, DOUBTFUL),
+    (Reading(-0.08, 1.4), DOUBTFUL),  # squares that are touched rather than covered add as much again
 )
 
 
@@ -54,17 +59,21 @@ class Judgement:
     """What the shield makes of the belief.
 
     Attributes:
-        blocked: `(cells, cells, 8, 5)` bool, actions that are not to be taken.
-        live: `(cells, cells, 8)` bool, states with a believed-safe way on.
+        blocked: `(cells, cells, 8, 5)` bool, actions that are not to be taken: they hit something, leave the grid, or
+            end where no free way leads on.
+        allowed: `(5,)` bool, what the car may do now. Where everything is blocked, what hits nothing; then turns in
+            place.
+        forced: whether everything was blocked.
         gave_way: whether full care leaves the car no way to the goal.
     """
 
     blocked: np.ndarray
-    live: np.ndarray
+    allowed: np.ndarray
+    forced: bool
     gave_way: bool
 
 
-def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray) -> Judgement:
+def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, visits: np.ndarray) -> Judgement:
     """The most careful reading of the belief under which a way leads from the car to the goal.
 
     The belief errs, and the car has no reverse gear: with one fixed reading it is sooner or later walled in by what is
@@ -75,18 +84,37 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray) -> Judgemen
         belief: what is occupied and what was seen.
         state: where the car is.
         goals: `(cells, cells)` bool.
+        visits: `(cells, cells, 8)`, how often the car was in each state.
     """
-    usual = cache(lambda: _blocked(belief, USUAL, state))
-    for index, rung in enumerate(RUNGS):
-        blocked = usual() if rung is USUAL else _blocked(belief, rung, state)
-        if rung.near:
-            window = tuple(slice(max(at - NEAR_CELLS, 0), at + NEAR_CELLS + 1) for at in (state.iy, state.ix))
-            near, blocked = blocked[window], usual().copy()
-            blocked[window] = near
-        live = reach.states_to(blocked, goals)
-        if live[state.iy, state.ix, state.heading]:
-            return Judgement(blocked, live, index > 0)
-    return Judgement(usual(), live_states(usual()), True)
+    read = cache(lambda reading: _blocked(belief, reading, state))
+    window = tuple(slice(max(at - NEAR_CELLS, 0), at + NEAR_CELLS + 1) for at in (state.iy, state.ix))
+    here = (state.iy, state.ix, state.heading)
+
+    def way(rungs: tuple) -> tuple[np.ndarray, np.ndarray, bool] | None:
+        for near, far in rungs:
+            hits = read(far).copy()
+            hits[window] = read(near)[window]
+            live = reach.states_to(hits, goals)
+            if live[here]:
+                return hits, live, (near, far) != CAREFUL_RUNGS[0]
+        return None
+
+    found = way(CAREFUL_RUNGS)
+    if found:
+        return _judgement(*found[:2], state, found[2])
+    looks = [
+        action
+        for action in _IN_PLACE
+        if not read(CLOSER)[here][action] and not visits[state.iy, state.ix, successor(state, action).heading]
+    ]
+    found = way(DARING_RUNGS)
+    hits, live = found[:2] if found else (read(USUAL), live_states(read(USUAL)))
+    judgement = _judgement(hits, live, state, True)
+    if looks:
+        allowed = np.isin(np.arange(ACTIONS), looks)
+        judgement.blocked[here] = ~allowed
+        return Judgement(judgement.blocked, allowed, False, True)
+    return judgement
 
 
 def on_grid(state: LatticeState, cells: int) -> np.ndarray:
@@ -95,21 +123,16 @@ def on_grid(state: LatticeState, cells: int) -> np.ndarray:
     return np.array([0 <= end.ix < cells and 0 <= end.iy < cells for end in ends])
 
 
-def mask(blocked: np.ndarray, live: np.ndarray, state: LatticeState) -> tuple[np.ndarray, bool]:
-    """Actions that the shield allows, `(5,)` bool, and whether it had to give way.
-
-    Where no action passes, those that are not blocked; then turns in place.
-    """
-    free = ~blocked[state.iy, state.ix, state.heading]
-    ends = [successor(state, action) for action in range(ACTIONS)]
-    safe = np.array([ok and live[end.iy, end.ix, end.heading] for ok, end in zip(free, ends, strict=True)])
-    if safe.any():
-        return safe, False
-    if free.any():
-        return free, True
-    turns = np.zeros(ACTIONS, bool)
-    turns[list(_IN_PLACE)] = True
-    return turns, True
+def _judgement(hits: np.ndarray, live: np.ndarray, state: LatticeState, gave_way: bool) -> Judgement:
+    blocked = hits | ~live.ravel()[successors(len(hits))].reshape(hits.shape)  # what leaves the grid is among the hits
+    here = (state.iy, state.ix, state.heading)
+    allowed = ~blocked[here]
+    forced = not allowed.any()
+    if forced:
+        allowed = ~hits[here]
+    if not allowed.any():
+        allowed[list(_IN_PLACE)] = True
+    return Judgement(blocked, allowed, forced, gave_way)
 
 
 @cache
@@ -117,18 +140,18 @@ def _table(grid: Grid, margin_m: float) -> FootprintTable:
     return FootprintTable(grid, margin_m)
 
 
-def _blocked(belief: BeliefMap, rung: Rung, state: LatticeState) -> np.ndarray:
+def _blocked(belief: BeliefMap, reading: Reading, state: LatticeState) -> np.ndarray:
     grid = belief.grid
-    squares = belief.occupied(rung.above)
-    if rung.wary:
+    squares = belief.occupied(reading.above)
+    if reading.wary:
         x_m, y_m = grid.centre(state.ix, state.iy)
         _add_unseen(squares, belief.seen(), x_m + grid.arena_m / 2, y_m + grid.arena_m / 2, grid.fine_m)
-    return _table(grid, rung.margin_m).blocked(squares)
+    return _table(grid, reading.margin_m).blocked(squares)
 
 
 @numba.njit(cache=True)
 def _add_unseen(squares, seen, x, y, square):  # noqa: ANN001, ANN202
-    """Marks unseen ground within `WARY_M` of the car in `squares`, but not the seam of what was seen.
+    """Marks unseen ground within `WARY_M` of the car in `squares`, but no slivers, in which nothing can hide.
 
     Args:
         squares: `(fine_size, fine_size)` bool, changed.
@@ -137,19 +160,31 @@ def _add_unseen(squares, seen, x, y, square):  # noqa: ANN001, ANN202
         y: of the car, metres from the frame's corner.
         square: side of a fine square.
     """
-    size = squares.shape[0]
+    size, span = squares.shape[0], HIDING_SQUARES
     reach = int(WARY_M / square) + 1
     at_x, at_y = int(x / square), int(y / square)
-    for fy in range(max(at_y - reach, 0), min(at_y + reach + 1, size)):
-        for fx in range(max(at_x - reach, 0), min(at_x + reach + 1, size)):
-            if seen[fy, fx] or ((fx + 0.5) * square - x) ** 2 + ((fy + 0.5) * square - y) ** 2 >= WARY_M**2:
+    left, right = max(at_x - reach, 0), min(at_x + reach + 1, size)
+    bottom, top = max(at_y - reach, 0), min(at_y + reach + 1, size)
+    for fy in range(max(bottom - span, 0), min(top + span, size)):
+        for fx in range(max(left - span, 0), min(right + span, size)):
+            if seen[fy, fx] or _any_near(seen, fx, fy):
                 continue
-            hidden = True
-            for dy in range(-HIDING_SQUARES, HIDING_SQUARES + 1):
-                span = HIDING_SQUARES - abs(dy)
-                if 0 <= fy + dy < size:
-                    for dx in range(-span, span + 1):
-                        if 0 <= fx + dx < size and seen[fy + dy, fx + dx]:
-                            hidden = False
-            if hidden:
-                squares[fy, fx] = True
+            # Deep in the unseen: an obstacle may be here, and reach as far as the seen ground about it.
+            for dy in range(-span, span + 1):
+                for dx in range(abs(dy) - span, span + 1 - abs(dy)):
+                    ny, nx = fy + dy, fx + dx
+                    if not (bottom <= ny < top and left <= nx < right) or seen[ny, nx]:
+                        continue
+                    if ((nx + 0.5) * square - x) ** 2 + ((ny + 0.5) * square - y) ** 2 < WARY_M**2:
+                        squares[ny, nx] = True
+
+
+@numba.njit(cache=True)
+def _any_near(seen, fx, fy):  # noqa: ANN001, ANN202
+    for dy in range(-HIDING_SQUARES, HIDING_SQUARES + 1):
+        span = HIDING_SQUARES - abs(dy)
+        if 0 <= fy + dy < seen.shape[0]:
+            for dx in range(-span, span + 1):
+                if 0 <= fx + dx < seen.shape[1] and seen[fy + dy, fx + dx]:
+                    return True
+    return False

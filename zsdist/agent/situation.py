@@ -21,8 +21,7 @@ class Situation:
         advice: `(3,)` R_p for forward, left, right.
         occupied: `(fine_size, fine_size)` bool.
         seen: `(fine_size, fine_size)` bool.
-        blocked: `(cells, cells, 8, 5)` bool, actions whose swept footprint meets occupied space or that leave the grid.
-        live: `(cells, cells, 8)` bool, states with a free way on.
+        blocked: `(cells, cells, 8, 5)` bool, actions that are not to be taken, of the shield's judgement.
         squeezed: whether the shield had to give way to leave a way to the goal.
         reachable: `(cells, cells)` bool, cells to which a free way leads from here.
         visits: `(cells, cells, 8)` int32, how often the car was in a state, this time included.
@@ -39,7 +38,6 @@ class Situation:
     occupied: np.ndarray
     seen: np.ndarray
     blocked: np.ndarray
-    live: np.ndarray
     squeezed: bool
     reachable: np.ndarray
     visits: np.ndarray

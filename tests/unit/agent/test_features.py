@@ -3,12 +3,12 @@ import math
 import numpy as np
 import pytest
 
-from zsdist.agent import features, reach, shield
+from zsdist.agent import features, reach
 from zsdist.agent.blocks import GOAL_CHOICE, HIGH_ACTIONS, choices
 from zsdist.agent.situation import Situation
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
-from zsdist.planning.shortest_path import goal_mask, live_states
+from zsdist.planning.shortest_path import goal_mask
 from zsdist.types import LatticeState, Level
 
 GRID = Grid()
@@ -80,7 +80,6 @@ def situation(parts):
     return Situation(
         grid=GRID,
         blocked=blocked,
-        live=live_states(blocked),
         squeezed=False,
         goals=goal_mask(GRID, parts["goal"], 0.6),
         reachable=reach.cells_from(blocked, parts["state"]),
@@ -93,7 +92,7 @@ def states(known, subgoal):
     return (
         features.low_state(known, subgoal, False, rooms),
         features.high_state(known, options, rooms),
-        shield.mask(known.blocked, known.live, known.state)[0],
+        ~known.blocked[known.state.iy, known.state.ix, known.state.heading],
         options,
     )
 

@@ -6,7 +6,7 @@ from zsdist.agent.situation import Situation
 from zsdist.config import AgentConfig
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
-from zsdist.planning.shortest_path import cost_to_go, goal_mask, live_states
+from zsdist.planning.shortest_path import cost_to_go, goal_mask
 from zsdist.types import Action, LatticeState
 
 GRID = Grid()
@@ -29,7 +29,6 @@ def situation(occupied=None, state=EAST, goal=(8.0, -1.9), seen=True, advice=(0.
         occupied=occupied,
         seen=np.full((size, size), seen),
         blocked=blocked,
-        live=live_states(blocked),
         squeezed=False,
         goals=goal_mask(GRID, goal, 0.6),
         reachable=reach.cells_from(blocked, state),

@@ -9,6 +9,7 @@ from zsdist.types import Action, LatticeState
 
 GRID = Grid()
 EAST = LatticeState(16, 16, 0)
+NOWHERE_YET = np.zeros((32, 32, 8), np.int32)
 
 
 def known_free(occupied=None):
@@ -32,8 +33,8 @@ def goals(ix, iy):
 
 
 def allowed(belief, state=EAST, goal=(28, 16)):
-    judgement = shield.judge(belief, state, goals(*goal))
-    return shield.mask(judgement.blocked, judgement.live, state)[0], judgement.gave_way
+    judgement = shield.judge(belief, state, goals(*goal), NOWHERE_YET)
+    return judgement.allowed, judgement.gave_way
 
 
 def test_open_and_seen_ground_allows_everything():
@@ -65,10 +66,10 @@ def test_a_dead_end_without_room_to_turn_is_not_entered():
     pocket[fy - 9 : fy + 9, fx + 18 : fx + 20] = True
     belief = known_free(pocket)
     state = LatticeState(18, 16, 0)
-    judgement = shield.judge(belief, state, goals(28, 28))
-    mask, _ = shield.mask(judgement.blocked, judgement.live, state)
-    assert not judgement.blocked[16, 18, 0, Action.FORWARD]
-    assert not mask[Action.FORWARD] and mask.any()
+    judgement = shield.judge(belief, state, goals(28, 28), NOWHERE_YET)
+    assert not FootprintTable(GRID).blocked(pocket)[16, 18, 0, Action.FORWARD]
+    assert judgement.blocked[16, 18, 0, Action.FORWARD] and not judgement.allowed[Action.FORWARD]
+    assert judgement.allowed.any()
 
 
 def test_a_car_walled_in_by_a_narrow_belief_is_given_a_smaller_margin_and_says_so():
@@ -87,9 +88,43 @@ def test_a_goal_believed_occupied_still_leaves_the_car_states_to_go_on_in():
 
 
 def test_where_everything_is_blocked_only_turns_in_place_are_left():
-    blocked = np.ones((32, 32, 8, 5), bool)
-    mask, forced = shield.mask(blocked, np.zeros((32, 32, 8), bool), EAST)
-    assert forced and list(np.flatnonzero(mask)) == [Action.TURN_LEFT_90, Action.TURN_RIGHT_90]
+    judgement = shield.judge(known_free(np.ones((GRID.fine_size, GRID.fine_size), bool)), EAST, goals(28, 16), NOWHERE_YET)
+    assert judgement.forced
+    assert list(np.flatnonzero(judgement.allowed)) == [Action.TURN_LEFT_90, Action.TURN_RIGHT_90]
+
+
+def seen_disc_beyond_a_wall():
+    """All that is known is a disc about the car and a wall across the way to the goal."""
+    belief = BeliefMap(GRID)
+    belief.clear_disc(*GRID.centre(16, 16), 1.5)
+    wall = np.zeros((GRID.fine_size, GRID.fine_size), bool)
+    fx, fy = GRID.fine_index(*GRID.centre(19, 16))
+    wall[fy - 14 : fy + 14, fx : fx + 3] = True
+    belief._log_odds[wall], belief._seen[wall] = 2.4, True
+    return belief
+
+
+def test_before_unseen_ground_is_entered_the_car_looks_about_where_it_has_not_looked():
+    belief, looked = seen_disc_beyond_a_wall(), NOWHERE_YET.copy()
+    turns = [Action.TURN_LEFT_90, Action.TURN_RIGHT_90]
+    for heading, left in ((None, turns), (2, turns[1:]), (6, [])):
+        if heading is not None:
+            looked[16, 16, heading] = 1
+        judgement = shield.judge(belief, EAST, goals(28, 16), looked)
+        if left:
+            assert list(np.flatnonzero(judgement.allowed)) == left
+            assert (judgement.blocked[16, 16, 0] == ~judgement.allowed).all()
+    assert judgement.allowed.any() and judgement.gave_way
+
+
+def test_unseen_ground_is_suspect_up_to_its_edge_but_for_slivers():
+    belief = known_free()
+    x, y = GRID.fine_index(*GRID.centre(16, 16))
+    side = slice(y - 12, y - 5)  # the edge of this is 0.3 m beside the car
+    for width, free in ((3, True), (12, False)):
+        belief._seen[:] = True
+        belief._seen[side, x + 4 : x + 4 + width] = False
+        assert shield.judge(belief, EAST, goals(28, 28), NOWHERE_YET).allowed[Action.RIGHT_45] == free
 
 
 def test_moves_off_the_grid_are_masked_for_everyone():
@@ -126,5 +161,5 @@ def test_width_of_the_car_is_what_the_shield_keeps_clear():
         fx, fy = GRID.fine_index(*GRID.centre(18, 16))
         squares = np.zeros((GRID.fine_size, GRID.fine_size), bool)
         squares[fy + aside, fx] = True
-        blocked = shield.judge(known_free(squares), EAST, goals(28, 16)).blocked
+        blocked = shield.judge(known_free(squares), EAST, goals(28, 16), NOWHERE_YET).blocked
         assert blocked[16, 16, 0, Action.FORWARD] != free
