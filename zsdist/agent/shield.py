@@ -1,6 +1,5 @@
 """The shield: masks what would hit believed-occupied space or end where no free way leads on. It never chooses."""
 
-from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
@@ -27,12 +26,14 @@ class Reading(NamedTuple):
     Attributes:
         margin_m: about the car's box.
         above: log-odds from which a square counts as occupied.
-        wary: whether unseen ground within the reach of one action counts as occupied.
+        wary: whether unseen ground within the reach of one action counts as occupied, all but slivers.
+        deep: of that ground only what is not next to seen ground.
     """
 
     margin_m: float
     above: float
     wary: bool = False
+    deep: bool = False
 
 
 USUAL, DOUBTFUL = Reading(MARGIN_M, 0.0), Reading(0.0, 0.7)
@@ -47,6 +48,7 @@ CAREFUL_RUNGS = (
     (CLOSER, DOUBTFUL),
 )
 DARING_RUNGS = (
+    *((near._replace(deep=True), far) for near, far in CAREFUL_RUNGS),
     (USUAL, USUAL),
     (USUAL, DOUBTFUL),
     (DOUBTFUL, DOUBTFUL),
@@ -54,8 +56,7 @@ DARING_RUNGS = (
 )
 
 
-@dataclass(frozen=True)
-class Judgement:
+class Judgement(NamedTuple):
     """What the shield makes of the belief.
 
     Attributes:
@@ -77,8 +78,9 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, visits: np.
     """The most careful reading of the belief under which a way leads from the car to the goal.
 
     The belief errs, and the car has no reverse gear: with one fixed reading it is sooner or later walled in by what is
-    not there. Where no reading leads to the goal, the usual one holds and a state is live from which the car can keep
-    going.
+    not there. Where none of the careful readings leads to the goal for want of having seen enough, the car turns to
+    where it has not looked yet before it enters unseen ground. Where no reading leads to the goal, the usual one holds
+    and a state is live from which the car can keep going.
 
     Args:
         belief: what is occupied and what was seen.
@@ -89,31 +91,23 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, visits: np.
     read = cache(lambda reading: _blocked(belief, reading, state))
     window = tuple(slice(max(at - NEAR_CELLS, 0), at + NEAR_CELLS + 1) for at in (state.iy, state.ix))
     here = (state.iy, state.ix, state.heading)
-
-    def way(rungs: tuple) -> tuple[np.ndarray, np.ndarray, bool] | None:
-        for near, far in rungs:
-            hits = read(far).copy()
-            hits[window] = read(near)[window]
-            live = reach.states_to(hits, goals)
-            if live[here]:
-                return hits, live, (near, far) != CAREFUL_RUNGS[0]
-        return None
-
-    found = way(CAREFUL_RUNGS)
-    if found:
-        return _judgement(*found[:2], state, found[2])
-    looks = [
-        action
-        for action in _IN_PLACE
-        if not read(CLOSER)[here][action] and not visits[state.iy, state.ix, successor(state, action).heading]
-    ]
-    found = way(DARING_RUNGS)
-    hits, live = found[:2] if found else (read(USUAL), live_states(read(USUAL)))
-    judgement = _judgement(hits, live, state, True)
-    if looks:
-        allowed = np.isin(np.arange(ACTIONS), looks)
-        judgement.blocked[here] = ~allowed
-        return Judgement(judgement.blocked, allowed, False, True)
+    for index, (near, far) in enumerate(CAREFUL_RUNGS + DARING_RUNGS):
+        hits = read(far).copy()
+        hits[window] = read(near)[window]
+        live = reach.states_to(hits, goals)
+        if live[here]:
+            break
+    else:
+        hits = read(USUAL)
+        live = live_states(hits)
+    judgement = _judgement(hits, live, state, index > 0)
+    unseen_matters = (read(CAREFUL)[window] != read(USUAL)[window]).any()
+    if index >= len(CAREFUL_RUNGS) and unseen_matters:
+        fresh = [not visits[state.iy, state.ix, successor(state, action).heading] for action in range(ACTIONS)]
+        looks = ~read(CLOSE)[here] & np.isin(np.arange(ACTIONS), _IN_PLACE) & fresh
+        if looks.any():
+            judgement.blocked[here] = ~looks
+            return judgement._replace(allowed=looks, forced=False)
     return judgement
 
 
@@ -145,12 +139,13 @@ def _blocked(belief: BeliefMap, reading: Reading, state: LatticeState) -> np.nda
     squares = belief.occupied(reading.above)
     if reading.wary:
         x_m, y_m = grid.centre(state.ix, state.iy)
-        _add_unseen(squares, belief.seen(), x_m + grid.arena_m / 2, y_m + grid.arena_m / 2, grid.fine_m)
+        place = (x_m + grid.arena_m / 2, y_m + grid.arena_m / 2)
+        _add_unseen(squares, belief.seen(), *place, grid.fine_m, 0 if reading.deep else HIDING_SQUARES)
     return _table(grid, reading.margin_m).blocked(squares)
 
 
 @numba.njit(cache=True)
-def _add_unseen(squares, seen, x, y, square):  # noqa: ANN001, ANN202
+def _add_unseen(squares, seen, x, y, square, span):  # noqa: ANN001, ANN202
     """Marks unseen ground within `WARY_M` of the car in `squares`, but no slivers, in which nothing can hide.
 
     Args:
@@ -159,8 +154,9 @@ def _add_unseen(squares, seen, x, y, square):  # noqa: ANN001, ANN202
         x: of the car, metres from the frame's corner.
         y: of the car, metres from the frame's corner.
         square: side of a fine square.
+        span: how far about ground that is deep in the unseen, in squares, the marks reach.
     """
-    size, span = squares.shape[0], HIDING_SQUARES
+    size = squares.shape[0]
     reach = int(WARY_M / square) + 1
     at_x, at_y = int(x / square), int(y / square)
     left, right = max(at_x - reach, 0), min(at_x + reach + 1, size)

@@ -140,13 +140,13 @@ def test_a_blocked_action_has_no_promise_and_a_free_one_towards_the_subgoal_gain
     parts = world(1) | {"occupied": np.zeros((FINE, FINE), bool), "state": LatticeState(10, 10, 0)}
     x, y = GRID.centre(10, 10)
     low, _, _, _ = states(situation(parts), (x + 4.0, y))
-    per_action = low[: 5 * 13].reshape(5, 13)
-    assert per_action[0, 0] == 1 and per_action[0, 2] > per_action[1, 2] > 0
+    per_action = low[: 5 * 12].reshape(5, 12)
+    assert per_action[0, 0] == 1 and per_action[0, 1] > per_action[1, 1] > 0
     wall = parts["occupied"].copy()
     fx, fy = GRID.fine_index(x + 1.4, y)
     wall[fy - 2 : fy + 2, fx : fx + 3] = True
     low, _, mask, _ = states(situation(parts | {"occupied": wall}), (x + 4.0, y))
-    assert not low[:13].any() and not mask[0]
+    assert not low[:12].any() and not mask[0]
 
 
 def test_choices_keep_the_order_of_the_cars_heading():

@@ -88,7 +88,9 @@ def test_a_goal_believed_occupied_still_leaves_the_car_states_to_go_on_in():
 
 
 def test_where_everything_is_blocked_only_turns_in_place_are_left():
-    judgement = shield.judge(known_free(np.ones((GRID.fine_size, GRID.fine_size), bool)), EAST, goals(28, 16), NOWHERE_YET)
+    judgement = shield.judge(
+        known_free(np.ones((GRID.fine_size, GRID.fine_size), bool)), EAST, goals(28, 16), NOWHERE_YET
+    )
     assert judgement.forced
     assert list(np.flatnonzero(judgement.allowed)) == [Action.TURN_LEFT_90, Action.TURN_RIGHT_90]
 
