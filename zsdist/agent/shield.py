@@ -91,7 +91,7 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, visits: np.
     read = cache(lambda reading: _blocked(belief, reading, state))
     window = tuple(slice(max(at - NEAR_CELLS, 0), at + NEAR_CELLS + 1) for at in (state.iy, state.ix))
     here = (state.iy, state.ix, state.heading)
-    for index, (near, far) in enumerate(CAREFUL_RUNGS + DARING_RUNGS):
+    for near, far in CAREFUL_RUNGS + DARING_RUNGS:
         hits = read(far).copy()
         hits[window] = read(near)[window]
         live = reach.states_to(hits, goals)
@@ -100,9 +100,9 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, visits: np.
     else:
         hits = read(USUAL)
         live = live_states(hits)
-    judgement = _judgement(hits, live, state, index > 0)
+    judgement = _judgement(hits, live, state, (near, far) != CAREFUL_RUNGS[0])
     unseen_matters = (read(CAREFUL)[window] != read(USUAL)[window]).any()
-    if index >= len(CAREFUL_RUNGS) and unseen_matters:
+    if (near, far) in DARING_RUNGS and unseen_matters:
         fresh = [not visits[state.iy, state.ix, successor(state, action).heading] for action in range(ACTIONS)]
         looks = ~read(CLOSE)[here] & np.isin(np.arange(ACTIONS), _IN_PLACE) & fresh
         if looks.any():
