@@ -18,17 +18,20 @@ from zsdist import cli, config
 from zsdist.errors import RunError, WeightsError
 from zsdist.evaluation.baselines import BASELINES
 from zsdist.evaluation.comparison import compare
+from zsdist.evaluation.drivers import Sees
 from zsdist.evaluation.entrants import FULL, VARIANTS, Entrant
 from zsdist.evaluation.report import Report, evaluate, show_together, together
 from zsdist.evaluation.selection import select
 from zsdist.run.checkpoint import check_vision, load_policy
+
+SHIPPED = {"pretrained": Path(__file__).parent / "policies" / "pretrained"}  # learned policies in the package, by name
 
 
 def make_parser() -> argparse.ArgumentParser:
     """The command's options."""
     parser = cli.Parser(prog="zsdist.evaluate", description=__doc__)
     add = parser.add_argument
-    add("policy", nargs="*", help="run directories, checkpoints, or a baseline (--list names them)")
+    add("policy", nargs="*", help="run directories, checkpoints, pretrained, or a baseline (--list names them)")
     add("--list", action="store_true", help="name the baselines and variants and leave")
     scenes = "a folder of scene files, a family, or train, validation, test (default: test)"
     add("--scenes", default="test", help=scenes)
@@ -51,6 +54,8 @@ def main(options: argparse.Namespace) -> int:
     """Runs the command; returns its exit status."""
     console = Console()
     if options.list:
+        for name in SHIPPED:
+            print(f"{name:24} a learned policy that comes with the package (sees {Sees.CAMERA})")
         for name, baseline in BASELINES.items():
             print(f"{name:24} {baseline.line} (sees {baseline.sees})")
         print("variants of a learned policy, --variant NAME:")
@@ -101,11 +106,11 @@ def find_policy(name: str, config_file: Path | None = None, variant: str = FULL)
         return Entrant(config.load(config_file), baseline=name), None
     if config_file is not None:
         raise RunError(f"--config {config_file}: a learned policy brings its own configuration; leave the option out")
-    if not Path(name).exists():
-        raise WeightsError(
-            f"policy {name!r} is no folder; allowed are a run directory, a checkpoint and {', '.join(BASELINES)}"
-        )
-    policy = load_policy(Path(name))
+    folder = SHIPPED.get(name, Path(name))
+    if not folder.exists():
+        known = ", ".join((*SHIPPED, *BASELINES))
+        raise WeightsError(f"policy {name!r} is no folder; allowed are a run directory, a checkpoint and {known}")
+    policy = load_policy(folder)
     if note := check_vision(policy):
         print(note, file=sys.stderr)
     return Entrant(policy.config, policy.parameters, variant=variant), policy.sha256

@@ -1,11 +1,15 @@
 import json
+import time
 
+import numpy as np
 import pytest
+from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist import cli, evaluate
 from zsdist.evaluation import report as reports
 from zsdist.evaluation.baselines import BASELINES
 from zsdist.evaluation.entrants import VARIANTS, Entrant
+from zsdist.evaluation.episodes import Examiner
 from zsdist.evaluation.workers import drive_all
 from zsdist.sim import families, scene
 
@@ -58,7 +62,7 @@ def test_a_folder_is_driven_once_and_the_json_is_the_documented_one(folder, tmp_
     ("arguments", "words"),
     [
         ((), "no policy was named"),
-        (("nowhere",), "'nowhere' is no folder; allowed are a run directory, a checkpoint and random"),
+        (("nowhere",), "'nowhere' is no folder; allowed are a run directory, a checkpoint and pretrained"),
         (("astar", "--scenes", "mars"), "scenes is 'mars'"),
         (("astar", "--video", __file__), "is a file; allowed is a folder"),
         (("astar", "--episodes", "0"), "allowed is a whole number of 1 or more"),
@@ -83,6 +87,18 @@ def test_a_folder_without_weights_is_refused(tmp_path, capsys):
     assert run(str(tmp_path)) == 2
     complaint = capsys.readouterr().err
     assert complaint.count("\n") == 1 and str(tmp_path) in complaint
+
+
+def test_the_shipped_policy_was_trained_for_the_networks_and_the_vision_of_this_package():
+    entrant, sha256 = evaluate.find_policy("pretrained")
+    trained = entrant.config.scenes.train
+    assert trained == ("iid",) and len(sha256) == 64
+    env = LatticeEnv(config=entrant.settings)
+    driver = entrant.driver(FakeVisualAct())
+    record = Examiner(env, entrant.settings, driver, entrant.sees, time.monotonic).drive(
+        families.draw("iid", "validation", 0), np.random.default_rng(0)
+    )
+    assert record.outcome == "success"
 
 
 def test_a_baselines_world_may_be_configured(folder, tmp_path):
