@@ -148,7 +148,7 @@ def test_a_stranger_sees_every_role_and_a_killed_actor_hub_and_replay_are_replac
 
 def test_ctrl_c_saves_and_says_how_to_go_on_and_resume_does(tmp_path):
     folder = tmp_path / "interrupted"
-    process = begin(folder, "--episodes", "500")
+    process = begin(folder, "--episodes", "500", "--set", "replay.shards=2")
     try:
         until(lambda: (folder / "episodes.jsonl").exists() and len(episodes(folder)) > 2, process, "some episodes")
         process.send_signal(signal.SIGINT)
@@ -159,6 +159,7 @@ def test_ctrl_c_saves_and_says_how_to_go_on_and_resume_does(tmp_path):
     assert f"--resume {folder}" in output
     assert "Traceback" not in output
     before = summary_of(folder)
+    assert len(list(max(folder.glob("checkpoints/*")).glob("replay*.state"))) == 2
     assert before["ended"] == "interrupted"
     assert before["episodes"] == len(episodes(folder))
 
