@@ -1,17 +1,18 @@
 """The latest statistics of every role, as anybody who subscribes to a run can put them together."""
 
 import json
-import math
 from collections import deque
 from collections.abc import Iterable
 
 from zsdist.transport.base import Message
 from zsdist.types import Level
 from zsdist.wire import keys
+from zsdist.wire.codec import MAX_COUNT
 
 Fields = dict[str, float | str]
 WORDS = ("role", "id", "host", "stage", "endpoint")  # fields of statistics that are no numbers
 _TOGETHER = {"batch_size": max, "oldest_version": min, "oldest_age_versions": max}  # of shards; all others add up
+MAX_BYTES, MAX_ROLES = 65_536, 8192  # of one statement, and of those who speak
 HISTORY = 12  # statistics of a role that its rates are taken over
 
 
@@ -35,7 +36,10 @@ class Snapshot:
                 self.malformed += 1
             elif parsed.kind == "alive":
                 who = (parsed.fields["role"], parsed.fields["id"])
-                (self.alive.add if message.payload == b"1" else self.alive.discard)(who)
+                if message.payload != b"1":
+                    self.alive.discard(who)
+                elif len(self.alive) < MAX_ROLES:
+                    self.alive.add(who)
             else:
                 self._take_json(parsed, message.payload)
 
@@ -111,22 +115,18 @@ class Snapshot:
             together[name] = _TOGETHER.get(name.partition("_")[2], sum)(values)
         for level in Level:
             if f"{level}_samples_per_insert" in together:
-                sampled, stored = (together[f"{level}_{name}"] for name in ("sampled", "stored"))
+                sampled, stored = (together.get(f"{level}_{name}", 0) for name in ("sampled", "stored"))
                 together[f"{level}_samples_per_insert"] = round(sampled / max(1, stored), 3)
         return together
 
     def _take_json(self, parsed: keys.ParsedKey, payload: bytes) -> None:
-        try:
-            fields = json.loads(payload)
-        except ValueError:
-            self.malformed += 1
-            return
-        if not isinstance(fields, dict):
+        fields = _read(payload)
+        who = (parsed.fields.get("role", ""), parsed.fields.get("id", ""))
+        if fields is None:
             self.malformed += 1
         elif parsed.kind == "events":
             self.events = [*self.events[-99:], fields]
-        elif parsed.kind == "stats" and _sound(fields, parsed):
-            who = (parsed.fields["role"], parsed.fields["id"])
+        elif parsed.kind == "stats" and _sound(fields, *who) and (who in self.roles or len(self.roles) < MAX_ROLES):
             if self.roles.get(who, {}).get("epoch") != fields.get("epoch"):
                 self._history.pop(who, None)  # another process, whose counters began anew
             self.roles[who] = fields
@@ -137,16 +137,28 @@ class Snapshot:
             self.malformed += 1
 
 
-def _sound(fields: dict, parsed: keys.ParsedKey) -> bool:
-    """Whether statistics keep to the key space: flat, of the role they are published for, numbers but for few words."""
-    named = all(fields.get(name) == parsed.fields[name] for name in ("role", "id"))
-    return (
-        named
-        and parsed.fields["role"] in keys.ROLES
-        and "time_s" in fields
-        and all(isinstance(value, str) if name in WORDS else _finite(value) for name, value in fields.items())
-    )
+def _read(payload: bytes) -> Fields | None:
+    """A flat JSON object of bounded numbers and short printable words under names; None where it is none."""
+    try:
+        fields = json.loads(payload) if len(payload) <= MAX_BYTES else None
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(fields, dict):
+        return None
+    sound = all(keys.is_name(name) and (_number(value) or _word(value)) for name, value in fields.items())
+    return fields if sound else None
 
 
-def _finite(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+def _sound(fields: Fields, role: str, identifier: str) -> bool:
+    """Whether statistics are of the role they are published for, and numbers but for few words."""
+    named = (fields.get("role"), fields.get("id")) == (role, identifier) and role in keys.ROLES
+    return named and "time_s" in fields and all((name in WORDS) == _word(value) for name, value in fields.items())
+
+
+def _word(value: object) -> bool:
+    return isinstance(value, str) and len(value) <= 200 and value.isprintable()
+
+
+def _number(value: object) -> bool:
+    """Finite, and small enough that what is made of several is finite too."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < MAX_COUNT

@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import re
+import secrets
 import shutil
 import time
 from pathlib import Path
@@ -122,9 +123,12 @@ def read_vision(checkpoint: Path) -> VisionIdentity:
 
 
 def issue_epochs(folder: Path, count: int) -> range:
-    """`count` fresh epochs, never issued before in this run directory (its resumes included)."""
+    """`count` fresh epochs, never issued before in this run directory (its resumes included).
+
+    The first is drawn at random, so that a frame of another run is of an epoch that was never issued in this one.
+    """
     path = folder / "epochs"
-    first = int(path.read_text()) if path.exists() else 0
+    first = int(path.read_text()) if path.exists() else secrets.randbelow(2**31) * 2**20
     _replace(path, str(first + count).encode())
     return range(first, first + count)
 

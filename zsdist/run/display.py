@@ -6,6 +6,7 @@ from types import TracebackType
 
 from rich.console import Console
 from rich.live import Live
+from rich.markup import escape
 from rich.table import Table
 
 from zsdist.roles.snapshot import Snapshot
@@ -57,7 +58,7 @@ class Display:
             self._live.update(self.table(), refresh=True)
         elif self.snapshot.roles:
             self._next_s = time.monotonic() + LINE_EVERY_S
-            self.console.print(self.line(), highlight=False, soft_wrap=True)
+            self.console.print(self.line(), highlight=False, soft_wrap=True, markup=False)
 
     def take(self, transport: Transport) -> None:
         """Takes in statistics, events and liveliness, subscribing to them the first time."""
@@ -111,8 +112,8 @@ class Display:
         table.add_column(min_width=32)
         table.add_row("time", f"{time.monotonic() - self._opened_s:.0f} s")
         for name, value in self.figures().items():
-            table.add_row(name, value)
+            table.add_row(name, escape(value))
         for event in self.snapshot.events[-3:]:
             told = {name: value for name, value in event.items() if name not in ("time_s", "host", "pid", "id")}
-            table.add_row("event", " ".join(f"{name}={value}" for name, value in told.items()))
+            table.add_row("event", escape(" ".join(f"{name}={value}" for name, value in told.items())))
         return table

@@ -1,80 +1,17 @@
 """What does not belong in a mailbox is counted in the role's statistics, by reason, and the role goes on."""
 
 import dataclasses
-import json
-import threading
 
 import numpy as np
 import pytest
-from fakes import FakeVisualAct
+from mailboxes import LOW, PARAMETERS, REPLAY, RUN, Bench
 from wire_messages import batch, push
 
-from zsdist.config import parse
 from zsdist.dqn import network
-from zsdist.dqn.learner import DqnLearner
-from zsdist.replay.journal import Journal
-from zsdist.roles.actor import Actor
-from zsdist.roles.base import Context
-from zsdist.roles.learner import Learner
-from zsdist.roles.replay import Replay
-from zsdist.roles.scheduler import Scheduler
-from zsdist.roles.shapes import SHAPES
 from zsdist.transport.base import Mailbox
-from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import Ack, Level, Weights
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Candidate, Jobs, Orders, Records, SampleReply, SampleRequest, WeightsMessage
-
-RUN, CONFIG = "test", parse({"low": {"hidden": (8,)}, "high": {"hidden": (8,)}})
-LOW = SHAPES[Level.LOW]
-PARAMETERS = network.initial_parameters(LOW.state_size, LOW.actions, (4,), seed=0)
-REPLAY = {"epochs": {"actor-0": 7}, "buffer_size": 2000, "batch_size": 16, "stop": False}
-
-
-class NoLedger:
-    """Of a scheduler whose run directory is of no interest."""
-
-    def __getattr__(self, name):
-        return lambda *arguments: 0.0
-
-
-class Bench:
-    """One role, and everybody else at the other end of a memory transport."""
-
-    def __init__(self, role, folder):
-        broker, self.now = MemoryBroker(), 0.0
-        self.others, self.said, self.answers = MemoryTransport(broker), Mailbox(2**20), Mailbox(2**26)
-        self.others.subscribe(keys.stats(RUN, keys.ANY, keys.ANY), self.said)
-        kind, _, identifier = role.partition("-")
-        context = Context(CONFIG, RUN, kind, identifier, 9, MemoryTransport(broker), threading.Event())
-        match kind:
-            case "replay":
-                self.role = Replay(context, SHAPES, Journal(folder))
-            case "scheduler":
-                self.role = Scheduler(context, NoLedger())
-            case "learner":
-                self.role = Learner(context, Level.LOW, DqnLearner(LOW.state_size, LOW.actions, CONFIG.low, seed=0))
-            case "actor":
-                self.role = Actor(context, [], Blind(), None)
-
-    def send(self, key, payload):
-        self.others.publish(key, payload if isinstance(payload, bytes) else codec.encode(payload))
-
-    def refused(self):
-        """By reason, as a watcher hears it after one step."""
-        self.now += 1.0
-        assert self.role.step(self.now) is not None
-        told = json.loads(self.said.drain()[-1].payload)
-        return {name.removeprefix("rejected_"): count for name, count in told.items() if name.startswith("rejected_")}
-
-
-class Blind:
-    """In the place of an actor's eyes: there are no cars."""
-
-    visual_act = FakeVisualAct()
-
-    def statistics(self):
-        return {}
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@ import json
 
 import pytest
 
+from zsdist.roles import snapshot as snapshots
 from zsdist.roles.snapshot import Snapshot
 from zsdist.transport.base import Message
 from zsdist.types import Level
@@ -97,3 +98,47 @@ def test_rubbish_is_counted_and_changes_nothing(payload):
     snapshot.take([Message(keys.stats("run", "actor", "0"), payload), Message("another/key", b"{}")])
     assert snapshot.malformed == 2
     assert snapshot.roles == {}
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"",
+        b"[" * 60_000,
+        b"[1]",
+        b"NaN",
+        b'{"time_s": 1%s}' % (b"0" * 400),
+        b'{"time_s": 1e400}',
+        b'{"time_s": NaN}',
+        b'{"time_s": {}}',
+        b'{"time_s": 1, "more": "words"}',
+        b'{"time_s": 1, "host": 5}',
+        b'{"time_s": 1, "host": "\\u001b[2J"}',
+        b'{"time_s": 1, "a b": 5}',
+        b'{"time_s": 1, "host": "%s"}' % (b"x" * 70_000),
+    ],
+)
+def test_statistics_that_are_none_are_counted_and_change_nothing(payload):
+    snapshot = Snapshot()
+    about = b'{"role": "actor", "id": "0", '
+    snapshot.take([Message(keys.stats("run", "actor", "0"), payload.replace(b"{", about, 1))])
+    snapshot.take([Message(keys.stats("run", "actor", "1"), payload.replace(b"{", about, 1))])
+    snapshot.take([Message("nonsense", payload), Message(keys.push("run", "low", "a", 1), payload)])
+    assert snapshot.malformed == 4
+    assert not snapshot.roles and not snapshot.events
+    assert snapshot.row()["actors_env_steps"] == 0
+
+
+def test_a_row_is_made_of_whatever_a_replay_leaves_out():
+    snapshot = Snapshot()
+    snapshot.take([said("replay", "0", low_samples_per_insert=3.0)])
+    assert snapshot.row()["replay_low_samples_per_insert"] == 0.0
+
+
+def test_no_more_roles_are_remembered_than_a_run_can_have(monkeypatch):
+    monkeypatch.setattr(snapshots, "MAX_ROLES", 50)
+    snapshot = Snapshot()
+    snapshot.take(said("actor", str(number)) for number in range(55))
+    snapshot.take(Message(keys.alive("run", "actor", str(number)), b"1") for number in range(55))
+    assert len(snapshot.roles) == len(snapshot.alive) == 50
+    assert snapshot.malformed == 5

@@ -31,7 +31,14 @@ def states(value=1.0):
 
 def test_epochs_are_never_issued_twice(folder):
     issued = [epoch for count in (3, 1, 5) for epoch in directory.issue_epochs(folder, count)]
-    assert issued == list(range(9))
+    assert issued == list(range(issued[0], issued[0] + 9))
+
+
+def test_epochs_of_two_runs_have_nothing_in_common(tmp_path):
+    runs = [directory.create(tmp_path / name, config.Config()) for name in ("one", "other")]
+    one, other = (set(directory.issue_epochs(folder, 1000)) for folder in runs)
+    assert not one & other
+    assert max(one | other) < 2**53  # exact also for readers of JSON that know floats alone
 
 
 def test_a_checkpoint_reads_back_as_it_was_written_and_the_newest_wins(folder, ledger):
