@@ -1,6 +1,6 @@
 """Throws mutated messages at the codec and at every mailbox, and goes on until something else than a refusal happens.
 
-    python tests/fuzz.py --inputs 1000000 --state fuzz.json
+    PYTHONPATH=. python tests/fuzz.py --inputs 1000000 --state fuzz.json
 
 Each input is a sound message of some kind, changed: bits, bytes, splices, the JSON in it, its columns; mostly with the
 checksum made right, so that what lies behind it is reached; some come again as they were, or under another's key. Half
@@ -23,12 +23,13 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from mailboxes import LOW, PARAMETERS, REPLAY, RUN, Bench
+from mailboxes import PARAMETERS, REPLAY, RUN, Bench
 from unit.roles.test_contents import ACTOR, EPISODE, JOBS, LEARNER, RESULT, SUPERVISION
 from wire_messages import batch, every_message, push
 
 from zsdist.dqn import network
 from zsdist.errors import DecodeError
+from zsdist.transport.base import Message
 from zsdist.types import Ack, Level, Weights
 from zsdist.wire import codec, frame, keys
 from zsdist.wire.messages import Candidate, Jobs, Orders, Records, SampleReply, SampleRequest, WeightsMessage
@@ -36,7 +37,26 @@ from zsdist.wire.messages import Candidate, Jobs, Orders, Records, SampleReply, 
 ROUND = 400  # inputs between two steps of a role
 ROUNDS_A_ROLE = 50  # after which a fresh one takes its place
 REPORT_EVERY_S = 5.0
-HOSTILE = [None, True, False, 0, -1, 1, 2**31, 2**62, 2**63, 2**126, 0.5, -1e300, 1e300, "", "actor-0", "x" * 300, [], {}]
+HOSTILE = [
+    None,
+    True,
+    False,
+    0,
+    -1,
+    1,
+    2**31,
+    2**62,
+    2**63,
+    2**126,
+    0.5,
+    -1e300,
+    1e300,
+    "",
+    "actor-0",
+    "x" * 300,
+    [],
+    {},
+]
 HOSTILE += [[[]], {"": 0}, "a/b", "**", "low", "high", "episodes", "evaluation", "recent", [["recent", 0]], [1] * 300]
 NUMBERS = [0, 1, -1, 2**15, 2**16 - 1, 2**31, 2**63 - 1, np.nan, np.inf, -np.inf, 1e-45, 65504.0, 1e38]
 
@@ -116,7 +136,8 @@ class Mutator:
                     ).astype(column.dtype)
                 columns[name] = flat.reshape(column.shape)
             case 1:
-                columns[name] = column.astype(self.random.choice(["uint8", "float32", "int64", "float16"]))
+                with np.errstate(all="ignore"):
+                    columns[name] = column.astype(self.random.choice(["uint8", "float32", "int64", "float16"]))
             case 2:
                 columns[name] = column[: self.random.randrange(len(column) + 1)] if column.ndim else column[None]
             case 3:
@@ -153,7 +174,14 @@ def seeds() -> dict[str, list[tuple[str, bytes]]]:
     weights = WeightsMessage(1, 0, network.sha256(PARAMETERS), 1.0, Weights(Level.LOW, 1, PARAMETERS))
     candidate = Candidate(1, Level.LOW, 1, "recent", PARAMETERS)
     statistics = {"time_s": 1.0, "role": "actor", "id": "0", "host": "h", "pid": 1, "epoch": 7, "env_steps": 9}
-    shelf = {"time_s": 1.0, "role": "replay", "id": "0", "low_samples_per_insert": 3.0, "low_sampled": 3, "low_stored": 1}
+    shelf = {
+        "time_s": 1.0,
+        "role": "replay",
+        "id": "0",
+        "low_samples_per_insert": 3.0,
+        "low_sampled": 3,
+        "low_stored": 1,
+    }
     found: dict[str, list[tuple[str, object]]] = {
         "replay-0": [
             (keys.control(RUN, "replay"), Orders(1, "replay", REPLAY)),
@@ -240,7 +268,7 @@ class Mailboxes:
 
     def _send(self, key: str, payload: bytes) -> None:
         if self.name.startswith("learner") and "/sample/" in key:
-            self.bench.role._batches.append(_message(key, payload))  # an answer comes to whoever asked
+            self.bench.role._batches.append(Message(key, payload))  # an answer comes to whoever asked
             return
         self.bench.others.publish(key, payload)
         self.bench.others.request(key, payload, self.bench.answers, timeout_s=1.0)
@@ -249,3 +277,52 @@ class Mailboxes:
         if self._folder is not None:
             self.refused += self.bench.role._refused
             self._folder.cleanup()
+
+
+def survives_decoding(payload: bytes, refused: Counter[str]) -> bool:
+    """Whether the codec refuses these bytes properly, or accepts what can be sent again."""
+    try:
+        codec.encode(codec.decode(payload))
+    except DecodeError as error:
+        refused[error.reason] += 1
+    except Exception:
+        return False
+    return True
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--inputs", type=int, default=100_000, help="in all, earlier sittings included")
+    parser.add_argument("--state", type=Path, required=True, help="how far it came, by refusals; made where it is not")
+    options = parser.parse_args()
+    state = json.loads(options.state.read_text()) if options.state.exists() else {"inputs": 0, "refused": {}}
+    refused = Counter(state["refused"])
+    pairs = seeds()
+    corpus = [codec.encode(message) for message in every_message(np.random.default_rng(0))]
+    corpus += [payload for role in pairs.values() for key, payload in role if "/stats/" not in key]
+    mutator = Mutator(state["inputs"], corpus)
+    mailboxes = [Mailboxes(name, said, mutator) for name, said in pairs.items()]
+    broken, told_s = [], time.monotonic()
+    while state["inputs"] < options.inputs and not broken:
+        for box in mailboxes:
+            for _ in range(ROUND):
+                payload = mutator.change(mutator.random.choice(corpus))
+                if not survives_decoding(payload, refused):
+                    broken.append(("codec", payload))
+            broken += box.fire(ROUND)
+            state["inputs"] += 2 * ROUND
+        if time.monotonic() - told_s > REPORT_EVERY_S or state["inputs"] >= options.inputs or broken:
+            told_s = time.monotonic()
+            by_role = sum((box.refused for box in mailboxes), Counter(refused))
+            options.state.write_text(json.dumps({"inputs": state["inputs"], "refused": by_role}, indent=1))
+            print(f"{state['inputs']} inputs, {by_role.total()} refusals, {len(by_role)} reasons", flush=True)
+    for index, (key, payload) in enumerate(broken):
+        place = options.state.with_suffix(f".broken-{index}")
+        place.write_bytes(key.encode() + b"\n" + payload)
+    if broken:
+        print(f"broken by one of {len(broken)} inputs, left beside {options.state}", file=sys.stderr)
+    return 1 if broken else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
