@@ -24,8 +24,7 @@ from pathlib import Path
 
 import numpy as np
 from mailboxes import PARAMETERS, REPLAY, RUN, Bench
-from unit.roles.test_contents import ACTOR, EPISODE, JOBS, LEARNER, RESULT, SUPERVISION
-from wire_messages import batch, every_message, push
+from wire_messages import ACTOR, EPISODE, JOBS, LEARNER, RESULT, SUPERVISION, batch, every_message, push
 
 from zsdist.dqn import network
 from zsdist.errors import DecodeError
