@@ -10,15 +10,14 @@ import os
 import platform
 import statistics
 import time
+from collections.abc import Callable
 
 import numpy as np
 from rich.progress import track
 
 from zsdist.config import CameraConfig
 from zsdist.sim import families
-from zsdist.sim.camera import Camera, make_camera
-from zsdist.sim.families import generate
-from zsdist.sim.manifest import split_seed
+from zsdist.sim.camera import make_camera
 from zsdist.sim.scene import Scene
 from zsdist.sim.views import free_pose
 from zsdist.types import Pose
@@ -56,32 +55,37 @@ def main() -> None:
 
 
 def _scenes(of_each: int) -> list[Scene]:
-    return [generate(family, split_seed("test", index)) for index in range(of_each) for family in FAMILIES]
+    return [families.draw(family, "test", index) for index in range(of_each) for family in FAMILIES]
 
 
 def _speed(looks: list[tuple[Scene, Pose]], repeats: int) -> dict[str, float]:
-    """Median milliseconds a picture once a scene is prepared, the back ends in turn; and of the preparation."""
+    """Median milliseconds of `render` and of `render_labelled` (with depth and segments) once a scene is prepared.
+
+    The back ends take turns. `new_scene` is a first picture, the scene's preparation included.
+    """
     figures = {}
     for size in SIZES_PX:
         cameras = {name: make_camera(CameraConfig(back_end=name, size_px=size)) for name in BACK_ENDS}
-        times = {name: [] for name in BACK_ENDS}
-        prepare = {name: [] for name in BACK_ENDS}
+        pictures, labelled, prepare = ({name: [] for name in BACK_ENDS} for _ in range(3))
         last = None
         for scene, pose in looks:
             for name, camera in cameras.items():
                 if scene is not last:
-                    prepare[name].append(_milliseconds(camera, scene, pose))
-                times[name] += [_milliseconds(camera, scene, pose) for _ in range(repeats)]
+                    prepare[name].append(_milliseconds(camera.render, scene, pose))
+                for _ in range(repeats):
+                    pictures[name].append(_milliseconds(camera.render, scene, pose))
+                    labelled[name].append(_milliseconds(camera.render_labelled, scene, pose))
             last = scene
         for name in BACK_ENDS:
-            figures[f"{name}_{size}px_ms"] = round(statistics.median(times[name]), 3)
+            figures[f"{name}_{size}px_ms"] = round(statistics.median(pictures[name]), 3)
+            figures[f"{name}_{size}px_labelled_ms"] = round(statistics.median(labelled[name]), 3)
             figures[f"{name}_{size}px_new_scene_ms"] = round(statistics.median(prepare[name]), 2)
     return figures
 
 
-def _milliseconds(camera: Camera, scene: Scene, pose: Pose) -> float:
+def _milliseconds(draw: Callable[[Scene, Pose], object], scene: Scene, pose: Pose) -> float:
     began = time.thread_time()  # of this core alone, whatever else the machine does
-    camera.render(scene, pose)
+    draw(scene, pose)
     return 1e3 * (time.thread_time() - began)
 
 
@@ -90,7 +94,7 @@ def _agreement(views: int, rng: np.random.Generator) -> dict[str, float]:
     ours, theirs = (make_camera(CameraConfig(back_end=name)) for name in BACK_ENDS)
     segments, depths = [], []
     for index in track(range(views), description="views compared"):
-        scene = generate(ALL_FAMILIES[index % len(ALL_FAMILIES)], split_seed("test", index // len(ALL_FAMILIES)))
+        scene = families.draw(ALL_FAMILIES[index % len(ALL_FAMILIES)], "test", index // len(ALL_FAMILIES))
         look = (
             free_pose(scene, rng),
             *np.radians(rng.uniform((-MOST_ROLL_DEG, -MOST_PITCH_DEG), (MOST_ROLL_DEG, MOST_PITCH_DEG))),
