@@ -8,6 +8,7 @@ from zsdist.sim.camera import make_camera
 from zsdist.sim.camera.appearance import of_scene, varied
 from zsdist.sim.camera.optics import mount
 from zsdist.sim.camera.primitives import ARENA_HALF_M, primitives_of
+from zsdist.sim.camera.shading import shadow_corners, sunshine
 from zsdist.sim.camera.variation import worn
 from zsdist.sim.kinds import KINDS, SEGMENT_GROUND, SEGMENT_SKY, SEGMENT_WALL
 from zsdist.sim.raycast import ray_distances
@@ -124,6 +125,15 @@ def test_varied_looks_differ_and_follow_their_seed():
     assert (looks[0].materials == looks[1].materials).all() and (looks[0].ground == looks[1].ground).all()
     assert (looks[0].materials != looks[2].materials).any() and (looks[0].ground != looks[2].ground).any()
     assert (of_scene(EVERY_KIND, primitives).ground != looks[0].ground).any()
+
+
+def test_light_on_the_ground_runs_straight_between_the_cells_of_the_shadow_map():
+    light = np.ones((8, 8), np.float32)
+    light[3, 4] = 0.6  # of 1 m cells, that with its middle 0.5 m east and 0.5 m south of the origin
+    x, y = np.array([0.5, 0.75, 1.5, 0.5, -0.5], np.float32), np.array([-0.5, -0.5, -0.5, 0.25, -0.5], np.float32)
+    lit = np.empty(5, np.float32)
+    sunshine(shadow_corners(light), 4.0, x, y, np.empty(5, np.uint32), lit)
+    assert lit == pytest.approx([0.6, 0.7, 1.0, 0.9, 1.0], abs=0.003)
 
 
 def test_nose_down_lowers_the_horizon_line_of_sight():

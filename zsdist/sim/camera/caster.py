@@ -9,10 +9,10 @@ import numpy as np
 
 from zsdist.config import CameraConfig
 from zsdist.sim.camera.appearance import Appearance, of_scene
-from zsdist.sim.camera.kernels import SKY_DEPTH_M, cast, shadow_map
+from zsdist.sim.camera.kernels import SKY, SKY_DEPTH_M, cast, look_up, shadow_map
 from zsdist.sim.camera.optics import mount, tangents
 from zsdist.sim.camera.primitives import ARENA_HALF_M, Primitives, primitives_of
-from zsdist.sim.camera.shading import shade
+from zsdist.sim.camera.shading import shade, shadow_corners
 from zsdist.sim.camera.textures import noise_pyramid
 from zsdist.sim.kinds import SEGMENT_GROUND, SEGMENT_SKY
 from zsdist.sim.scene import Scene
@@ -32,7 +32,7 @@ class _Prepared:
     primitives: Primitives
     appearance: Appearance
     shadow: np.ndarray
-    segments: np.ndarray  # of index + 2: sky, ground, then each primitive
+    segments: np.ndarray  # of sky, ground, then each primitive
 
 
 class CasterCamera:
@@ -51,6 +51,8 @@ class CasterCamera:
         self._depth = np.empty((size, size), np.float32)
         self._index = np.empty((size, size), np.int32)
         self._packed = np.empty((size, size), np.int32)
+        self._work = np.empty((12, size), np.float32)
+        self._at = np.empty(size, np.uint32)
         self._tangents = tangents(size, float(np.deg2rad(config.field_of_view_deg)))
 
     def render(
@@ -76,7 +78,9 @@ class CasterCamera:
         `SEGMENT_` numbers of `kinds`.
         """
         image, prepared = self._draw(scene, pose, roll_rad, pitch_rad, people)
-        return image, self._depth_m(), prepared.segments[self._index + 2]
+        segments = np.empty(self._index.shape, np.uint8)
+        look_up(prepared.segments, self._index, segments)
+        return image, self._depth_m(), segments
 
     def render_instances(
         self, scene: Scene, pose: Pose, roll_rad: float = 0.0, pitch_rad: float = 0.0, people: np.ndarray | None = None
@@ -87,7 +91,7 @@ class CasterCamera:
         """
         image, prepared = self._draw(scene, pose, roll_rad, pitch_rad, people)
         instances = np.concatenate([[INSTANCE_SKY, INSTANCE_GROUND], prepared.primitives.owners])
-        return image, self._depth_m(), instances[self._index + 2]
+        return image, self._depth_m(), instances[self._index - SKY]
 
     def close(self) -> None:
         """Forget the prepared scenes."""
@@ -105,7 +109,8 @@ class CasterCamera:
         cast(primitives.forms, rows, origin, axes, self._tangents, self._depth, self._index, rectangles)
         shade(
             primitives.forms, rows, look.materials, look.ground, look.sky, look.light, prepared.shadow, ARENA_HALF_M,
-            discs, noise_pyramid(), origin, axes, self._tangents, self._depth, self._index, rectangles, self._packed,
+            discs, noise_pyramid(), origin, axes, self._tangents, self._depth, self._index, rectangles,
+            self._work, self._at, self._packed,
         )  # fmt: skip
         return cv2.cvtColor(self._packed.view(np.uint8).reshape(*self._packed.shape, 4), cv2.COLOR_RGBA2RGB), prepared
 
@@ -124,6 +129,7 @@ class CasterCamera:
             fixed[first:last] = False
         shadow = np.empty((_SHADOW_CELLS, _SHADOW_CELLS), np.float32)
         shadow_map(primitives.forms, primitives.rows, fixed, appearance.light[:3].copy(), ARENA_HALF_M, shadow)
+        shadow = shadow_corners(shadow)
         segments = np.concatenate([[SEGMENT_SKY, SEGMENT_GROUND], primitives.segments]).astype(np.uint8)
         prepared = _Prepared(scene, primitives, appearance, shadow, segments)
         self._kept[id(scene)] = prepared

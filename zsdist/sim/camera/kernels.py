@@ -14,6 +14,9 @@ from zsdist.sim.camera.primitives import Form
 
 # Finite arithmetic only; nothing here may produce inf or NaN, sky has depth SKY_DEPTH_M.
 FAST = {"contract", "arcp", "afn", "reassoc", "nsz"}
+# Of what is called for each row of pixels. To count the references to slices would take as long as the short loops
+# over them, so that is left out; such a kernel cannot make arrays, and whoever calls it holds those that it is given.
+ROWWISE = {"cache": True, "fastmath": FAST, "error_model": "numpy", "_nrt": False}
 SKY_DEPTH_M = 1e6
 NEAR_M = 0.02
 SKY, GROUND = -2, -1  # in the index image; primitives count from 0
@@ -174,32 +177,52 @@ def cast(
     """
     n = depth.shape[0]
     tangent = float(tangents[0]) * n / (n - 1)
-    for i in range(n):
-        _cast_ground(origin, axes, tangents[i], tangents, depth[i], index[i])
-    o, f, left, up = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    _cast_grounds(origin, axes, tangents, depth, index)
+    local = np.empty((4, 3))
     for p in range(len(forms)):
-        row, form = rows[p], forms[p]
-        _local(row, origin - row[:3], o)
-        _local(row, axes[0], f)
-        _local(row, axes[1], left)
-        _local(row, axes[2], up)
-        row0, row1, column0, column1 = _rectangle(form, row, o, f, left, up, tangent, n)
-        rectangles[p, 0], rectangles[p, 1], rectangles[p, 2], rectangles[p, 3] = row0, row1, column0, column1
-        if form == _ELLIPSOID:  # a unit ball, once space is shrunk to its axes
-            for k in range(3):
-                scale = 1.0 / row[3 + k]
-                o[k], f[k], left[k], up[k] = o[k] * scale, f[k] * scale, left[k] * scale, up[k] * scale
-        for i in range(row0, row1):
-            a, t, which = tangents[column0:column1], depth[i, column0:column1], index[i, column0:column1]
-            if form == _FRUSTUM:
-                _cast_frustum(row, o, f, left, up, tangents[i], a, t, which, p)
-            elif form == _ELLIPSOID:
-                _cast_ball(o, f, left, up, tangents[i], a, t, which, p)
-            else:
-                _cast_box(row, o, f, left, up, tangents[i], a, t, which, p)
+        row = rows[p]
+        _local(row, origin - row[:3], local[0])
+        for k in range(3):
+            _local(row, axes[k], local[1 + k])
+        rectangles[p] = _rectangle(forms[p], row, local[0], local[1], local[2], local[3], tangent, n)
+        if forms[p] == _ELLIPSOID:  # a unit ball, once space is shrunk to its axes
+            local /= row[3:6]
+        _cast_primitive(forms[p], row, local, rectangles[p], tangents, depth, index, p)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(**ROWWISE)
+def _cast_grounds(
+    origin: np.ndarray, axes: np.ndarray, tangents: np.ndarray, depth: np.ndarray, index: np.ndarray
+) -> None:
+    for i in range(len(tangents)):
+        _cast_ground(origin, axes, tangents[i], tangents, depth[i], index[i])
+
+
+@njit(**ROWWISE)
+def _cast_primitive(
+    form: int,
+    row: np.ndarray,
+    local: np.ndarray,
+    rectangle: np.ndarray,
+    tangents: np.ndarray,
+    depth: np.ndarray,
+    index: np.ndarray,
+    p: int,
+) -> None:
+    """Casts one primitive; `local` `(4, 3)` is the camera's place and its axes in the primitive's frame."""
+    row0, row1, column0, column1 = rectangle
+    a, o, f, left, up = tangents[column0:column1], local[0], local[1], local[2], local[3]
+    for i in range(row0, row1):
+        t, which = depth[i, column0:column1], index[i, column0:column1]
+        if form == _FRUSTUM:
+            _cast_frustum(row, o, f, left, up, tangents[i], a, t, which, p)
+        elif form == _ELLIPSOID:
+            _cast_ball(o, f, left, up, tangents[i], a, t, which, p)
+        else:
+            _cast_box(row, o, f, left, up, tangents[i], a, t, which, p)
+
+
+@njit(**ROWWISE)
 def row_directions(
     forward: np.ndarray, left: np.ndarray, up: np.ndarray, b: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -214,7 +237,7 @@ def row_directions(
     )
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(**ROWWISE)
 def _cast_ground(
     origin: np.ndarray, axes: np.ndarray, b: float, a: np.ndarray, depth: np.ndarray, index: np.ndarray
 ) -> None:
@@ -227,7 +250,7 @@ def _cast_ground(
         index[j] = GROUND if down else SKY
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(**ROWWISE)
 def _cast_frustum(
     row: np.ndarray,
     o: np.ndarray,
@@ -267,7 +290,7 @@ def _cast_frustum(
         index[j] = p if hit else index[j]
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(**ROWWISE)
 def _cast_ball(
     o: np.ndarray,
     f: np.ndarray,
@@ -293,7 +316,7 @@ def _cast_ball(
         index[j] = p if hit else index[j]
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(**ROWWISE)
 def _cast_box(
     row: np.ndarray,
     o: np.ndarray,
@@ -323,6 +346,14 @@ def _cast_box(
         hit = (enter > _NEAR) & (enter <= leave) & (enter < depth[j])
         depth[j] = enter if hit else depth[j]
         index[j] = p if hit else index[j]
+
+
+@njit(**ROWWISE)
+def look_up(numbers: np.ndarray, index: np.ndarray, out: np.ndarray) -> None:
+    """Fill `out` `(n, n)` with the number of what each pixel shows: those of `SKY`, `GROUND` and each primitive."""
+    for i in range(len(index)):
+        for j in range(index.shape[1]):
+            out[i, j] = numbers[np.uint32(index[i, j] - SKY)]
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -3,6 +3,8 @@
 A picture is coloured row by row: the sky and the ground each over the columns they may take, then each primitive over
 those in which it was found. What is needed of a row (light, noise, figures) stands in rows of numbers of its own, so
 that every inner loop is short, in single precision and without branches, and the compiler does many pixels at once.
+For that it must know that the rows which a loop reads and writes do not overlap, and it checks eight pairs at most: so
+a loop writes one row, or two and reads three at most.
 """
 
 import math
@@ -11,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from zsdist.sim.camera.appearance import Pattern, Texture
-from zsdist.sim.camera.kernels import FAST, GROUND, SKY, row_directions
+from zsdist.sim.camera.kernels import GROUND, ROWWISE, SKY, row_directions
 from zsdist.sim.camera.primitives import Form
 from zsdist.sim.camera.textures import CLOUDS, GRAIN, ground_figure, noise, road_figure, surface_figure
 
@@ -25,10 +27,12 @@ _SHADE, _LIGHTER = np.float32(0.55), np.float32(0.45)
 _EDGE, _SMALL, _FLAT, _FINE = (np.float32(value) for value in (1e-4, 1e-12, 0.7, 0.1))
 _SIDE, _TOP, _FOOT, _OPEN, _PER_FOOT = (np.float32(value) for value in (0.75, 0.25, 0.6, 0.4, 1 / 0.35))
 _NEVER = np.float32(1e9)
+_PER_LEVEL = np.float32(1 / 255)
+_BYTE, _TWO_BYTES, _THREE_BYTES, _LAST_BYTE = (np.uint32(value) for value in (8, 16, 24, 255))
 _BARK_STRETCH = np.float32(0.2)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(**ROWWISE)
 def _packed(red: float, green: float, blue: float) -> int:
     """A colour, each part in 0 to 1, as the bytes red, green, blue, 0 of a little-endian number."""
     first = np.int32(min(max(red, _ZERO), _ONE) * _WHITE)
@@ -37,17 +41,19 @@ def _packed(red: float, green: float, blue: float) -> int:
     return first | (second << np.int32(8)) | (third << np.int32(16))
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _sky(pyramid, sky, gain, axes, b, a, work, line):  # noqa: ANN001, ANN202
+@njit(**ROWWISE)
+def _sky(pyramid, sky, gain, axes, b, a, work, at, line):  # noqa: ANN001, ANN202
     """Colours a stretch of a row as sky: clear overhead, pale at the horizon, clouds on a plane far up."""
     n = len(a)
     up, u, v, footprint, cloud = work[0, :n], work[1, :n], work[2, :n], work[3, :n], work[4, :n]
     x0, y0, z0, x1, y1, z1 = row_directions(axes[0], axes[1], axes[2], b)
     for j in range(n):
         dx, dy, dz = x0 + a[j] * x1, y0 + a[j] * y1, z0 + a[j] * z1
-        up[j] = max(dz, _LOWEST) / np.sqrt(dx * dx + dy * dy + dz * dz)
-        u[j], v[j], footprint[j] = dx / up[j], dy / up[j], _LOWEST / up[j]
-    noise(pyramid[CLOUDS], u, v, 33.0, footprint, cloud)
+        rise = max(dz, _LOWEST) / np.sqrt(dx * dx + dy * dy + dz * dz)
+        up[j], footprint[j] = rise, _LOWEST / rise
+    for j in range(n):
+        u[j], v[j] = (x0 + a[j] * x1) / up[j], (y0 + a[j] * y1) / up[j]
+    noise(pyramid[CLOUDS], u, v, 33.0, footprint, at, cloud)
     amount = np.float32(sky[6])
     r0, g0, b0 = np.float32(sky[0]), np.float32(sky[1]), np.float32(sky[2])
     r1, g1, b1 = np.float32(sky[3] - sky[0]), np.float32(sky[4] - sky[1]), np.float32(sky[5] - sky[2])
@@ -57,8 +63,8 @@ def _sky(pyramid, sky, gain, axes, b, a, work, line):  # noqa: ANN001, ANN202
         line[j] = _packed((r0 + r1 * clear) * gain, (g0 + g1 * clear) * gain, (b0 + b1 * clear) * gain)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _ground(pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axes, b, a, step, work, line):  # noqa: ANN001, ANN202
+@njit(**ROWWISE)
+def _ground(pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axes, b, a, step, work, at, line):  # noqa: ANN001, ANN202
     """Colours a stretch of a row as ground: shadows, patches, a pattern, grain."""
     n = len(a)
     x, y, u, v = work[0, :n], work[1, :n], work[2, :n], work[3, :n]
@@ -69,13 +75,15 @@ def _ground(pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axe
     for j in range(n):
         t = -oz / (z0 + a[j] * z1)
         x[j], y[j] = ox + t * (x0 + a[j] * x1), oy + t * (y0 + a[j] * y1)
+    for j in range(n):
+        footprint[j] = pixel * (-oz / (z0 + a[j] * z1))
+    for j in range(n):
         u[j], v[j] = cos * x[j] + sin * y[j], cos * y[j] - sin * x[j]
-        footprint[j] = t * pixel
-    _sunshine(shadow, shadow_half, x, y, lit)
+    sunshine(shadow, shadow_half, x, y, at, lit)
     for k in range(len(discs)):
         _darken(discs[k], x, y, lit)
-    noise(pyramid[CLOUDS], u, v, 17.0, footprint, patch)
-    noise(pyramid[GRAIN], u, v, 1.0 / ground[8], footprint, grain)
+    noise(pyramid[CLOUDS], u, v, 17.0, footprint, at, patch)
+    noise(pyramid[GRAIN], u, v, 1.0 / ground[8], footprint, at, grain)
     pattern, finest = int(ground[6]), np.float32(0.25 * ground[9])  # a finer figure than two pixels would shimmer
     if pattern == _KERBS:
         road_figure(u, v, ground[17:], ground[9], footprint, figure)
@@ -88,44 +96,64 @@ def _ground(pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axe
     brightness = np.float32(light[6] * (light[3] + light[4] * light[2]))
     per_pixel, haze = np.float32(1.0 / step), np.float32(light[5])
     for j in range(n):
-        borne = strength * figure[j] if footprint[j] < finest else _ZERO
-        share = min(max(_HALF + contrast * patch[j], _ZERO), _ONE)
-        t = footprint[j] * per_pixel
+        figure[j] = strength * figure[j] if footprint[j] < finest else _ZERO
         lit[j] = (_ONE + roughness * grain[j]) * lit[j] * brightness
-        patch[j], figure[j], grain[j] = share, borne, t / (t + haze)
     r0, g0, b0 = np.float32(ground[0]), np.float32(ground[1]), np.float32(ground[2])
     r1, g1, b1 = np.float32(ground[3]) - r0, np.float32(ground[4]) - g0, np.float32(ground[5]) - b0
     r2, g2, b2 = np.float32(ground[14]), np.float32(ground[15]), np.float32(ground[16])
     far = np.float32(light[6])
     r3, g3, b3 = far * np.float32(sky[0]), far * np.float32(sky[1]), far * np.float32(sky[2])
     for j in range(n):
-        red, green, blue = r0 + r1 * patch[j], g0 + g1 * patch[j], b0 + b1 * patch[j]
+        share = min(max(_HALF + contrast * patch[j], _ZERO), _ONE)
+        red, green, blue = r0 + r1 * share, g0 + g1 * share, b0 + b1 * share
         red = (red + (r2 - red) * figure[j]) * lit[j]
         green = (green + (g2 - green) * figure[j]) * lit[j]
         blue = (blue + (b2 - blue) * figure[j]) * lit[j]
-        fog = grain[j]
+        t = footprint[j] * per_pixel
+        fog = t / (t + haze)
         line[j] = _packed(red + (r3 - red) * fog, green + (g3 - green) * fog, blue + (b3 - blue) * fog)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _sunshine(shadow: np.ndarray, half_m: float, x: np.ndarray, y: np.ndarray, out: np.ndarray) -> None:
+def shadow_corners(light: np.ndarray) -> np.ndarray:
+    """For each cell of `kernels.shadow_map` its light and that of the next in x, in y and in both: four bytes.
+
+    So that `sunshine` finds what it needs of a cell in one place.
+    """
+    level = np.rint(255.0 * np.pad(light, ((0, 1), (0, 1)), "edge")).astype(np.uint32)
+    return level[:-1, :-1] | level[:-1, 1:] << 8 | level[1:, :-1] << 16 | level[1:, 1:] << 24
+
+
+@njit(**ROWWISE)
+def sunshine(corners: np.ndarray, half_m: float, x: np.ndarray, y: np.ndarray, at: np.ndarray, out: np.ndarray) -> None:
     """How much light reaches places on the ground, between the cells of the shadow map."""
-    cells = shadow.shape[0]
-    flat = shadow.reshape(-1)
+    cells = corners.shape[0]
+    flat = corners.reshape(-1)
     per_m, middle, last = np.float32(cells / (2.0 * half_m)), np.float32(0.5 * cells - 0.5), np.float32(cells - 1.001)
     for j in range(len(out)):
-        gx = min(max(x[j] * per_m + middle, _ZERO), last)
-        gy = min(max(y[j] * per_m + middle, _ZERO), last)
-        ix, iy = np.int32(gx), np.int32(gy)
-        fx, fy = gx - np.float32(ix), gy - np.float32(iy)
-        at = np.uint32(iy * np.int32(cells) + ix)
-        near = flat[at] + fx * (flat[at + np.uint32(1)] - flat[at])
-        at += np.uint32(cells)
-        far = flat[at] + fx * (flat[at + np.uint32(1)] - flat[at])
-        out[j] = near + fy * (far - near)
+        ix, iy = np.int32(_cell(x[j], per_m, middle, last)), np.int32(_cell(y[j], per_m, middle, last))
+        at[j] = np.uint32(iy * np.int32(cells) + ix)
+    for j in range(len(out)):
+        at[j] = flat[at[j]]
+    for j in range(len(out)):
+        gx, gy = _cell(x[j], per_m, middle, last), _cell(y[j], per_m, middle, last)
+        fx, fy = gx - np.float32(np.int32(gx)), gy - np.float32(np.int32(gy))
+        four = at[j]
+        near = _light(four) + fx * (_light(four >> _BYTE) - _light(four))
+        far = _light(four >> _TWO_BYTES) + fx * (_light(four >> _THREE_BYTES) - _light(four >> _TWO_BYTES))
+        out[j] = (near + fy * (far - near)) * _PER_LEVEL
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(**ROWWISE)
+def _cell(place_m: float, per_m: float, middle: float, last: float) -> float:
+    return min(max(place_m * per_m + middle, _ZERO), last)
+
+
+@njit(**ROWWISE)
+def _light(bytes_: int) -> float:
+    return np.float32(np.int32(bytes_ & _LAST_BYTE))
+
+
+@njit(**ROWWISE)
 def _darken(disc: np.ndarray, x: np.ndarray, y: np.ndarray, lit: np.ndarray) -> None:
     """The shade about the feet of something that walks: a disc of x, y, radius in metres."""
     dx, dy, per_radius = np.float32(disc[0]), np.float32(disc[1]), np.float32(1.0 / disc[2])
@@ -134,7 +162,7 @@ def _darken(disc: np.ndarray, x: np.ndarray, y: np.ndarray, lit: np.ndarray) -> 
         lit[j] *= min(_SHADE + _LIGHTER * max(gap - _ONE, _ZERO), _ONE)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(**ROWWISE)
 def _frame(row: np.ndarray, origin: np.ndarray, light: np.ndarray) -> tuple[float, float, float, float, float, float]:
     """Cosine and sine of a primitive's heading, the camera's place from its own, and the sun in its frame."""
     co, si = math.cos(row[6]), math.sin(row[6])
@@ -149,72 +177,100 @@ def _frame(row: np.ndarray, origin: np.ndarray, light: np.ndarray) -> tuple[floa
     )
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _surface(pyramid, form, row, material, light, frame, height, axes, b, a, step, t, work):  # noqa: ANN001, ANN202
+@njit(**ROWWISE)
+def _frustum_normals(row, x, y, z, nx, ny, nz):  # noqa: ANN001, ANN202
+    """Unit normals of a frustum at places on it, from its own; z is above the ground."""
+    top, slope = np.float32(row[2] + row[3]) - _EDGE, np.float32((row[5] - row[4]) / row[3])
+    for j in range(len(z)):
+        square = x[j] * x[j] + y[j] * y[j]
+        inverse = _ZERO if z[j] > top else _ONE / np.sqrt(square + slope * slope * square + _SMALL)
+        nx[j], ny[j] = x[j] * inverse, y[j] * inverse
+    for j in range(len(z)):
+        nz[j] = _ONE if z[j] > top else -slope / np.sqrt(_ONE + slope * slope)
+
+
+@njit(**ROWWISE)
+def _ball_normals(row, x, y, z, nx, ny, nz):  # noqa: ANN001, ANN202
+    """As `_frustum_normals`, of an ellipsoid."""
+    middle = np.float32(row[2])
+    per_x, per_y, per_z = np.float32(row[3] ** -2.0), np.float32(row[4] ** -2.0), np.float32(row[5] ** -2.0)
+    for j in range(len(z)):
+        gx, gy, gz = x[j] * per_x, y[j] * per_y, (z[j] - middle) * per_z
+        inverse = _ONE / np.sqrt(gx * gx + gy * gy + gz * gz + _SMALL)
+        nx[j], ny[j] = gx * inverse, gy * inverse
+    for j in range(len(z)):
+        gx, gy, gz = x[j] * per_x, y[j] * per_y, (z[j] - middle) * per_z
+        nz[j] = gz / np.sqrt(gx * gx + gy * gy + gz * gz + _SMALL)
+
+
+@njit(**ROWWISE)
+def _box_normals(row, x, y, z, nx, ny, nz):  # noqa: ANN001, ANN202
+    """As `_frustum_normals`, of a box: of the face that is nearest to each place."""
+    top, length, width = np.float32(row[2] + row[3]), np.float32(row[4]), np.float32(row[5])
+    for j in range(len(z)):
+        beyond_x, beyond_y = abs(x[j]) - length, abs(y[j]) - width
+        nz[j] = _ONE if z[j] - top > max(beyond_x, beyond_y) else _ZERO
+    for j in range(len(z)):
+        along = abs(x[j]) - length > abs(y[j]) - width
+        side = _ONE - nz[j]
+        nx[j] = (side if x[j] > _ZERO else -side) if along else _ZERO
+        ny[j] = _ZERO if along else (side if y[j] > _ZERO else -side)
+
+
+@njit(**ROWWISE)
+def _surface(pyramid, form, row, material, light, frame, height, axes, b, a, step, t, work, at):  # noqa: ANN001, ANN202
     """What the surface of one primitive needs to be coloured along a stretch of a row.
 
     Leaves in `work` the light, the share of the second colour and the haze of each pixel, rows 5, 8 and 7.
     """
     n = len(a)
     x, y, u, v, footprint = work[0, :n], work[1, :n], work[2, :n], work[3, :n], work[4, :n]
-    lit, z, grain, figure, upright = work[5, :n], work[6, :n], work[7, :n], work[8, :n], work[9, :n]
+    lit, z, grain, figure = work[5, :n], work[6, :n], work[7, :n], work[8, :n]
+    nx, ny, nz = work[9, :n], work[10, :n], work[11, :n]
     x0, y0, z0, x1, y1, z1 = row_directions(axes[0], axes[1], axes[2], b)
     co, si, ox, oy, sun_x, sun_y = frame
-    oz, base, pixel = np.float32(height), np.float32(row[2]), np.float32(step)
+    oz, pixel = np.float32(height), np.float32(step)
     for j in range(n):
         wx, wy = ox + t[j] * (x0 + a[j] * x1), oy + t[j] * (y0 + a[j] * y1)
-        x[j], y[j], z[j] = co * wx + si * wy, co * wy - si * wx, oz + t[j] * (z0 + a[j] * z1)
-        footprint[j] = t[j] * pixel
-    size0, size1, size2 = np.float32(row[3]), np.float32(row[4]), np.float32(row[5])
-    sun_z = np.float32(light[2])
-    ambient, sunlight = np.float32(light[3] * light[6]), np.float32(light[4] * light[6])
-    shift = np.float32(material[9])
-    slope = (size2 - size1) / size0
-    inverse0, inverse1, inverse2 = _ONE / (size0 * size0), _ONE / (size1 * size1), _ONE / (size2 * size2)
+        x[j], y[j] = co * wx + si * wy, co * wy - si * wx
     for j in range(n):
-        lx, ly, lz = x[j], y[j], z[j] - base
-        if form == _FRUSTUM:
-            lid = lz > size0 - _EDGE
-            nx, ny = _ZERO if lid else lx, _ZERO if lid else ly
-            nz = _ONE if lid else -slope * np.sqrt(lx * lx + ly * ly)
-        elif form == _ELLIPSOID:
-            nx, ny, nz = lx * inverse0, ly * inverse1, lz * inverse2
-        else:
-            qx, qy, qz = abs(lx) - size1, abs(ly) - size2, lz - size0
-            lid = (qz > qx) & (qz > qy)
-            side = (qx > qy) & ~lid
-            nx = (_ONE if lx > _ZERO else -_ONE) if side else _ZERO
-            ny = _ZERO if side | lid else (_ONE if ly > _ZERO else -_ONE)
-            nz = _ONE if lid else _ZERO
-        norm = _ONE / np.sqrt(nx * nx + ny * ny + nz * nz + _SMALL)
-        nx, ny, nz = nx * norm, ny * norm, nz * norm
-        facing = max(nx * sun_x + ny * sun_y + nz * sun_z, _ZERO)
-        light_here = ambient * (_SIDE + _TOP * nz) + sunlight * facing
+        z[j], footprint[j] = oz + t[j] * (z0 + a[j] * z1), t[j] * pixel
+    if form == _FRUSTUM:
+        _frustum_normals(row, x, y, z, nx, ny, nz)
+    elif form == _ELLIPSOID:
+        _ball_normals(row, x, y, z, nx, ny, nz)
+    else:
+        _box_normals(row, x, y, z, nx, ny, nz)
+    sun_z, base, shift = np.float32(light[2]), np.float32(row[2]), np.float32(material[9])
+    ambient, sunlight = np.float32(light[3] * light[6]), np.float32(light[4] * light[6])
+    for j in range(n):
+        facing = max(nx[j] * sun_x + ny[j] * sun_y + nz[j] * sun_z, _ZERO)
+        light_here = ambient * (_SIDE + _TOP * nz[j]) + sunlight * facing
         lit[j] = light_here * (_FOOT + _OPEN * min(z[j] * _PER_FOOT, _ONE))  # near the ground the sky is half hidden
-        flat = abs(nz) > _FLAT
-        along = abs(nx) > abs(ny)
-        u[j] = shift + (ly if along & ~flat else lx)
-        v[j] = ly if flat else lz
-        upright[j] = _ZERO if flat else _ONE
+    for j in range(n):
+        along = (abs(nx[j]) > abs(ny[j])) & (abs(nz[j]) <= _FLAT)
+        u[j] = shift + (y[j] if along else x[j])
+    for j in range(n):
+        v[j] = y[j] if abs(nz[j]) > _FLAT else z[j] - base
     texture = int(material[6])
     stretch = _BARK_STRETCH if texture == _BARK else _ONE
     if texture > _BARK:
         surface_figure(texture, u, v, material[10], figure)
         for j in range(n):
-            figure[j] = figure[j] * upright[j] if footprint[j] < _FINE else _ZERO
+            figure[j] = figure[j] if (footprint[j] < _FINE) & (abs(nz[j]) <= _FLAT) else _ZERO
     else:
         figure[:] = _ZERO
     for j in range(n):
         v[j] *= stretch
         footprint[j] *= stretch
-    noise(pyramid[GRAIN], u, v, 1.0 / material[8], footprint, grain)
+    noise(pyramid[GRAIN], u, v, 1.0 / material[8], footprint, at, grain)
     roughness, haze = np.float32(material[7]), np.float32(light[5])
     for j in range(n):
         lit[j] *= _ONE + roughness * grain[j]
         grain[j] = t[j] / (t[j] + haze)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(**ROWWISE)
 def _paint(material, sky, gain, work, which, p, line):  # noqa: ANN001, ANN202
     """Colours those pixels of a stretch of a row in which primitive `p` was found, as `_surface` left them."""
     n = len(which)
@@ -230,7 +286,7 @@ def _paint(material, sky, gain, work, which, p, line):  # noqa: ANN001, ANN202
         line[j] = colour if which[j] == p else line[j]
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(**ROWWISE)
 def shade(
     forms: np.ndarray,
     rows: np.ndarray,
@@ -248,6 +304,8 @@ def shade(
     depth: np.ndarray,
     index: np.ndarray,
     rectangles: np.ndarray,
+    work: np.ndarray,
+    at: np.ndarray,
     image: np.ndarray,
 ) -> None:
     """Fill `image` `(n, n)` int32, a packed colour a pixel, from what `kernels.cast` left.
@@ -259,7 +317,7 @@ def shade(
         ground: see `Appearance`.
         sky: see `Appearance`.
         light: see `Appearance`.
-        shadow: `(m, m)` from `kernels.shadow_map`, over plus and minus `shadow_half` metres.
+        shadow: `(m, m)` from `shadow_corners`, over plus and minus `shadow_half` metres.
         shadow_half: in metres.
         discs: `(W, 3)` x, y, radius of what walks and so has no shadow in the map.
         pyramid: from `noise_pyramid`.
@@ -269,22 +327,23 @@ def shade(
         depth: `(n, n)` metres along the axis.
         index: `(n, n)` which primitive, or `GROUND` or `SKY`.
         rectangles: `(P, 4)` rows and columns within which each primitive's picture lies.
+        work: `(12, n)` float32, room to work in.
+        at: `(n,)` uint32, room to work in.
         image: `(n, n)` int32, written: the bytes red, green, blue and 0 of each pixel.
     """
     n = depth.shape[0]
     step = float(tangents[0] - tangents[n - 1]) / (n - 1)
-    work = np.empty((10, n), np.float32)
     for i in range(n):
         b = float(tangents[i])
         first, last = _stretch(index[i], GROUND)
         if first < last:
             _ground(
                 pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axes, b, tangents[first:last], step,
-                work, image[i, first:last],
+                work, at, image[i, first:last],
             )  # fmt: skip
         first, last = _stretch(index[i], SKY)
         if first < last:
-            _sky(pyramid, sky, light[6], axes, b, tangents[first:last], work, image[i, first:last])
+            _sky(pyramid, sky, light[6], axes, b, tangents[first:last], work, at, image[i, first:last])
     for p in range(len(forms)):
         row0, row1, column0, column1 = rectangles[p]
         frame = _frame(rows[p], origin, light)
@@ -295,12 +354,12 @@ def shade(
                 t, which = depth[i, first:last], index[i, first:last]
                 _surface(
                     pyramid, forms[p], rows[p], materials[p], light, frame, origin[2], axes, float(tangents[i]),
-                    tangents[first:last], step, t, work,
+                    tangents[first:last], step, t, work, at,
                 )  # fmt: skip
                 _paint(materials[p], sky, light[6], work, which, p, image[i, first:last])
 
 
-@njit(cache=True)
+@njit(**ROWWISE)
 def _stretch(index: np.ndarray, which: int) -> tuple[int, int]:
     """The least stretch of a row, first and end, that holds every pixel of `which`; empty where there is none."""
     first, last = 0, len(index)

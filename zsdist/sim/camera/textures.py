@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from zsdist.sim.camera.appearance import Pattern, Texture
-from zsdist.sim.camera.kernels import FAST
+from zsdist.sim.camera.kernels import ROWWISE
 
 _TILES, _STRIPES, _CHECKER = int(Pattern.TILES), int(Pattern.STRIPES), int(Pattern.CHECKER)
 _BRICK, _WINDOWS = int(Texture.BRICK), int(Texture.WINDOWS)
@@ -55,36 +55,61 @@ def noise_pyramid() -> np.ndarray:
     return np.rint(127 * np.array(rows)).astype(np.int8)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(**ROWWISE)
 def noise(
-    pyramid: np.ndarray, u: np.ndarray, v: np.ndarray, per_m: float, footprint: np.ndarray, out: np.ndarray
+    pyramid: np.ndarray,
+    u: np.ndarray,
+    v: np.ndarray,
+    per_m: float,
+    footprint: np.ndarray,
+    at: np.ndarray,
+    out: np.ndarray,
 ) -> None:
     """Noise at places in metres, of `per_m` texels a metre, from the halving whose texel is about the pixel's size.
 
-    A run of `_RUN` pixels uses one halving, the one that fits its middle.
+    A run of `_RUN` pixels uses one halving, the one that fits its middle. Runs that use the same are read in one go.
+    `at` is room to work in, uint32 and as long as the others.
     """
-    for first in range(0, len(out), _RUN):
-        last = min(first + _RUN, len(out))
-        fine = float(footprint[(first + last) // 2]) * per_m
-        size, start, density = _NOISE_SIZE, 0, per_m
-        while fine > 1.0 and size > _NOISE_SIZE >> (_NOISE_LEVELS - 1):
-            start += size * size
-            size >>= 1
-            density *= 0.5
-            fine *= 0.5
-        _texels(pyramid[start : start + size * size], size, density, u[first:last], v[first:last], out[first:last])
+    n = len(out)
+    first, halvings = 0, _halvings(footprint[min(_RUN, n) // 2] * per_m) if n else 0
+    for next_run in range(_RUN, n, _RUN):
+        its = _halvings(footprint[(next_run + min(next_run + _RUN, n)) // 2] * per_m)
+        if its != halvings:
+            _texels(pyramid, halvings, per_m, u[first:next_run], v[first:next_run], at, out[first:next_run])
+            first, halvings = next_run, its
+    _texels(pyramid, halvings, per_m, u[first:], v[first:], at, out[first:])
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _texels(level: np.ndarray, size: int, per_m: float, u: np.ndarray, v: np.ndarray, out: np.ndarray) -> None:
-    texels, mask, stride = np.float32(per_m), np.int32(size - 1), np.int32(size)
+@njit(**ROWWISE)
+def _halvings(texels: float) -> int:
+    """How often the noise is to be halved so that one pixel spans one texel or less, where it spans `texels` now."""
+    halvings = 0
+    while texels > 1.0 and halvings < _NOISE_LEVELS - 1:
+        texels *= 0.5
+        halvings += 1
+    return halvings
+
+
+@njit(**ROWWISE)
+def _texels(
+    pyramid: np.ndarray, halvings: int, per_m: float, u: np.ndarray, v: np.ndarray, at: np.ndarray, out: np.ndarray
+) -> None:
+    start, size = 0, _NOISE_SIZE
+    for _ in range(halvings):
+        start += size * size
+        size >>= 1
+    level = pyramid[start : start + size * size]
+    texels, mask, stride = np.float32(per_m * size / _NOISE_SIZE), np.int32(size - 1), np.int32(size)
+    # Loops of their own: what reads from memory here and there would keep the compiler from doing many pixels at once.
     for j in range(len(out)):
         row = np.int32(np.floor(v[j] * texels)) & mask
         column = np.int32(np.floor(u[j] * texels)) & mask
-        out[j] = np.float32(level[np.uint32(row * stride + column)]) * _PER_UNIT
+        at[j] = np.uint32(row * stride + column)
+    for j in range(len(out)):
+        out[j] = np.float32(level[at[j]]) * _PER_UNIT
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(**ROWWISE)
 def ground_figure(pattern: int, x: np.ndarray, y: np.ndarray, period: float, out: np.ndarray) -> None:
     """Whether places on the ground bear the pattern's second colour, 0 to 1."""
     per_m, dash = np.float32(1.0 / period), np.float32(0.12 / period)
@@ -102,7 +127,7 @@ def ground_figure(pattern: int, x: np.ndarray, y: np.ndarray, period: float, out
         out[j] = _ONE if borne else _ZERO
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(**ROWWISE)
 def road_figure(
     along: np.ndarray, left: np.ndarray, road: np.ndarray, slab_m: float, footprint: np.ndarray, out: np.ndarray
 ) -> None:
@@ -129,7 +154,7 @@ def road_figure(
         out[j] = road_share if beyond < _ZERO else pavement_share
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(**ROWWISE)
 def surface_figure(texture: int, u: np.ndarray, v: np.ndarray, period: float, out: np.ndarray) -> None:
     """Whether places on a surface bear the texture's second colour, 0 to 1."""
     per_m = np.float32(1.0 / period)
