@@ -20,6 +20,7 @@ from zsdist.config import Config
 from zsdist.protocol.outbox import Outbox
 from zsdist.replay.journal import Journal
 from zsdist.roles.base import Context
+from zsdist.roles.learner import PREFETCH
 from zsdist.roles.replay import Replay
 from zsdist.roles.shelf import Shape
 from zsdist.transport.base import Mailbox, Transport
@@ -32,7 +33,6 @@ RUN = "benchmark"
 ACTIONS = 5
 ENDPOINT = "tcp/127.0.0.1:7600"  # or the next free port above it
 TRAJECTORIES = 64  # different ones, of which all actors push
-PREFETCH = 3  # batches asked for at a time, as a learner does
 ANSWER_WITHIN_S = 10.0
 LOST_AFTER_S = 3.0  # longer than the replay holds a request; then all that was asked for is asked again
 _spawn = multiprocessing.get_context("spawn")
@@ -68,6 +68,10 @@ class ReplayService:
         """CPU seconds that hub and replay have used so far."""
         times = {name: psutil.Process(process.pid).cpu_times() for name, process in self._processes.items()}
         return {name: spent.user + spent.system for name, spent in times.items()}
+
+    def resident_bytes(self) -> int:
+        """Memory of the replay's process."""
+        return psutil.Process(self._processes["replay"].pid).memory_info().rss
 
     def _start(self, name: str, serve: object, *arguments: object) -> str:
         ours, theirs = _spawn.Pipe()

@@ -2,7 +2,7 @@
 
 `python benchmarks/replay.py [--quick] [--peers DIR]` prints a table, then one JSON line. Ours is what a run starts: hub
 and replay are processes of their own, one client pushes trajectories through the real outbox with acknowledgements and
-takes batches as a learner does, three asked for at a time. The peers, each with a client process of its own, get the
+takes batches, as many asked for at a time as by a run's learner (8). The peers, each with a client of its own, get the
 same transitions, 256 features and so 2,048 bytes of float32 states a transition, into a ring of the same size:
 
 - a Ray actor holding a numpy ring, 64 transitions a call, 16 calls in flight both ways;
@@ -130,9 +130,13 @@ class PeerProcess:
         return self._ask(f"latency {count}")
 
     def close(self) -> None:
-        """Lets it end."""
+        """Lets it end, and makes it: a Reverb dataset's threads sometimes keep their process alive."""
         self._process.stdin.close()
-        self._process.wait(timeout=20)
+        try:
+            self._process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
 
     def _ask(self, order: str) -> object:
         print(order, file=self._process.stdin, flush=True)

@@ -28,6 +28,7 @@ from zsdist.config import Config, parse
 from zsdist.protocol.outbox import Outbox
 from zsdist.replay.journal import Journal
 from zsdist.roles.base import Context
+from zsdist.roles.learner import PREFETCH
 from zsdist.roles.replay import Replay
 from zsdist.roles.shelf import Shape
 from zsdist.transport.base import Mailbox, Transport
@@ -49,7 +50,6 @@ CASES = (  # transport, actors, updates an insert
     ("zenoh", 4, 1.0),
 )
 TRAJECTORIES = 64  # different ones, of which all actors push
-PREFETCH = 3  # batches asked for, as a learner does
 
 
 class Actors:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from zsdist.errors import DecodeError
-from zsdist.types import NO_GUIDE, Batch, Level, Trajectory, Weights
+from zsdist.types import NO_GUIDE, Batch, Level, Trajectories, Trajectory, Weights
 from zsdist.wire.codec import decode
 from zsdist.wire.messages import (
     EPISODES,
@@ -118,7 +118,9 @@ def every_message(rng: np.random.Generator) -> list[AnyMessage]:
 
 
 def plain(value: object) -> object:
-    """A message as something `==` compares wholly: arrays as dtype, shape and bytes."""
+    """A message as something `==` compares wholly: arrays as dtype, shape and bytes; joined trajectories one by one."""
+    if isinstance(value, Trajectories):
+        return plain(tuple(value))
     if dataclasses.is_dataclass(value):
         return type(value), {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
     if isinstance(value, np.ndarray):

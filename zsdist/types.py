@@ -5,9 +5,10 @@ Shape legend: `n` transitions of a trajectory, `D` state features, `A` actions, 
 """
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -124,6 +125,58 @@ class Trajectory:
 
     def __len__(self) -> int:
         return len(self.actions)
+
+
+TRAJECTORY_COLUMNS = ("states", "actions", "rewards", "discounts", "successors", "masks", "guides", "behaviours")
+
+
+@dataclass(frozen=True)
+class Trajectories(Sequence[Trajectory]):
+    """Trajectories of a level one after the other, column by column; taken apart only where one of them is asked for.
+
+    Attributes:
+        level: which DQN they are for.
+        columns: the arrays of `Trajectory` by name, each joined along its first axis.
+        lengths: `(k,)` int64, transitions of each; 1 or more.
+        versions: `(k,)` int64, version of the weights that acted.
+    """
+
+    level: Level
+    columns: dict[str, np.ndarray]
+    lengths: np.ndarray
+    versions: np.ndarray
+
+    @classmethod
+    def join(cls, trajectories: Sequence[Trajectory]) -> Self:
+        """The same trajectories, at least one, joined."""
+        return cls(
+            level=trajectories[0].level,
+            columns={
+                name: np.concatenate([getattr(trajectory, name) for trajectory in trajectories])
+                for name in TRAJECTORY_COLUMNS
+            },
+            lengths=np.array([len(trajectory) for trajectory in trajectories]),
+            versions=np.array([trajectory.weight_version for trajectory in trajectories]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.lengths)
+
+    def __getitem__(self, index: int) -> Trajectory:
+        index = range(len(self))[index]
+        start, length = int(self.lengths[:index].sum()), int(self.lengths[index])
+        row = start + index  # each trajectory before this one has one more state than transitions
+        spans = {name: slice(start, start + length) for name in TRAJECTORY_COLUMNS}
+        spans["states"] = spans["masks"] = slice(row, row + length + 1)
+        own = {name: self.columns[name][span] for name, span in spans.items()}
+        return Trajectory(level=self.level, weight_version=int(self.versions[index]), **own)
+
+
+def count_transitions(trajectories: Iterable[Trajectory]) -> int:
+    """How many transitions trajectories have together."""
+    if isinstance(trajectories, Trajectories):
+        return int(trajectories.lengths.sum())
+    return sum(map(len, trajectories))
 
 
 @dataclass(frozen=True)

@@ -166,16 +166,19 @@ class Outbox:
         if ack.sender_epoch < self._sender_epoch or ack.received > self._sequence:
             self._ignored_acks += 1
             return
-        if self._heard_s is None or now - self._heard_s > SILENCE_S:
+        replaced = ack.sender_epoch > self._sender_epoch
+        if replaced or self._heard_s is None or now - self._heard_s > SILENCE_S:
             self._stalled_since_s = now  # while it was away nothing could be acknowledged
             for flight in self._flight:
                 flight.sendings = min(flight.sendings, 1)
+                if replaced:  # what its predecessor did not acknowledge it does not hold
+                    flight.sent_s = min(flight.sent_s, now - self._resend_after_s)
         if ack.received > acknowledged:
             for _ in range(ack.received - acknowledged):
                 self._flight.popleft()
             self._stalled_since_s = now
         if self._metered:
-            if ack.sender_epoch > self._sender_epoch or self.credit is None:
+            if replaced or self.credit is None:
                 self.credit = ack.credit
             elif ack.credit is not None:
                 self.credit = max(self.credit, ack.credit)

@@ -13,7 +13,7 @@ import numpy as np
 from zsdist.errors import RunError
 from zsdist.replay import returns
 from zsdist.replay.priorities import Priorities
-from zsdist.types import NO_GUIDE, Batch, Behaviour, Trajectory
+from zsdist.types import NO_GUIDE, Batch, Behaviour, Trajectories, Trajectory, count_transitions
 
 # Why a transition is refused, in the order in which it is looked for; each counts under the first that applies.
 REASONS = (
@@ -30,14 +30,14 @@ REASONS = (
     "dead_end",
 )
 _DTYPES = {
-    "states": np.float32,
-    "actions": np.uint8,
-    "rewards": np.float32,
-    "discounts": np.float32,
-    "successors": np.uint16,
-    "masks": np.bool_,
-    "guides": np.int8,
-    "behaviours": np.uint8,
+    "states": np.dtype(np.float32),
+    "actions": np.dtype(np.uint8),
+    "rewards": np.dtype(np.float32),
+    "discounts": np.dtype(np.float32),
+    "successors": np.dtype(np.uint16),
+    "masks": np.dtype(np.bool_),
+    "guides": np.dtype(np.int8),
+    "behaviours": np.dtype(np.uint8),
 }
 
 
@@ -82,30 +82,21 @@ class RingBuffer:
         """Weight versions between the newest transition seen and the oldest stored one; None: nothing is stored."""
         return self._newest_version - self.oldest_version if self._size else None
 
-    def insert(self, *trajectories: Trajectory) -> tuple[int, dict[str, int]]:
+    def insert(self, trajectories: Sequence[Trajectory]) -> tuple[int, dict[str, int]]:
         """Stores the sound transitions of `trajectories`, in order, evicting the oldest.
-
-        Several at once cost little more than one.
 
         Returns:
             `(stored, rejected)`: how many were stored, and how many were refused by reason (`REASONS`), together the
-            number offered.
+            number offered. Trajectories of other shapes or dtypes than the buffer's are all refused together.
         """
-        rejected: dict[str, int] = {}
-        formed = []
-        for trajectory in trajectories:
-            offered = int(np.size(trajectory.actions))
-            reason = self._malformed(trajectory, offered)
-            if reason:
-                rejected[reason] = rejected.get(reason, 0) + offered
-            elif offered:
-                formed.append(trajectory)
-        if not formed:
-            return 0, rejected
-        offer = _Offer.of(formed)
-        sound, refused = self._judge(offer)
-        for reason, count in refused.items():
-            rejected[reason] = rejected.get(reason, 0) + count
+        offered = count_transitions(trajectories)
+        if not offered:
+            return 0, {}
+        joined = trajectories if isinstance(trajectories, Trajectories) else Trajectories.join(trajectories)
+        if reason := self._malformed(joined, offered):
+            return 0, {reason: offered}
+        offer = _Offer.of(joined)
+        sound, rejected = self._judge(offer)
         chosen = np.flatnonzero(sound)
         stored = len(chosen)
         if self._n_step > 1 and stored:
@@ -211,14 +202,15 @@ class RingBuffer:
         assert columns["masks"][np.arange(self._size), columns["actions"]].all()
         assert (columns["next_masks"].any(axis=1) | (columns["discounts"] == 0)).all()
 
-    def _malformed(self, trajectory: Trajectory, offered: int) -> str | None:
-        n, d, a = offered, self._state_size, self._actions
-        shapes = {"states": (n + 1, d), "masks": (n + 1, a)}
-        for name in _DTYPES:
-            if np.shape(getattr(trajectory, name)) != shapes.get(name, (n,)):
+    def _malformed(self, trajectories: Trajectories, offered: int) -> str | None:
+        rows = offered + len(trajectories)
+        shapes = {"states": (rows, self._state_size), "masks": (rows, self._actions)}
+        for name, dtype in _DTYPES.items():
+            column = trajectories.columns[name]
+            if column.shape != shapes.get(name, (offered,)):
                 return "shape"
-        if any(getattr(trajectory, name).dtype != dtype for name, dtype in _DTYPES.items()):
-            return "dtype"
+            if column.dtype != dtype:
+                return "dtype"
         return None
 
     def _judge(self, offer: "_Offer") -> tuple[np.ndarray, dict[str, int]]:
@@ -288,12 +280,12 @@ class _Offer(NamedTuple):
     columns: dict[str, np.ndarray]
 
     @classmethod
-    def of(cls, trajectories: Sequence[Trajectory]) -> Self:
-        """Joins well-formed trajectories of one transition or more."""
-        lengths = np.array([len(trajectory) for trajectory in trajectories])
+    def of(cls, trajectories: Trajectories) -> Self:
+        """Well-formed trajectories, with what tells whose transitions are whose."""
+        lengths = trajectories.lengths
         ends = lengths.cumsum()
         before = np.arange(len(lengths))  # each trajectory before this one has one more state than transitions
-        joined = {name: np.concatenate([getattr(trajectory, name) for trajectory in trajectories]) for name in _DTYPES}
+        joined = dict(trajectories.columns)
         steps = joined.pop("successors")
         known = steps <= lengths.repeat(lengths)
         return cls(
@@ -302,7 +294,7 @@ class _Offer(NamedTuple):
             rows=np.arange(ends[-1]) + before.repeat(lengths),
             successors=np.where(known, steps, 0) + (ends - lengths + before).repeat(lengths),
             known=known,
-            versions=np.array([trajectory.weight_version for trajectory in trajectories]).repeat(lengths),
+            versions=trajectories.versions.repeat(lengths),
             columns=joined,
         )
 

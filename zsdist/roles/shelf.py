@@ -64,7 +64,7 @@ class Shelf:
         delivered = self.inbox.receive(push, now)
         for frame in delivered:
             stream = f"{frame.actor}/{frame.epoch}"
-            stored, reasons = self.buffer.insert(*frame.trajectories)
+            stored, reasons = self.buffer.insert(frame.trajectories)
             self.stored += stored
             for reason, count in reasons.items():
                 self.rejected[reason] = self.rejected.get(reason, 0) + count

@@ -6,13 +6,12 @@ Masks are packed, eight to a byte.
 """
 
 from collections.abc import Mapping, Sequence
-from itertools import accumulate
 
 import numpy as np
 import torch
 
 from zsdist.errors import DecodeError
-from zsdist.types import NO_GUIDE, Batch, Behaviour, Level, Trajectory
+from zsdist.types import NO_GUIDE, Batch, Behaviour, Level, Trajectories, Trajectory
 
 MAX_ACTIONS = 64
 MAX_STATE_SIZE = 65_536
@@ -105,24 +104,13 @@ def check_trajectories(columns: Mapping[str, np.ndarray], actions: int) -> int:
     return transitions
 
 
-def to_trajectories(columns: Mapping[str, np.ndarray], actions: int, level: Level) -> tuple[Trajectory, ...]:
-    """The trajectories of checked columns; arrays are parts of the frame's."""
+def to_trajectories(columns: Mapping[str, np.ndarray], actions: int, level: Level) -> Sequence[Trajectory]:
+    """The trajectories of checked columns."""
     if not columns:
         return ()
-    states = _widen(columns["states"])
-    masks = _unpack_masks(columns["masks"], actions)
-    lengths = [int(length) for length in columns["lengths"]]
-    result = []
-    for index, (end, length) in enumerate(zip(accumulate(lengths), lengths, strict=True)):
-        span = slice(end - length, end)
-        rows = slice(span.start + index, end + index + 1)  # each trajectory before this one has one more state
-        single = {
-            name: columns[name][span]
-            for name in ("actions", "rewards", "discounts", "successors", "guides", "behaviours")
-        }
-        version = int(columns["versions"][index])
-        result.append(Trajectory(level=level, states=states[rows], masks=masks[rows], weight_version=version, **single))
-    return tuple(result)
+    own = {name: columns[name] for name in ("actions", "rewards", "discounts", "successors", "guides", "behaviours")}
+    own |= {"states": _widen(columns["states"]), "masks": _unpack_masks(columns["masks"], actions)}
+    return Trajectories(level, own, columns["lengths"].astype(np.int64), columns["versions"].astype(np.int64))
 
 
 def from_batch(batch: Batch) -> tuple[dict[str, np.ndarray], int]:

@@ -4,12 +4,13 @@
 heard, so that a process that was replaced and wakes up again can do no harm.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from zsdist.types import Ack, Batch, Level, Parameters, Trajectory, Weights
+from zsdist.types import Ack, Batch, Level, Parameters, Trajectory, Weights, count_transitions
 
 EPISODES = "episodes"  # stream of how each episode ended
 EVALUATION = "evaluation"  # stream of the results of greedy drives
@@ -35,12 +36,12 @@ class Push:
     sequence: int
     produced: int
     closes: bool
-    trajectories: tuple[Trajectory, ...]
+    trajectories: Sequence[Trajectory]
 
     @property
     def count(self) -> int:
         """Transitions in this frame."""
-        return sum(len(trajectory) for trajectory in self.trajectories)
+        return count_transitions(self.trajectories)
 
 
 @dataclass(frozen=True)

@@ -129,6 +129,17 @@ def test_a_stalled_receiver_is_not_flooded() -> None:
     assert sent <= 64 * 14
 
 
+def test_a_new_receiver_is_sent_at_once_what_its_predecessor_did_not_acknowledge() -> None:
+    outbox = pushes()
+    give(outbox, 200, 200)
+    first, second = outbox.poll(0.0)
+    assert outbox.poll(RESEND_S) == [first, second]  # the next time it would be sent is two waits later
+    outbox.on_ack(ack(1, sender_epoch=2), 1.1 * RESEND_S)
+    assert outbox.poll(1.4 * RESEND_S) == [second]
+    outbox.on_ack(ack(1, sender_epoch=2), 1.5 * RESEND_S)
+    assert outbox.poll(2.0 * RESEND_S) == []
+
+
 def test_acks_for_others_from_the_past_or_of_frames_never_sent_are_ignored() -> None:
     outbox = pushes()
     give(outbox, 16)

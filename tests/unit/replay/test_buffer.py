@@ -52,7 +52,7 @@ def test_it_always_holds_exactly_the_newest_whatever_is_inserted_and_resized(cap
     buffer, offered, expected = RingBuffer(STATE_SIZE, ACTIONS, capacity), 0, []
     for what, amount in operations:
         if what == "insert":
-            assert buffer.insert(trajectory(amount, offered, version=offered)) == (amount, {})
+            assert buffer.insert([trajectory(amount, offered, version=offered)]) == (amount, {})
             expected += range(offered, offered + amount)
             offered += amount
         else:
@@ -66,23 +66,23 @@ def test_the_oldest_version_is_that_of_the_oldest_transition_still_held():
     buffer = RingBuffer(STATE_SIZE, ACTIONS, 6)
     assert buffer.oldest_version is None and buffer.oldest_age_versions is None
     for version in range(5):
-        buffer.insert(trajectory(2, 2 * version, version))
+        buffer.insert([trajectory(2, 2 * version, version)])
     assert (buffer.oldest_version, buffer.oldest_age_versions) == (2, 2)
     buffer.resize(3)
     assert (buffer.oldest_version, buffer.oldest_age_versions) == (3, 1)
-    buffer.insert(trajectory(1, version=1))  # of an actor whose weights are late
+    buffer.insert([trajectory(1, version=1)])  # of an actor whose weights are late
     assert (buffer.oldest_version, buffer.oldest_age_versions) == (4, 0)
 
 
 def test_a_successor_may_be_any_later_state():
     buffer, option = RingBuffer(STATE_SIZE, ACTIONS, 9), trajectory(4)
-    buffer.insert(replace(option, successors=np.full(4, 4, np.uint16)))
+    buffer.insert([replace(option, successors=np.full(4, 4, np.uint16))])
     assert (buffer.state()["next_states"] == 4).all()
 
 
 def test_samples_are_whole_transitions_of_the_promised_types():
     buffer = RingBuffer(STATE_SIZE, ACTIONS, 50)
-    buffer.insert(trajectory(80))
+    buffer.insert([trajectory(80)])
     batch = buffer.sample(np.random.default_rng(0), 400)
     assert (batch.states == batch.rewards[:, None]).all() and (batch.next_states == batch.rewards[:, None] + 1).all()
     assert (batch.actions == batch.rewards % ACTIONS).all()
@@ -104,7 +104,7 @@ def test_samples_are_whole_transitions_of_the_promised_types():
 
 def test_every_stored_transition_is_drawn_equally_often():
     buffer = RingBuffer(STATE_SIZE, ACTIONS, 20)
-    buffer.insert(trajectory(27))
+    buffer.insert([trajectory(27)])
     counts = np.bincount(buffer.sample(np.random.default_rng(1), 40_000).rewards.astype(int), minlength=27)
     assert (counts[:7] == 0).all()
     chi_square = ((counts[7:] - 2000) ** 2 / 2000).sum()
@@ -115,7 +115,7 @@ def test_with_n_steps_a_return_ends_with_its_trajectory_and_before_what_was_refu
     buffer = RingBuffer(STATE_SIZE, ACTIONS, 50, n_step=3)
     whole = spoiled("discounts", slice(None), 0.5)(trajectory(4, first=1))
     refused = spoiled("rewards", 2, np.nan)(spoiled("discounts", slice(None), 0.5)(trajectory(4, first=11)))
-    assert buffer.insert(whole, refused) == (7, {"reward": 1})
+    assert buffer.insert([whole, refused]) == (7, {"reward": 1})
     state = buffer.state()
     assert state["states"][:, 0].tolist() == [1, 2, 3, 4, 11, 12, 14]
     assert state["rewards"].tolist() == [1 + 1 + 0.75, 2 + 1.5 + 1, 3 + 2, 4, 11 + 6, 12, 14]
@@ -164,7 +164,7 @@ def spoiled(column, row, value):
 )
 def test_unsound_transitions_are_refused_by_reason_and_stored_and_rejected_add_up(reason, spoil, refused):
     buffer = RingBuffer(STATE_SIZE, ACTIONS, 50)
-    stored, rejected = buffer.insert(spoil(trajectory(8)))
+    stored, rejected = buffer.insert([spoil(trajectory(8))])
     assert rejected == {reason: refused} and reason in REASONS
     assert stored == len(buffer) == 8 - refused
     buffer.check_valid()
@@ -186,8 +186,8 @@ def test_several_trajectories_at_once_are_stored_and_refused_as_one_after_the_ot
         spoil = (spoiled("rewards", 0, np.nan), spoiled("successors", 0, 99), spoiled("states", -1, np.inf))[number % 3]
         offered[number] = spoil(offered[number])
     together, apart = (RingBuffer(STATE_SIZE, ACTIONS, capacity) for _ in range(2))
-    counts = [apart.insert(single) for single in offered]
-    stored, rejected = together.insert(*offered)
+    counts = [apart.insert([single]) for single in offered]
+    stored, rejected = together.insert(offered)
     assert stored == sum(count for count, _ in counts)
     assert rejected == dict(sum((Counter(reasons) for _, reasons in counts), Counter()))
     assert oldest_first(together) == oldest_first(apart)
@@ -197,12 +197,12 @@ def test_several_trajectories_at_once_are_stored_and_refused_as_one_after_the_ot
 def test_a_last_state_that_allows_nothing_is_fine_where_the_episode_ended():
     buffer, ended = RingBuffer(STATE_SIZE, ACTIONS, 50), trajectory(8)
     ended = spoiled("masks", 8, False)(spoiled("discounts", 7, 0)(ended))
-    assert buffer.insert(ended) == (8, {})
+    assert buffer.insert([ended]) == (8, {})
 
 
 def test_several_faults_of_one_transition_count_once():
     both = spoiled("rewards", 2, np.nan)(spoiled("actions", 2, ACTIONS)(trajectory(8)))
-    stored, rejected = RingBuffer(STATE_SIZE, ACTIONS, 50).insert(both)
+    stored, rejected = RingBuffer(STATE_SIZE, ACTIONS, 50).insert([both])
     assert stored == 7 and rejected == {"reward": 1}
 
 
@@ -215,14 +215,14 @@ def test_bytes_are_bounded_by_the_capacity_and_known_before():
 
 def test_a_restored_buffer_gives_the_same_samples_and_evicts_in_the_same_order():
     buffer, restored = RingBuffer(STATE_SIZE, ACTIONS, 10), RingBuffer(STATE_SIZE, ACTIONS, 3)
-    buffer.insert(trajectory(17))
+    buffer.insert([trajectory(17)])
     restored.restore(buffer.state())
     restored.check_valid()
     for first in (17, 21):
         one, other = (b.sample(np.random.default_rng(5), 30) for b in (buffer, restored))
         assert all(np.array_equal(getattr(one, name), getattr(other, name)) for name in vars(one))
-        buffer.insert(trajectory(4, first))
-        restored.insert(trajectory(4, first))
+        buffer.insert([trajectory(4, first)])
+        restored.insert([trajectory(4, first)])
     assert held(restored) == list(range(15, 25)) and restored.capacity == 10
 
 
@@ -238,8 +238,8 @@ def test_a_restored_buffer_gives_the_same_samples_and_evicts_in_the_same_order()
 )
 def test_a_state_that_contradicts_itself_is_refused_and_changes_nothing(spoil, message):
     source, buffer = RingBuffer(STATE_SIZE, ACTIONS, 8), RingBuffer(STATE_SIZE, ACTIONS, 8)
-    source.insert(trajectory(5))
-    buffer.insert(trajectory(2))
+    source.insert([trajectory(5)])
+    buffer.insert([trajectory(2)])
     state = source.state()
     spoil(state)
     with pytest.raises(RunError, match=message):
@@ -260,7 +260,7 @@ def test_a_serial_names_its_transition_until_that_is_overwritten(capacity, opera
     buffer, offered, serials = prioritised(capacity), 0, {}
     for what, amount in [("insert", 1), *operations]:
         if what == "insert":
-            buffer.insert(trajectory(amount, offered))
+            buffer.insert([trajectory(amount, offered)])
             offered += amount
         elif what == "resize":
             buffer.resize(amount)
@@ -283,7 +283,7 @@ def test_a_serial_names_its_transition_until_that_is_overwritten(capacity, opera
 
 def test_rows_are_drawn_by_the_errors_that_were_told_of_them():
     buffer = prioritised(8)
-    buffer.insert(trajectory(11))
+    buffer.insert([trajectory(11)])
     batch = buffer.sample(np.random.default_rng(0), 64)
     errors = np.where(batch.rewards == 7, 50.0, 0.0).astype(np.float32)
     assert buffer.prioritise(batch.serials, errors) == 64
@@ -294,7 +294,7 @@ def test_rows_are_drawn_by_the_errors_that_were_told_of_them():
 
 def test_a_ring_that_knew_no_priorities_is_taken_over_with_equal_ones():
     plain, buffer = RingBuffer(STATE_SIZE, ACTIONS, 8), prioritised(3)
-    plain.insert(trajectory(11))
+    plain.insert([trajectory(11)])
     buffer.restore(plain.state())
     counts = np.bincount(buffer.sample(np.random.default_rng(0), 800).rewards.astype(int), minlength=11)
     assert counts[3:].tolist() == [100] * 8
@@ -302,6 +302,6 @@ def test_a_ring_that_knew_no_priorities_is_taken_over_with_equal_ones():
 
 def test_without_priorities_a_batch_has_neither_weights_nor_serials():
     buffer = RingBuffer(STATE_SIZE, ACTIONS, 8)
-    buffer.insert(trajectory(5))
+    buffer.insert([trajectory(5)])
     batch = buffer.sample(np.random.default_rng(0), 4)
     assert batch.weights is None and batch.serials is None

@@ -1,0 +1,103 @@
+"""Memory of the replay while its learner is stalled and 16 actors push: does it keep to its budget?
+
+`python benchmarks/stalled.py [--quick] [--minutes M]` prints a table, then one JSON line. Hub and replay are processes
+of their own, as in a run. A learner in another process takes batches for a moment and is then stopped (SIGSTOP) with
+requests under way, connected and deaf. From then on 16 actors push for `M` minutes: at the low level as far as their
+credit goes, which the replay of a stalled learner soon holds back; at the high level, whose `min_size` is out of reach,
+without any limit, so that its ring and the journal turn over all the time.
+
+The budget is what the replay holds by itself (measured idle) and what its configuration allows on top: both rings full,
+the bytes of its five mailboxes, and one more copy of the rings for the moment in which the journal begins anew. Memory
+is resident, read 20 times a second.
+"""
+
+import argparse
+import json
+import multiprocessing
+import os
+import signal
+import statistics
+import time
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+from _common import report
+from _replay import RUN, Actors, ReplayService, Sampler
+
+from zsdist.config import Config, parse
+from zsdist.transport.base import Mailbox
+from zsdist.transport.zenoh import ZenohTransport
+from zsdist.types import Level
+from zsdist.wire import keys
+
+STATE_SIZE = 256  # a transition of 2 KB, as in `replay`
+ACTORS = 16
+AHEAD = 64  # transitions that each actor has waiting
+MAILBOXES = 5  # of a replay
+MIB = 2**20
+
+
+def main() -> None:
+    """Stalls the learner, pushes, and prints what the replay's process took."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="20 s of pushing; ends within 50 s on two cores")
+    parser.add_argument("--minutes", type=float, default=10.0, metavar="M", help="of pushing; 10 by default")
+    options = parser.parse_args()
+    seconds = 20.0 if options.quick else 60 * options.minutes
+    config = parse({"run": {"actors": ACTORS}, "high": {"min_size": 10**9}})
+    with ReplayService(config, STATE_SIZE) as service:
+        idle = service.resident_bytes()
+        transport = ZenohTransport(service.endpoint)
+        said = Mailbox(16 * MIB)
+        transport.subscribe(keys.stats(RUN, "replay", "0"), said)
+        epochs = {f"actor-{index}": index + 1 for index in range(ACTORS)}
+        crews = [Actors(transport, config, level, epochs, STATE_SIZE) for level in Level]
+        service.admit(epochs)
+        learner = multiprocessing.get_context("spawn").Process(target=_learn, args=(service.endpoint, config))
+        learner.start()
+        try:
+            while not sum(told[f"{Level.LOW}_sampled"] for told in _drain(said)):
+                _push(crews, service, 0.5)
+            os.kill(learner.pid, signal.SIGSTOP)
+            before = {crew.level: crew.produced for crew in crews}
+            resident = _push(crews, service, seconds)
+        finally:
+            learner.kill()
+            learner.join()
+            transport.close()
+    told = _drain(said)[-1]
+    rings = told["low_bytes"] + told["high_bytes"]
+    budget = idle + 2 * rings + MAILBOXES * config.transport.mailbox_bytes
+    tenth = len(resident) // 10
+    first, last = (statistics.mean(part) for part in (resident[tenth : 2 * tenth], resident[-tenth:]))
+    figures = {f"{crew.level}_pushed_while_stalled": crew.produced - before[crew.level] for crew in crews}
+    figures |= {f"{level}_samples_per_insert": told[f"{level}_samples_per_insert"] for level in Level}
+    figures |= {"idle_mib": idle / MIB, "rings_mib": rings / MIB, "journal_mib": told["journal_bytes"] / MIB}
+    figures |= {"budget_mib": budget / MIB, "most_mib": max(resident) / MIB, "pushed_for_s": seconds}
+    report("stalled", figures, {"budget_vs_most": budget / max(resident), "last_tenth_vs_second": last / first})
+
+
+def _learn(endpoint: str, config: Config) -> None:
+    """Takes low-level batches until it is stopped."""
+    Sampler(ZenohTransport(endpoint), config.transport.mailbox_bytes, Level.LOW).run(3600.0)
+
+
+def _drain(said: Mailbox) -> list[dict]:
+    """The replay's statistics since the last time."""
+    return [json.loads(message.payload) for message in said.drain()]
+
+
+def _push(crews: list[Actors], service: ReplayService, seconds: float) -> list[int]:
+    """Pushes for so long; resident bytes of the replay, 20 times a second."""
+    resident: list[int] = []
+    began_s = time.monotonic()
+    while (passed_s := time.monotonic() - began_s) < seconds:
+        if not any([crew.step(AHEAD) for crew in crews]):
+            time.sleep(0.001)
+        if passed_s * 20 > len(resident):
+            resident.append(service.resident_bytes())
+    return resident
+
+
+if __name__ == "__main__":
+    main()
