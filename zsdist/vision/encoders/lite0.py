@@ -49,7 +49,9 @@ class EfficientNetLite0:
             ImageError: the images are no such array.
         """
         check_images(images)
-        return self._session.run(["tokens"], {"image": resample(images, INPUT_PX)})[0]
+        # One at a time: what lies between the layers of several pictures would not fit into the processor's cache.
+        inputs = ({"image": image[None]} for image in resample(images, INPUT_PX))
+        return np.concatenate([self._session.run(["tokens"], image)[0] for image in inputs])
 
     def embed_texts(self, texts: Sequence[str]) -> np.ndarray:
         """Embeddings `(N, 384)` float32 of texts by MiniLM, of unit length; it is loaded at first use.
