@@ -10,8 +10,8 @@ from gymnasium.error import InvalidAction, ResetNeeded
 
 from zsdist.config import Config
 from zsdist.errors import ConfigError
-from zsdist.planning.footprint import successor
 from zsdist.planning.grid import Grid
+from zsdist.planning.lattice import NOWHERE, flat_state, successors
 from zsdist.planning.rewards import RewardTerms, obstacle_avoidance, target_distance, target_reached
 from zsdist.sim import families
 from zsdist.sim.camera import Camera, make_camera
@@ -166,6 +166,5 @@ class CarNavigation(gymnasium.Env):
 
     def _about(self, scene: Scene, pose: Pose, sim_steps: int) -> dict[str, Any]:
         state = self.grid.lattice_state(pose)
-        ends = [successor(state, action) for action in Action]
-        mask = np.array([self.grid.on_grid(end.ix, end.iy) for end in ends])
+        mask = successors(self.grid.cells)[flat_state(state, self.grid.cells)] != NOWHERE
         return {"scene": scene.name, "action_mask": mask, "sim_steps": sim_steps}
