@@ -63,7 +63,7 @@ NUMBERS = [0, 1, -1, 2**15, 2**16 - 1, 2**31, 2**63 - 1, np.nan, np.inf, -np.inf
 class Mutator:
     """Changes messages, repeatably by its seed."""
 
-    def __init__(self, seed: int, corpus: list[bytes]) -> None:
+    def __init__(self, seed: str, corpus: list[bytes]) -> None:
         self.random = random.Random(seed)
         self.corpus = corpus
 
@@ -293,13 +293,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--inputs", type=int, default=100_000, help="in all, earlier sittings included")
     parser.add_argument("--state", type=Path, required=True, help="how far it came, by refusals; made where it is not")
+    parser.add_argument("--seed", type=int, default=0, help="so that several at a time throw different inputs")
     options = parser.parse_args()
     state = json.loads(options.state.read_text()) if options.state.exists() else {"inputs": 0, "refused": {}}
     refused = Counter(state["refused"])
     pairs = seeds()
     corpus = [codec.encode(message) for message in every_message(np.random.default_rng(0))]
     corpus += [payload for role in pairs.values() for key, payload in role if "/stats/" not in key]
-    mutator = Mutator(state["inputs"], corpus)
+    mutator = Mutator(f"{options.seed}/{state['inputs']}", corpus)
     mailboxes = [Mailboxes(name, said, mutator) for name, said in pairs.items()]
     broken, told_s = [], time.monotonic()
     while state["inputs"] < options.inputs and not broken:
