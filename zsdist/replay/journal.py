@@ -16,6 +16,7 @@ from pathlib import Path
 from zsdist.errors import RunError
 
 COMPACT_BYTES = 32 * 2**20  # a log at least this long, and as long as its base, is folded into a new base
+COMPACT_RECORDS = 4096  # or one of so many: what a successor reads before it goes on takes it less than a second
 
 _HEAD = struct.Struct("<IIB")  # length of the content, CRC-32 of kind and content, kind
 _KIND = struct.Struct("<B")
@@ -39,6 +40,7 @@ class Journal:
         self._generation = 0
         self._base_bytes = 0
         self._log_bytes = 0
+        self._log_records = 0
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -52,7 +54,8 @@ class Journal:
     @property
     def wants_base(self) -> bool:
         """Whether the log is so long that `rebase` is due."""
-        return self._log_bytes >= max(COMPACT_BYTES, self._base_bytes)
+        long = self._log_bytes >= max(COMPACT_BYTES, self._base_bytes)
+        return long or self._log_records >= COMPACT_RECORDS
 
     def recover(self) -> tuple[bytes, list[Record]] | None:
         """The newest base and the whole records after it; None where there is no base.
@@ -75,7 +78,7 @@ class Journal:
             os.ftruncate(self._log, self._log_bytes)
         except OSError as error:
             raise self._failed("read", error) from error
-        self._base_bytes = len(base)
+        self._base_bytes, self._log_records = len(base), len(records)
         return base, records
 
     def rebase(self, base: bytes) -> None:
@@ -95,7 +98,7 @@ class Journal:
                     path.unlink()
         except OSError as error:
             raise self._failed("written", error) from error
-        self._base_bytes, self._log_bytes = len(base), 0
+        self._base_bytes, self._log_bytes, self._log_records = len(base), 0, 0
 
     def append(self, records: Sequence[Record]) -> None:
         """Hands records to the operating system, all in one write; once it returns they may be acknowledged.
@@ -116,6 +119,7 @@ class Journal:
         except OSError as error:
             raise self._failed("written", error) from error
         self._log_bytes += len(whole)
+        self._log_records += len(records)
 
     def close(self) -> None:
         """Lets go of the log; closing again does nothing."""

@@ -92,6 +92,19 @@ def test_base_and_log_stay_bounded_while_its_writer_rebases_when_told(tmp_path, 
     assert largest < 10_000 + 4_000 + 600
 
 
+def test_what_a_successor_has_to_read_is_bounded_in_records_too(tmp_path, monkeypatch):
+    monkeypatch.setattr(journal, "COMPACT_RECORDS", 5)
+    writer = Journal(tmp_path)
+    writer.rebase(b"base")
+    writer.append([(1, b"")] * 3)
+    assert not writer.wants_base
+    successor, _ = reopened(tmp_path)
+    successor.append([(1, b"")] * 2)
+    assert successor.wants_base
+    successor.rebase(b"base")
+    assert not successor.wants_base
+
+
 def test_a_journal_that_cannot_be_made_or_written_says_so(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(RunError, match=r"replay journal .*file/journal cannot be made: Not a directory"):
