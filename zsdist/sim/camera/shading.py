@@ -115,7 +115,7 @@ def _ground(pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axe
 
 
 def shadow_corners(light: np.ndarray) -> np.ndarray:
-    """For each cell of `kernels.shadow_map` its light and that of the next in x, in y and in both: four bytes.
+    """For each cell of `shadows.shadow_map` its light and that of the next in x, in y and in both: four bytes.
 
     So that `sunshine` finds what it needs of a cell in one place.
     """

@@ -1,0 +1,111 @@
+"""Numba kernel of the ground's shadow map, made once for a scene."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from zsdist.sim.camera.kernels import ELLIPSOID, FAST, FRUSTUM, NEAR_M, SKY_DEPTH_M, extents, into_frame
+from zsdist.sim.camera.primitives import Form
+
+_IN_SHADOW, _CONTACT_M = np.float32(0.55), 0.5
+_BOX = int(Form.BOX)
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _enter(form: int, row: np.ndarray, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
+    """Depth at which a ray in the primitive's own frame (origin at its row's place) first meets it; -1: never."""
+    if form == FRUSTUM:
+        height, r0 = row[3], row[4]
+        k = (row[5] - r0) / height
+        at = r0 + k * oz
+        a = dx * dx + dy * dy - k * k * dz * dz
+        b = ox * dx + oy * dy - k * dz * at
+        c = ox * ox + oy * oy - at * at
+        discriminant = b * b - a * c
+        best = -1.0
+        if discriminant >= 0.0 and a != 0.0:
+            root = math.sqrt(discriminant)
+            near, far = (-b - root) / a, (-b + root) / a
+            if near > far:
+                near, far = far, near
+            if near > NEAR_M and 0.0 <= oz + near * dz <= height:
+                best = near
+            elif far > NEAR_M and 0.0 <= oz + far * dz <= height:
+                best = far
+        if oz > height and dz < 0.0:
+            t = (height - oz) / dz
+            px, py = ox + t * dx, oy + t * dy
+            if px * px + py * py <= row[5] * row[5] and (best < 0.0 or t < best):
+                best = t
+        return best
+    if form == ELLIPSOID:
+        sx, sy, sz = 1.0 / row[3], 1.0 / row[4], 1.0 / row[5]
+        ox, oy, oz, dx, dy, dz = ox * sx, oy * sy, oz * sz, dx * sx, dy * sy, dz * sz
+        a = dx * dx + dy * dy + dz * dz
+        b = ox * dx + oy * dy + oz * dz
+        c = ox * ox + oy * oy + oz * oz - 1.0
+        discriminant = b * b - a * c
+        if discriminant < 0.0:
+            return -1.0
+        t = (-b - math.sqrt(discriminant)) / a
+        return t if t > NEAR_M else -1.0
+    enter, leave = NEAR_M, SKY_DEPTH_M
+    for o, d, low, high in ((ox, dx, -row[4], row[4]), (oy, dy, -row[5], row[5]), (oz, dz, 0.0, row[3])):
+        if abs(d) < 1e-12:
+            if o < low or o > high:
+                return -1.0
+        else:
+            t0, t1 = (low - o) / d, (high - o) / d
+            enter, leave = max(enter, min(t0, t1)), min(leave, max(t0, t1))
+    return enter if NEAR_M < enter <= leave else -1.0
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def shadow_map(
+    forms: np.ndarray, rows: np.ndarray, fixed: np.ndarray, sun: np.ndarray, half: float, out: np.ndarray
+) -> None:
+    """How much light reaches the ground, `out` `(n, n)` `[iy, ix]` float32 over plus and minus `half` metres.
+
+    Sunlight is blocked by what stands in its way; close to an obstacle the sky is hidden too (contact shadow).
+    `fixed` `(P,)` bool leaves out what moves.
+    """
+    n = out.shape[0]
+    cell = 2.0 * half / n
+    out[:] = 1.0
+    d = np.empty(3)
+    for p in range(len(forms)):
+        if not fixed[p]:
+            continue
+        row, form = rows[p], forms[p]
+        hx, hy, _, z1 = extents(form, row)
+        reach = math.sqrt(hx * hx + hy * hy)
+        into_frame(row, sun, d)
+        cosine, sine = math.cos(row[6]), math.sin(row[6])
+        length = (row[2] + z1) / sun[2]  # of the shadow along -sun, per unit of sun's horizontal part
+        ex, ey = row[0] - sun[0] * length, row[1] - sun[1] * length
+        # the shadow lies along a strip from the primitive's place away from the sun
+        way_x, way_y = ex - row[0], ey - row[1]
+        way = max(math.sqrt(way_x * way_x + way_y * way_y), 1e-9)
+        way_x, way_y = way_x / way, way_y / way
+        spread = reach + _CONTACT_M + cell
+        x0 = max(int((min(row[0], ex) - spread + half) / cell), 0)
+        x1 = min(int((max(row[0], ex) + spread + half) / cell) + 1, n)
+        y0 = max(int((min(row[1], ey) - spread + half) / cell), 0)
+        y1 = min(int((max(row[1], ey) + spread + half) / cell) + 1, n)
+        for iy in range(y0, y1):
+            y = -half + (iy + 0.5) * cell - row[1]
+            for ix in range(x0, x1):
+                x = -half + (ix + 0.5) * cell - row[0]
+                if abs(x * way_y - y * way_x) > spread:
+                    continue
+                lx, ly = cosine * x + sine * y, cosine * y - sine * x
+                if _enter(form, row, lx, ly, -row[2], d[0], d[1], d[2]) > 0.0:
+                    out[iy, ix] = min(out[iy, ix], _IN_SHADOW)
+                if row[2] < 0.05:
+                    qx, qy = max(abs(lx) - hx, 0.0), max(abs(ly) - hy, 0.0)
+                    gap = math.sqrt(qx * qx + qy * qy)
+                    if form != _BOX:
+                        gap = max(math.sqrt(lx * lx + ly * ly) - hx, 0.0)
+                    if gap < _CONTACT_M:
+                        out[iy, ix] *= 0.62 + 0.38 * gap / _CONTACT_M
