@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -142,6 +143,23 @@ def test_nose_down_lowers_the_horizon_line_of_sight():
     assert level == pytest.approx([1.0, 0.0, 1.0])
     assert axes[0][2] < 0 and lowered[2] < level[2]
     assert axes @ axes.T == pytest.approx(np.eye(3))
+
+
+@pytest.mark.parametrize("size_px", [96, 101])
+def test_where_sky_and_ground_meet_in_a_row_neither_is_drawn_over_the_other(size_px):
+    def rolled(zenith, ground):
+        def look(scene, primitives):
+            its = of_scene(scene, primitives)
+            return replace(its, sky=np.array([*its.sky[:3], *[zenith] * 3, 0.0]), ground=ground * its.ground)
+
+        camera = make_camera(CameraConfig(size_px=size_px, height_m=5.0), look)  # sees over the walls
+        picture, _, segments = camera.render_labelled(scene(), Pose(0.0, 0.0, 0.0), roll_rad=0.6)
+        return picture, segments == SEGMENT_SKY, segments == SEGMENT_GROUND
+
+    picture, sky, ground = rolled(0.0, np.ones(19))
+    assert (sky.any(1) & ground.any(1)).sum() > size_px / 4
+    assert (rolled(1.0, np.ones(19))[0][ground] == picture[ground]).all()
+    assert (rolled(0.0, np.repeat([0.5, 1.0], (6, 13)))[0][sky] == picture[sky]).all()
 
 
 def test_positive_roll_puts_the_right_side_down():

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from zsdist.sim.camera.appearance import Pattern, Texture
-from zsdist.sim.camera.kernels import GROUND, ROWWISE, SKY, row_directions
+from zsdist.sim.camera.kernels import GROUND, LEVEL, ROWWISE, SKY, row_directions, widened
 from zsdist.sim.camera.primitives import Form
 from zsdist.sim.camera.textures import CLOUDS, GRAIN, ground_figure, noise, road_figure, surface_figure
 
@@ -73,10 +73,10 @@ def _ground(pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axe
     ox, oy, oz, pixel = np.float32(origin[0]), np.float32(origin[1]), np.float32(origin[2]), np.float32(step)
     cos, sin = np.float32(ground[10]), np.float32(ground[11])
     for j in range(n):
-        t = -oz / (z0 + a[j] * z1)
+        t = -oz / min(z0 + a[j] * z1, -LEVEL)
         x[j], y[j] = ox + t * (x0 + a[j] * x1), oy + t * (y0 + a[j] * y1)
     for j in range(n):
-        footprint[j] = pixel * (-oz / (z0 + a[j] * z1))
+        footprint[j] = pixel * (-oz / min(z0 + a[j] * z1, -LEVEL))
     for j in range(n):
         u[j], v[j] = cos * x[j] + sin * y[j], cos * y[j] - sin * x[j]
     sunshine(shadow, shadow_half, x, y, at, lit)
@@ -336,13 +336,17 @@ def shade(
     for i in range(n):
         b = float(tangents[i])
         first, last = _stretch(index[i], GROUND)
-        if first < last:
+        horizon = first < last
+        if horizon:
+            first, last = widened(first, last, n)
             _ground(
                 pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axes, b, tangents[first:last], step,
                 work, at, image[i, first:last],
             )  # fmt: skip
         first, last = _stretch(index[i], SKY)
         if first < last:
+            if not horizon:  # where both are, the sky must leave the ground as it is
+                first, last = widened(first, last, n)
             _sky(pyramid, sky, light[6], axes, b, tangents[first:last], work, at, image[i, first:last])
     for p in range(len(forms)):
         row0, row1, column0, column1 = rectangles[p]
@@ -350,7 +354,7 @@ def shade(
         for i in range(row0, row1):
             first, last = _stretch(index[i, column0:column1], p)
             if first < last:
-                first, last = first + column0, last + column0
+                first, last = widened(first + column0, last + column0, n)
                 t, which = depth[i, first:last], index[i, first:last]
                 _surface(
                     pyramid, forms[p], rows[p], materials[p], light, frame, origin[2], axes, float(tangents[i]),
@@ -362,9 +366,10 @@ def shade(
 @njit(**ROWWISE)
 def _stretch(index: np.ndarray, which: int) -> tuple[int, int]:
     """The least stretch of a row, first and end, that holds every pixel of `which`; empty where there is none."""
-    first, last = 0, len(index)
-    while first < last and index[first] != which:
-        first += 1
-    while last > first and index[last - 1] != which:
-        last -= 1
+    n, it = np.int32(len(index)), np.int32(which)
+    first, last = n, np.int32(0)
+    for j in range(len(index)):
+        here, column = index[j] == it, np.int32(j)
+        first = min(first, column if here else n)
+        last = max(last, column + np.int32(1) if here else np.int32(0))
     return first, last

@@ -84,9 +84,8 @@ def noise(
 def _halvings(texels: float) -> int:
     """How often the noise is to be halved so that one pixel spans one texel or less, where it spans `texels` now."""
     halvings = 0
-    while texels > 1.0 and halvings < _NOISE_LEVELS - 1:
-        texels *= 0.5
-        halvings += 1
+    for k in range(_NOISE_LEVELS - 1):
+        halvings += texels > 1 << k
     return halvings
 
 
