@@ -63,7 +63,7 @@ TIMES = ("resumed_s", "pauses_s")  # until the first insert; longest time withou
 
 
 class Tail:
-    """Reads the journal of a run as it is written.
+    """Reads the journal of a run as it is written, from log to log as it begins anew.
 
     Attributes:
         arrivals: time, actor's epoch of each frame.
@@ -74,7 +74,7 @@ class Tail:
         self.arrivals: list[tuple[float, int]] = []
         self.totals: dict[tuple[str, str, int], tuple[int, int]] = {}
         self._early: dict[tuple[str, str, int], dict[int, Push]] = {}
-        self._folder, self._file, self._rest = folder, None, b""
+        self._folder, self._path, self._file, self._rest = folder, None, None, b""
         self._stop, self._lock = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._follow, daemon=True)
         self._thread.start()
@@ -97,11 +97,16 @@ class Tail:
             time.sleep(POLL_S)
 
     def _read(self) -> None:
-        if self._file is None:
-            logs = sorted(self._folder.glob("journal/*/*.log"))
-            if not logs:
-                return
-            self._file = logs[-1].open("rb")
+        bases = sorted(self._folder.glob("journal/*/*.base"))  # a log counts once its base is there
+        if self._file is not None:
+            self._read_log()  # to its end: its writer let go of it before the next base was there
+        if bases and bases[-1] != self._path:
+            assert not self._rest or self._file is None, "a log was left in the middle of a record"
+            self._path, self._file = bases[-1], bases[-1].with_suffix(".log").open("rb")
+            self._rest = b""
+            self._read_log()
+
+    def _read_log(self) -> None:
         now = time.time()
         self._rest += self._file.read()
         records, taken = journal.whole(self._rest)
