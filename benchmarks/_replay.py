@@ -18,7 +18,6 @@ from wire import make_trajectory
 
 from zsdist.config import Config
 from zsdist.protocol.outbox import Outbox
-from zsdist.replay.journal import Journal
 from zsdist.roles.base import Context
 from zsdist.roles.learner import PREFETCH
 from zsdist.roles.replay import Replay
@@ -90,7 +89,7 @@ def _serve_replay(ready: Connection, endpoint: str, config: Config, state_size: 
     transport, wake = ZenohTransport(endpoint), threading.Event()
     context = Context(config, RUN, "replay", "0", 1, transport, wake)
     with tempfile.TemporaryDirectory() as folder:
-        replay = Replay(context, dict.fromkeys(Level, Shape(state_size, ACTIONS)), Journal(Path(folder, "journal")))
+        replay = Replay(context, dict.fromkeys(Level, Shape(state_size, ACTIONS)), Path(folder, "journal"))
         ready.send("")
         while (due_s := replay.step(time.time())) is not None:
             wake.wait(max(0.0, due_s - time.time()))

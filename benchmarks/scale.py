@@ -26,7 +26,6 @@ from wire import make_trajectory
 from zsdist.agent.features import LOW_ACTIONS, LOW_STATE_SIZE
 from zsdist.config import Config, parse
 from zsdist.protocol.outbox import Outbox
-from zsdist.replay.journal import Journal
 from zsdist.roles.base import Context
 from zsdist.roles.learner import PREFETCH
 from zsdist.roles.replay import Replay
@@ -149,7 +148,7 @@ def run_case(kind: str, actors: int, updates_per_insert: float, warm_up_s: float
     try:
         replay_side, actor_side, learner_side, scheduler_side = transports
         context = Context(config, RUN, "replay", "0", 1, replay_side, threading.Event())
-        replay = Replay(context, {Level.LOW: Shape(LOW_STATE_SIZE, LOW_ACTIONS)}, Journal(Path(folder.name)))
+        replay = Replay(context, {Level.LOW: Shape(LOW_STATE_SIZE, LOW_ACTIONS)}, Path(folder.name))
         crew = Actors(actor_side, config, actors)
         sampler = Sampler(learner_side, config.transport.mailbox_bytes)
         orders = {

@@ -8,7 +8,6 @@ from fakes import FakeVisualAct
 from zsdist.config import parse
 from zsdist.dqn import network
 from zsdist.dqn.learner import DqnLearner
-from zsdist.replay.journal import Journal
 from zsdist.roles.actor import Actor
 from zsdist.roles.base import Context
 from zsdist.roles.learner import Learner
@@ -44,7 +43,7 @@ class Bench:
         context = Context(CONFIG, RUN, kind, identifier, 9, MemoryTransport(broker), threading.Event())
         match kind:
             case "replay":
-                self.role = Replay(context, SHAPES, Journal(folder))
+                self.role = Replay(context, SHAPES, folder)
             case "scheduler":
                 self.role = Scheduler(context, NoLedger())
             case "learner":

@@ -12,7 +12,6 @@ import numpy as np
 
 from zsdist.config import parse
 from zsdist.protocol.outbox import Outbox
-from zsdist.replay.journal import Journal
 from zsdist.roles.base import Context
 from zsdist.roles.replay import Replay
 from zsdist.roles.shelf import Shape
@@ -126,7 +125,7 @@ class Storm:
     def begin_replay(self, index: int) -> None:
         context = Context(self.config, RUN, "replay", str(index), self.next_epoch(), self.connect(), threading.Event())
         shapes = {Level.LOW: Shape(FEATURES, ACTIONS)}
-        self.replays[index : index + 1] = [Replay(context, shapes, Journal(self.folder / str(index)))]
+        self.replays[index : index + 1] = [Replay(context, shapes, self.folder / str(index))]
 
     def ride(self) -> None:
         """Until every actor's last epoch is closed and held."""
@@ -169,7 +168,7 @@ class Storm:
     def tear(self, index: int) -> None:
         """The dying replay may have been writing: some bytes of a record that was never acknowledged."""
         if self.rng.random() < 0.5:
-            log = max((self.folder / str(index)).glob("*.log"))
+            log = max((self.folder / str(index)).glob("*/*.log"))
             with log.open("ab") as file:
                 file.write(bytes(self.rng.integers(0, 256, int(self.rng.integers(1, 40)), np.uint8)))
 

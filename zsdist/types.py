@@ -136,7 +136,8 @@ class Trajectories(Sequence[Trajectory]):
 
     Attributes:
         level: which DQN they are for.
-        columns: the arrays of `Trajectory` by name, each joined along its first axis.
+        columns: the arrays of `Trajectory` by name, each joined along its first axis; states that have travelled are
+            float16 here.
         lengths: `(k,)` int64, transitions of each; 1 or more.
         versions: `(k,)` int64, version of the weights that acted.
     """
@@ -169,6 +170,7 @@ class Trajectories(Sequence[Trajectory]):
         spans = {name: slice(start, start + length) for name in TRAJECTORY_COLUMNS}
         spans["states"] = spans["masks"] = slice(row, row + length + 1)
         own = {name: self.columns[name][span] for name, span in spans.items()}
+        own["states"] = own["states"].astype(np.float32, copy=False)
         return Trajectory(level=self.level, weight_version=int(self.versions[index]), **own)
 
 
@@ -181,7 +183,7 @@ def count_transitions(trajectories: Iterable[Trajectory]) -> int:
 
 @dataclass(frozen=True)
 class Batch:
-    """A sample of one level's replay, uniform unless it has `weights`.
+    """A sample of one level's replay, uniform unless it has `weights`; these are the dtypes that a learner has.
 
     Attributes:
         states: `(B, D)` float32.            next_states: `(B, D)` float32.

@@ -34,7 +34,7 @@ from rehearsal import SEEN, kinematic
 
 from zsdist import config
 from zsdist.replay import journal
-from zsdist.roles.replay import Entry
+from zsdist.roles.shelf import Entry
 from zsdist.run import directory, program, ray
 from zsdist.run.program import Setting
 from zsdist.transport.base import Mailbox, Transport
@@ -62,8 +62,31 @@ POLL_S = 0.002
 TIMES = ("resumed_s", "pauses_s")  # until the first insert; longest time without one in the two seconds after the kill
 
 
+class Log:
+    """What one journal logs, from log to log as it begins anew."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._base, self._file, self._rest = folder, None, None, b""
+
+    def pushes(self) -> list[Push]:
+        """The frames since the last time."""
+        bases = sorted(self._folder.glob("*.base"))  # a log counts once its base is there
+        found = [] if self._file is None else self._read()  # to its end: its writer left it before the next base
+        if bases and bases[-1] != self._base:
+            assert not self._rest, "a log ends in the middle of a record"
+            self._base, self._file = bases[-1], bases[-1].with_suffix(".log").open("rb")
+            found += self._read()
+        return found
+
+    def _read(self) -> list[Push]:
+        self._rest += self._file.read()
+        records, taken = journal.whole(self._rest)
+        self._rest = self._rest[taken:]
+        return [codec.decode(content, expect=Push) for kind, content in records if kind == Entry.PUSH]
+
+
 class Tail:
-    """Reads the journal of a run as it is written, from log to log as it begins anew.
+    """Reads the journals of a run as they are written.
 
     Attributes:
         arrivals: time, actor's epoch of each frame.
@@ -74,7 +97,7 @@ class Tail:
         self.arrivals: list[tuple[float, int]] = []
         self.totals: dict[tuple[str, str, int], tuple[int, int]] = {}
         self._early: dict[tuple[str, str, int], dict[int, Push]] = {}
-        self._folder, self._path, self._file, self._rest = folder, None, None, b""
+        self._folder, self._logs = folder, {}
         self._stop, self._lock = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._follow, daemon=True)
         self._thread.start()
@@ -97,23 +120,9 @@ class Tail:
             time.sleep(POLL_S)
 
     def _read(self) -> None:
-        bases = sorted(self._folder.glob("journal/*/*.base"))  # a log counts once its base is there
-        if self._file is not None:
-            self._read_log()  # to its end: its writer let go of it before the next base was there
-        if bases and bases[-1] != self._path:
-            assert not self._rest or self._file is None, "a log was left in the middle of a record"
-            self._path, self._file = bases[-1], bases[-1].with_suffix(".log").open("rb")
-            self._rest = b""
-            self._read_log()
-
-    def _read_log(self) -> None:
-        now = time.time()
-        self._rest += self._file.read()
-        records, taken = journal.whole(self._rest)
-        self._rest = self._rest[taken:]
-        for kind, content in records:
-            if kind == Entry.PUSH:
-                self._take(codec.decode(content, expect=Push), now)
+        for folder in sorted(self._folder.glob("journal/*/*")):
+            for push in self._logs.setdefault(folder, Log(folder)).pushes():
+                self._take(push, time.time())
 
     def _take(self, push: Push, now: float) -> None:
         self.arrivals.append((now, push.epoch))

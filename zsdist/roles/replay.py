@@ -1,13 +1,12 @@
 """The replay role: stores both levels' transitions, sizes itself by the reward, and paces actors and learners.
 
-What it takes in it writes into its journal before it acknowledges it. A replay that died is followed by one that reads
-the journal and goes on: nothing that was acknowledged is lost, and what was not comes again.
+Its shelves write down what they take in before it acknowledges anything. A replay that died is followed by one whose
+shelves go on from what they find written.
 """
 
-import json
-from enum import IntEnum
+import shutil
+from pathlib import Path
 
-from zsdist.replay.journal import Journal, Record
 from zsdist.roles import contents
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.contents import ReplayOrders, StateRequest
@@ -19,15 +18,6 @@ from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders, Priorities, Push, SampleRequest, State
 
 MAX_WAITING = 256  # requests of a level; a learner has a few at a time
-PACE_EVERY_S = 0.05  # at most so long ago is what a journal knows of updates served; transitions it knows all
-
-
-class Entry(IntEnum):
-    """Kinds of records in the journal."""
-
-    PUSH = 1  # a frame as it came
-    EPOCH = 2  # JSON: an actor and the epoch that was issued to it
-    PACE = 3  # JSON: `Shelf.pace` of each level
 
 
 class Replay(Role):
@@ -36,25 +26,22 @@ class Replay(Role):
     Args:
         context: who this is.
         shapes: of each level's transitions.
-        journal: of this replay and those before it in this start of the run.
-        restored: state in a checkpoint; looked at only where the journal is new.
+        folder: for the shelves' journals, of this replay and those before it in this start of the run.
+        restored: state in a checkpoint; looked at only where the journals are new.
     """
 
     def __init__(
-        self, context: Context, shapes: dict[Level, Shape], journal: Journal, restored: State | None = None
+        self, context: Context, shapes: dict[Level, Shape], folder: Path, restored: State | None = None
     ) -> None:
         super().__init__(context)
         run = context.run
         self.shard = Shard.of(context.config, int(context.id))
-        self.shelves = {
-            level: Shelf(level, shape, context.config, self.shard, context.epoch) for level, shape in shapes.items()
-        }
-        self.journal = journal
-        self.recovered = 0  # frames read from the journal
-        self._entries: list[Record] = []  # to be written before the next acknowledgement
-        self._pace = b""
-        self._next_pace_s = 0.0
-        self._recover(restored)
+        self.shelves: dict[Level, Shelf] = {}
+        self._folder = folder
+        for level, shape in shapes.items():
+            shelf = Shelf(level, shape, context.config, self.shard, context.epoch, folder / level)
+            shelf.recover((restored.meta[level.value], restored.part(f"{level}/")) if restored else None)
+            self.shelves[level] = shelf
         self._pushes = self.mailbox("push")
         self._requests = self.mailbox("sample")
         self._errors = self.mailbox("priority")
@@ -69,13 +56,17 @@ class Replay(Role):
         self.transport.serve(keys.control(run, self.shard.name), self._checkpoints)
         self.transport.subscribe(keys.control(run, ROLE), self._orders, retained=True)
 
+    @property
+    def recovered(self) -> int:
+        """Frames read from journals."""
+        return sum(shelf.recovered for shelf in self.shelves.values())
+
     def work(self, now: float) -> float:
         """Stores what has come and answers who may be answered; writes it down, then acknowledges and grants credit."""
         for content in self.orders(self._orders, {Orders: ReplayOrders}):
             self._follow(content)
         for message, push in self.messages(self._pushes, Push):
-            if self.shelves[push.stream].receive(push, now):
-                self._entries.append((Entry.PUSH, message.payload))
+            self.shelves[push.stream].receive(push, message.payload, now)
         for _, found in self.messages(self._errors, Priorities):
             shelf = self.shelves[found.level]
             shelf.prioritised += shelf.buffer.prioritise(found.serials, found.errors)
@@ -87,7 +78,7 @@ class Replay(Role):
                 self.refuse("requests")
         for shelf in self.shelves.values():
             shelf.serve(now)
-        self._write_down(now)
+            shelf.write_down(now)
         wake_s = now + HEARTBEAT_S
         for shelf in self.shelves.values():
             for ack in shelf.inbox.acks(now, shelf.credit):
@@ -97,12 +88,17 @@ class Replay(Role):
             if self.checked(contents.read, StateRequest, ask.content) is not None:
                 message.reply(codec.encode(self.state()))
         if self.finished:
-            self.journal.remove()  # the last checkpoint holds everything
+            for shelf in self.shelves.values():
+                shelf.journal.close()
+            shutil.rmtree(self._folder, ignore_errors=True)  # the last checkpoint holds everything
         return wake_s
 
     def statistics(self) -> dict[str, float | str]:
         """Books, sizes and pace of both levels, and the journal's size."""
-        fields: dict[str, float | str] = {"journal_bytes": self.journal.nbytes, "recovered_frames": self.recovered}
+        fields: dict[str, float | str] = {
+            "journal_bytes": sum(shelf.journal.nbytes for shelf in self.shelves.values()),
+            "recovered_frames": self.recovered,
+        }
         for level, shelf in self.shelves.items():
             books = {f"{level}_{name}": count for name, count in shelf.books().items()}
             fields |= books | {
@@ -130,54 +126,15 @@ class Replay(Role):
             arrays |= {f"{level}/{name}": array for name, array in columns.items()}
         return State(self.shard.name, meta, arrays)
 
-    def _recover(self, restored: State | None) -> None:
-        """Goes on from the journal; where there is none, from a checkpoint or from nothing, and begins one."""
-        found = self.journal.recover()
-        if found is None:
-            if restored is not None:
-                self._restore(restored, same_run=False)
-            self.journal.rebase(codec.encode(self.state()))
-            return
-        base, records = found
-        self._restore(codec.decode(base, expect=State), same_run=True)
-        for kind, content in records:
-            if kind == Entry.PUSH:
-                push = codec.decode(content, expect=Push)
-                self.shelves[push.stream].receive(push, 0.0)
-                self.recovered += 1
-            elif kind == Entry.EPOCH:
-                self._issue(*json.loads(content))
-            else:
-                for level, pace in json.loads(content).items():
-                    self.shelves[Level(level)].keep_pace(pace)
-
-    def _restore(self, state: State, *, same_run: bool) -> None:
-        for level, shelf in self.shelves.items():
-            shelf.restore(state.meta[level.value], state.part(f"{level}/"), same_run=same_run)
-
-    def _write_down(self, now: float) -> None:
-        if now >= self._next_pace_s:
-            pace = json.dumps({level.value: shelf.pace() for level, shelf in self.shelves.items()}).encode()
-            if pace != self._pace:
-                self._entries.append((Entry.PACE, pace))
-                self._pace, self._next_pace_s = pace, now + PACE_EVERY_S
-        if self._entries:
-            self.journal.append(self._entries)
-            self._entries = []
-        if self.journal.wants_base:
-            self.journal.rebase(codec.encode(self.state()))
-
-    def _issue(self, actor: str, epoch: int) -> bool:
-        return any([shelf.issue(actor, epoch) for shelf in self.shelves.values()])
-
     def _follow(self, content: ReplayOrders) -> None:
         limits = self.config.replay
         if content.buffer_size > limits.size_max or content.batch_size > limits.batch_max:
             self.refuse("size")
             return
         for actor, epoch in content.epochs.items():
-            if self.shard.owns(actor) and self._issue(actor, epoch):
-                self._entries.append((Entry.EPOCH, json.dumps([actor, epoch]).encode()))
+            if self.shard.owns(actor):
+                for shelf in self.shelves.values():
+                    shelf.issue(actor, epoch)
         for shelf in self.shelves.values():
             shelf.resize(content.buffer_size, content.batch_size)
         self.finished = content.stop

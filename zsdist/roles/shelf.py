@@ -1,29 +1,57 @@
-"""One level's part of a replay: what it holds, how large it may be, and at what pace it gives and takes."""
+"""One level's part of a replay: what it holds, how large it may be, and at what pace it gives and takes.
+
+What it takes in it writes into its journal, and only then may it be acknowledged. Another process's shelf goes on from
+the journal: nothing that was acknowledged is lost, and what was not comes again.
+"""
 
 import json
 from collections import deque
+from enum import IntEnum
+from pathlib import Path
 
 import numpy as np
 
 from zsdist.config import Config
 from zsdist.protocol.inbox import Inbox
+from zsdist.replay import pieces
 from zsdist.replay.buffer import RingBuffer
+from zsdist.replay.journal import Journal, Record
 from zsdist.replay.limiter import BAND, Limiter
 from zsdist.replay.priorities import Priorities
 from zsdist.roles.shapes import Shape
 from zsdist.roles.shards import Shard
 from zsdist.transport.base import Message
 from zsdist.types import Level
-from zsdist.wire import codec
-from zsdist.wire.messages import Push, SampleReply
+from zsdist.wire import codec, frame
+from zsdist.wire.messages import Push, SampleReply, State
 
 HOLD_REQUEST_S = 0.3  # a request that cannot be served for so long is answered with "no batch yet"
+PACE_EVERY_S = 0.05  # at most so long ago is what a journal knows of updates served; transitions it knows all
+
+
+class Entry(IntEnum):
+    """Kinds of records in the journal."""
+
+    PUSH = 1  # a frame as it came, once all frames before it have come
+    EPOCH = 2  # JSON: an actor and the epoch that was issued to it
+    PACE = 3  # JSON: `Shelf.pace`
 
 
 class Shelf:
-    """One level's part of a shard of the replay: ring, sizes, limiter and inbox, with the requests that wait."""
+    """One level's part of a shard of the replay: ring, sizes, limiter and inbox, with the requests that wait.
 
-    def __init__(self, level: Level, shape: Shape, config: Config, shard: Shard, sender_epoch: int) -> None:
+    Args:
+        level: which.
+        shape: of its transitions.
+        config: of the run.
+        shard: whose part it is.
+        sender_epoch: incarnation of the replay.
+        folder: for the journal, of this shelf and those before it in this start of the run.
+    """
+
+    def __init__(
+        self, level: Level, shape: Shape, config: Config, shard: Shard, sender_epoch: int, folder: Path
+    ) -> None:
         self.level = level
         self.batch_size = config.replay.batch_initial
         settings, size = config.replay, shard.part(config.replay.size_initial)
@@ -43,8 +71,14 @@ class Shelf:
         self.rejected: dict[str, int] = {}
         self.sampled = 0
         self.waiting: deque[tuple[float, Message]] = deque()
-        self._epochs: dict[str, int] = {}  # newest issued since this process began
+        self._epochs: dict[str, int] = {}  # newest issued since this start of the run
         self._closed: set[tuple[str, int]] = set()
+        self.journal = Journal(folder)
+        self.recovered = 0  # frames read from the journal
+        self._entries: list[Record] = []  # to be written before the next acknowledgement
+        self._in_pieces = 0  # rows written before this one are in the journal's pieces, if they are held
+        self._pace: dict[str, int] = {}  # as the journal has it
+        self._next_pace_s = 0.0
 
     def issue(self, actor: str, epoch: int) -> bool:
         """Admits a new epoch of an actor, closes the older one at its last frame in order; whether it was new."""
@@ -56,30 +90,35 @@ class Shelf:
         self.inbox.issue(actor, epoch)
         self.limiter.open(f"{actor}/{epoch}")
         self._epochs[actor] = epoch
+        self._entries.append((Entry.EPOCH, json.dumps([actor, epoch]).encode()))
         return True
 
-    def receive(self, push: Push, now: float) -> bool:
-        """Stores what of a frame is new and in order; whether it is to be remembered: not refused, and no repeat."""
-        passed_over = self.inbox.duplicates + self.inbox.refused.total()
-        delivered = self.inbox.receive(push, now)
-        for frame in delivered:
-            stream = f"{frame.actor}/{frame.epoch}"
-            stored, reasons = self.buffer.insert(frame.trajectories)
+    def receive(self, push: Push, payload: bytes, now: float) -> None:
+        """Stores what of a frame is new and in order, and of frames that came before their time and now are.
+
+        Args:
+            push: the frame.
+            payload: the bytes that it came in.
+            now: the time.
+        """
+        for arrived in self.inbox.receive(push, now):
+            stream = f"{arrived.actor}/{arrived.epoch}"
+            stored, reasons = self.buffer.insert(arrived.trajectories)
             self.stored += stored
             for reason, count in reasons.items():
                 self.rejected[reason] = self.rejected.get(reason, 0) + count
             self.limiter.inserted(stream, stored, rejected=sum(reasons.values()))
-            if frame.closes:
+            if arrived.closes:
                 self.limiter.close(stream)
-                self._closed.add((frame.actor, frame.epoch))
-        return bool(delivered) or self.inbox.duplicates + self.inbox.refused.total() == passed_over
+                self._closed.add((arrived.actor, arrived.epoch))
+            self._entries.append((Entry.PUSH, payload if arrived is push else codec.encode(arrived)))
 
     def credit(self, actor: str, epoch: int) -> int | None:
         """The absolute number of transitions an open epoch may produce; None: unlimited."""
         return self.limiter.credit(f"{actor}/{epoch}") if self._limited(actor, epoch) else 0
 
     def _limited(self, actor: str, epoch: int) -> bool:
-        """Whether the limiter knows the epoch: issued since this process began, and not closed."""
+        """Whether the limiter knows the epoch: issued since this start of the run, and not closed."""
         return self._epochs.get(actor) == epoch and (actor, epoch) not in self._closed
 
     def serve(self, now: float) -> None:
@@ -143,7 +182,58 @@ class Shelf:
 
     def state(self) -> tuple[dict, dict[str, np.ndarray]]:
         """Everything needed to go on: ring, sizes, limiter counts, books, generator state."""
-        meta = {
+        return self._standing(), self.buffer.state()
+
+    def write_down(self, now: float) -> None:
+        """Has the journal hold all that came; once this returns it may be acknowledged."""
+        if now >= self._next_pace_s and (pace := self.pace()) != self._pace:
+            self._entries.append((Entry.PACE, json.dumps(pace).encode()))
+            self._pace, self._next_pace_s = pace, now + PACE_EVERY_S
+        if self._entries:
+            self.journal.append(self._entries)
+            self._entries = []
+        if self.journal.wants_base:
+            self._begin_anew()
+
+    def recover(self, restored: tuple[dict, dict[str, np.ndarray]] | None) -> None:
+        """Goes on from the journal; where there is none, from a checkpoint's `state` or nothing, and begins one."""
+        found = self.journal.recover()
+        if found is None:
+            if restored is not None:
+                self.restore(*restored, same_run=False)
+            self._begin_anew()
+            return
+        base = codec.decode(found.base, expect=State)
+        parts = [(0, self.buffer.newest(0))]  # no row, but the columns
+        for piece in found.pieces:
+            part = codec.decode(piece, expect=State)
+            parts.append((part.meta["first"], part.arrays))
+        rows = pieces.joined(base.arrays, base.meta["held"], parts)
+        self.restore(base.meta, rows, same_run=True)
+        self._in_pieces = self.buffer.written
+        for kind, content in found.records:
+            if kind == Entry.PUSH:
+                self.receive(codec.decode(content, expect=Push), content, 0.0)
+                self.recovered += 1
+            elif kind == Entry.EPOCH:
+                self.issue(*json.loads(content))
+            else:
+                self.keep_pace(json.loads(content))
+        self._entries.clear()  # they are there already
+
+    def _begin_anew(self) -> None:
+        """Folds the journal's log: rows that it brought become a piece, and all else is in the new base."""
+        ring, name = self.buffer, self.level.value
+        base = State(name, self._standing() | {"held": len(ring)}, ring.layout())
+        rows = ring.newest(self._in_pieces)
+        count = len(rows["actions"])
+        piece = codec.encode(State(name, {"first": ring.written - count}, rows), packing=frame.PLAIN) if count else b""
+        self.journal.rebase(codec.encode(base), piece, end=ring.written, oldest=ring.written - len(ring))
+        self._in_pieces = ring.written
+
+    def _standing(self) -> dict:
+        """The first part of `state`."""
+        return {
             "batch_size": self.batch_size,
             "limiter": self.limiter.state(),
             "inbox": self.inbox.state(),
@@ -156,7 +246,6 @@ class Shelf:
             "closed": [list(stream) for stream in sorted(self._closed)],
             "open": len(self.inbox.open_streams()),
         }
-        return meta, self.buffer.state()
 
     def restore(self, meta: dict, arrays: dict[str, np.ndarray], *, same_run: bool) -> None:
         """Takes over a `state`.

@@ -16,7 +16,6 @@ from zsdist.dqn.learner import DqnLearner
 from zsdist.errors import ConfigError, WeightsError
 from zsdist.planning.grid import Grid
 from zsdist.replay.buffer import row_bytes
-from zsdist.replay.journal import Journal
 from zsdist.roles import access, shards
 from zsdist.roles.actor import Actor
 from zsdist.roles.base import Context, Role
@@ -240,8 +239,8 @@ class Setting:
                 return Scheduler(context, RunDirectory(self.folder, self.vision, earlier_s), restored)
             case shards.ROLE:
                 # A start of the run has journals of its own: those of an earlier one are older than its checkpoints.
-                journal = Journal(self.folder / "journal" / f"{self.start}-{place.id}")
-                return Replay(context, SHAPES, journal, self.states.get(shards.state_name(int(place.id))))
+                folder = self.folder / "journal" / f"{self.start}-{place.id}"
+                return Replay(context, SHAPES, folder, self.states.get(shards.state_name(int(place.id))))
             case "learner":
                 level = Level(place.id)
                 return Learner(context, level, make_learner(config, level), self.states.get(place.name))

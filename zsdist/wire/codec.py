@@ -56,8 +56,12 @@ class _Kind:
     packing: int = frame.ZSTD
 
 
-def encode(message: AnyMessage) -> bytes:
+def encode(message: AnyMessage, *, packing: int | None = None) -> bytes:
     """The bytes of a message.
+
+    Args:
+        message: what to send.
+        packing: one of `zsdist.wire.frame`; None: its kind's own.
 
     Raises:
         ProtocolError: the message is one that `decode` would refuse; says why.
@@ -66,7 +70,7 @@ def encode(message: AnyMessage) -> bytes:
     try:
         meta, columns = kind.split(message)
         kind.check(meta, columns)
-        return frame.pack(kind.number, meta, columns, kind.limit, kind.packing)
+        return frame.pack(kind.number, meta, columns, kind.limit, kind.packing if packing is None else packing)
     except DecodeError as error:
         raise ProtocolError(f"{type(message).__name__} cannot be sent: {error}") from error
 

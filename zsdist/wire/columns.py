@@ -8,8 +8,8 @@ Masks are packed, eight to a byte.
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import torch
 
+from zsdist import halves
 from zsdist.errors import DecodeError
 from zsdist.types import NO_GUIDE, Batch, Behaviour, Level, Trajectories, Trajectory
 
@@ -105,11 +105,11 @@ def check_trajectories(columns: Mapping[str, np.ndarray], actions: int) -> int:
 
 
 def to_trajectories(columns: Mapping[str, np.ndarray], actions: int, level: Level) -> Sequence[Trajectory]:
-    """The trajectories of checked columns."""
+    """The trajectories of checked columns, their states half floats as they came."""
     if not columns:
         return ()
     own = {name: columns[name] for name in ("actions", "rewards", "discounts", "successors", "guides", "behaviours")}
-    own |= {"states": _widen(columns["states"]), "masks": _unpack_masks(columns["masks"], actions)}
+    own |= {"states": columns["states"], "masks": _unpack_masks(columns["masks"], actions)}
     return Trajectories(level, own, columns["lengths"].astype(np.int64), columns["versions"].astype(np.int64))
 
 
@@ -161,11 +161,11 @@ def check_priorities(columns: Mapping[str, np.ndarray]) -> None:
 def to_batch(columns: Mapping[str, np.ndarray], actions: int) -> Batch:
     """The batch of checked columns."""
     return Batch(
-        states=_widen(columns["states"]),
+        states=halves.widen(columns["states"]),
         actions=columns["actions"].astype(np.int64),
         rewards=columns["rewards"],
         discounts=columns["discounts"],
-        next_states=_widen(columns["next_states"]),
+        next_states=halves.widen(columns["next_states"]),
         next_masks=_unpack_masks(columns["next_masks"], actions),
         masks=_unpack_masks(columns["masks"], actions),
         guides=columns["guides"].astype(np.int64),
@@ -187,11 +187,7 @@ def require_columns(columns: Mapping[str, np.ndarray], schema: Mapping[str, tupl
 
 def require_finite(column: np.ndarray, name: str) -> None:
     """Raises `DecodeError` where a float column holds NaN or infinity."""
-    if column.dtype == np.float16:  # by its exponent bits, sign shifted out: half floats have no fast isfinite
-        wrong = column.size and (column.view(np.uint16) << 1).max() >= 0x7C00 << 1
-    else:
-        wrong = not np.isfinite(column).all()
-    if wrong:
+    if not (halves.all_finite(column) if column.dtype == np.float16 else np.isfinite(column).all()):
         raise DecodeError("nonfinite", f"column {name!r}")
 
 
@@ -208,14 +204,9 @@ def _narrow(column: np.ndarray, name: str, dtype: type) -> np.ndarray:
     elif column.dtype.kind != "f":
         raise DecodeError("dtype", f"{name} is {column.dtype}")
     elif column.dtype == np.float32 and dtype == np.float16:
-        return torch.from_numpy(column).half().numpy()  # numpy rounds to half floats 7 to 25 times slower
+        return halves.narrow(column)
     with np.errstate(over="ignore"):  # what overflows becomes infinite, and the check for that follows
         return column.astype(dtype)
-
-
-def _widen(states: np.ndarray) -> np.ndarray:
-    """Half floats as float32, which numpy does several times slower."""
-    return torch.from_numpy(states).float().numpy()
 
 
 def _require_rows(columns: Mapping[str, np.ndarray], rows: Mapping[str, int]) -> None:

@@ -63,16 +63,27 @@ def pack(kind: int, meta: dict[str, Any], columns: Mapping[str, np.ndarray], lim
     text = json.dumps({"meta": meta, "columns": described}, separators=(",", ":")).encode()
     text += b" " * (-(_SIZE.size + len(text)) % _ALIGNMENT)
     parts[0] = _SIZE.pack(len(text)) + text
-    content = b"".join(parts)
-    if len(content) > limit:
-        raise DecodeError("size", f"{len(content)} bytes; at most {limit}")
-    return seal(kind, _compressor().compress(content) if packing == ZSTD else content, packing)
+    size = sum(len(part) if isinstance(part, bytes) else part.nbytes for part in parts)
+    if size > limit:
+        raise DecodeError("size", f"{size} bytes; at most {limit}")
+    if packing == ZSTD:
+        return seal(kind, _compressor().compress(b"".join(parts)))
+    header = _header(kind, size, PLAIN, VERSION)
+    checksum = zlib.crc32(header)
+    for part in parts:
+        checksum = zlib.crc32(part, checksum)
+    return b"".join((header, _SIZE.pack(checksum), *parts))  # the one copy
 
 
 def seal(kind: int, body: bytes, packing: int = ZSTD, *, version: int = VERSION) -> bytes:
     """A header with its checksum before a body that is packed already."""
-    header = _HEADER.pack(MAGIC, version, kind, packing, 0, len(body), 0)[:_CHECKED]
-    return header + _SIZE.pack(zlib.crc32(body, zlib.crc32(header))) + body
+    header = _header(kind, len(body), packing, version)
+    return b"".join((header, _SIZE.pack(zlib.crc32(body, zlib.crc32(header))), body))
+
+
+def _header(kind: int, size: int, packing: int, version: int) -> bytes:
+    """What of a header its checksum covers."""
+    return _HEADER.pack(MAGIC, version, kind, packing, 0, size, 0)[:_CHECKED]
 
 
 def read_kind(payload: bytes) -> int:

@@ -80,7 +80,7 @@ def test_a_successor_may_be_any_later_state():
     assert (buffer.state()["next_states"] == 4).all()
 
 
-def test_samples_are_whole_transitions_of_the_promised_types():
+def test_samples_are_whole_transitions_of_the_types_that_travel():
     buffer = RingBuffer(STATE_SIZE, ACTIONS, 50)
     buffer.insert([trajectory(80)])
     batch = buffer.sample(np.random.default_rng(0), 400)
@@ -88,14 +88,14 @@ def test_samples_are_whole_transitions_of_the_promised_types():
     assert (batch.actions == batch.rewards % ACTIONS).all()
     assert batch.masks.shape == batch.next_masks.shape == (400, ACTIONS)
     assert {name: value.dtype for name, value in vars(batch).items() if value is not None} == {
-        "states": np.float32,
-        "actions": np.int64,
+        "states": np.float16,
+        "actions": np.uint8,
         "rewards": np.float32,
         "discounts": np.float32,
-        "next_states": np.float32,
+        "next_states": np.float16,
         "next_masks": np.bool_,
         "masks": np.bool_,
-        "guides": np.int64,
+        "guides": np.int8,
     }
     batch.states[:] = -1
     buffer.check_valid()
@@ -232,7 +232,7 @@ def test_a_restored_buffer_gives_the_same_samples_and_evicts_in_the_same_order()
         (lambda s: s.pop("guides"), "lacks guides"),
         (lambda s: s.update(capacity=np.array(4)), "capacity 4, head 5, 5 rows"),
         (lambda s: s.update(head=np.array(2)), "head 2"),
-        (lambda s: s.update(states=s["states"][:, :-1]), r"states is float32 of shape \(5, 3\)"),
+        (lambda s: s.update(states=s["states"][:, :-1]), r"states is float16 of shape \(5, 3\)"),
         (lambda s: s.update(actions=s["actions"].astype(int)), "actions is int64"),
     ],
 )

@@ -1,6 +1,5 @@
 import os
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -27,10 +26,10 @@ def test_base_and_records_come_back_in_order_without_the_writer_having_closed(tm
     first.append(RECORDS[:2])
     first.append(RECORDS[2:])
     second, found = reopened(tmp_path)
-    assert found == (b"base", RECORDS)
+    assert found == (b"base", [], RECORDS)
     assert second.nbytes == first.nbytes
     second.append([(7, b"more")])
-    assert reopened(tmp_path)[1] == (b"base", [*RECORDS, (7, b"more")])
+    assert reopened(tmp_path)[1] == (b"base", [], [*RECORDS, (7, b"more")])
 
 
 @settings(max_examples=60, deadline=None)
@@ -44,11 +43,11 @@ def test_a_torn_tail_is_cut_off_and_every_record_before_it_is_kept(tmp_path_fact
         ends.append(writer.nbytes)
     size = min(cut, ends[-1])
     os.truncate(folder / "00000001.log", size)
-    again, (_, records) = reopened(folder)
+    again, (_, _, records) = reopened(folder)
     whole = sum(end <= size for end in ends)
     assert records == [(1, content) for content in contents[:whole]]
     again.append([(2, b"after")])
-    assert reopened(folder)[1][1] == [*records, (2, b"after")]
+    assert reopened(folder)[1].records == [*records, (2, b"after")]
 
 
 def test_a_damaged_record_ends_what_is_believed(tmp_path):
@@ -58,7 +57,7 @@ def test_a_damaged_record_ends_what_is_believed(tmp_path):
     content = bytearray((tmp_path / "00000001.log").read_bytes())
     content[-1] ^= 1
     (tmp_path / "00000001.log").write_bytes(content)
-    assert reopened(tmp_path)[1] == (b"base", RECORDS[:2])
+    assert reopened(tmp_path)[1] == (b"base", [], RECORDS[:2])
 
 
 def test_a_new_base_takes_the_place_of_all_before_it(tmp_path):
@@ -67,7 +66,7 @@ def test_a_new_base_takes_the_place_of_all_before_it(tmp_path):
     writer.append(RECORDS)
     writer.rebase(b"two")
     assert writer.nbytes == 3
-    assert reopened(tmp_path)[1] == (b"two", [])
+    assert reopened(tmp_path)[1] == (b"two", [], [])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["00000002.base", "00000002.log"]
 
 
@@ -76,20 +75,38 @@ def test_a_base_that_was_not_finished_does_not_count(tmp_path):
     writer.rebase(b"one")
     writer.append(RECORDS)
     (tmp_path / "00000002.partial").write_bytes(b"tw")
-    assert reopened(tmp_path)[1] == (b"one", RECORDS)
+    (tmp_path / "00000002-0000000000000005.piece").write_bytes(b"tor")
+    again, found = reopened(tmp_path)
+    assert found == (b"one", [], RECORDS)
+    again.rebase(b"two", b"piece", end=6)
+    assert reopened(tmp_path)[1] == (b"two", [b"piece"], [])
 
 
-def test_base_and_log_stay_bounded_while_its_writer_rebases_when_told(tmp_path, monkeypatch):
+def test_pieces_stay_in_order_until_the_oldest_item_needed_is_beyond_their_end(tmp_path):
+    writer = Journal(tmp_path)
+    for end, piece in ((5, b"5"), (8, b"8"), (8, b""), (30, b"30"), (1000, b"1000")):
+        writer.rebase(b"base", piece, end=end)
+    assert reopened(tmp_path)[1].pieces == [b"5", b"8", b"30", b"1000"]
+    writer.append(RECORDS)
+    writer.rebase(b"then", end=1000, oldest=8)
+    again, found = reopened(tmp_path)
+    assert found == (b"then", [b"30", b"1000"], [])
+    assert again.nbytes == writer.nbytes == sum(path.stat().st_size for path in tmp_path.iterdir())
+    again.rebase(b"last", end=1000, oldest=1000)
+    assert reopened(tmp_path)[1] == (b"last", [], [])
+
+
+def test_it_stays_bounded_while_its_writer_rebases_when_told(tmp_path, monkeypatch):
     monkeypatch.setattr(journal, "COMPACT_BYTES", 10_000)
     writer, base = Journal(tmp_path), bytes(4_000)
     writer.rebase(base)
     largest = 0
-    for _ in range(300):
+    for number in range(300):
         writer.append([(1, bytes(500))])
         largest = max(largest, sum(path.stat().st_size for path in tmp_path.iterdir()))
         if writer.wants_base:
-            writer.rebase(base)
-    assert largest < 10_000 + 4_000 + 600
+            writer.rebase(base, bytes(2_000), end=number, oldest=number - 50)
+    assert largest < 10_000 + 4_000 + 600 + 4 * 2_000
 
 
 def test_what_a_successor_has_to_read_is_bounded_in_records_too(tmp_path, monkeypatch):
@@ -125,11 +142,4 @@ def test_a_full_disk_is_an_error_and_leaves_whole_records_only(tmp_path, monkeyp
     with pytest.raises(RunError, match="the disk is full"):
         writer.append(RECORDS[1:])
     monkeypatch.undo()
-    assert reopened(tmp_path)[1] == (b"base", RECORDS[:1])
-
-
-def test_removing_it_leaves_nothing(tmp_path):
-    writer = Journal(tmp_path / "journal")
-    writer.rebase(np.zeros(10).tobytes())
-    writer.remove()
-    assert not (tmp_path / "journal").exists()
+    assert reopened(tmp_path)[1] == (b"base", [], RECORDS[:1])

@@ -5,7 +5,7 @@ import pytest
 
 from zsdist.config import parse
 from zsdist.errors import RunError
-from zsdist.replay.journal import Journal
+from zsdist.replay import journal
 from zsdist.roles.base import Context
 from zsdist.roles.replay import Replay
 from zsdist.roles.shelf import Shape
@@ -41,7 +41,7 @@ class Bench:
 
     def begin(self, epoch=1, restored=None, config=CONFIG):
         context = Context(config, RUN, "replay", "0", epoch, MemoryTransport(self.broker), threading.Event())
-        self.replay = Replay(context, SHAPES, Journal(self.folder), restored)
+        self.replay = Replay(context, SHAPES, self.folder, restored)
         return self.replay
 
     def issue(self, **epochs):
@@ -104,28 +104,43 @@ def test_the_next_replay_goes_on_where_the_last_one_died(bench):
     assert after.shelves[Level.LOW].books()["stored"] == 9 and after.shelves[Level.LOW].books()["duplicates"] == 1
 
 
-def test_what_was_folded_into_a_new_base_comes_back_too(bench):
-    bench.replay.journal.rebase(codec.encode(bench.replay.state()))
-    bench.push(2, 10, trajectory(40, 2))
+@pytest.mark.parametrize("capacity", [2000, 7])
+@pytest.mark.parametrize("config", [CONFIG, parse({"replay": {"prioritised": True}})])
+def test_what_was_folded_comes_back_too_and_what_left_the_ring_leaves_the_disk(tmp_path, monkeypatch, capacity, config):
+    monkeypatch.setattr(journal, "COMPACT_RECORDS", 3)
+    bench = Bench(tmp_path / "journal")
+    bench.begin(config=config)
+    bench.issue(a=7)
+    bench.replay.shelves[Level.LOW].buffer.resize(capacity)
+    for number in range(40):
+        bench.push(number, 2 * number + 2, trajectory(number, 2))
+        bench.step()
+        bench.replay.shelves[Level.LOW].resize(capacity, 16)  # as it was, whatever the orders say
+        if number % 5 == 4:
+            before = bench.replay.state()
+            alike(before, bench.begin(epoch=number, config=config).state())
+    pieces = list(tmp_path.glob("journal/low/*.piece"))
+    assert len(pieces) > 10 if capacity == 2000 else 0 < len(pieces) < 5
+
+
+@pytest.mark.parametrize("records", [1000, 1])
+def test_a_frame_that_came_before_its_time_is_neither_acknowledged_early_nor_lost_later(bench, monkeypatch, records):
+    monkeypatch.setattr(journal, "COMPACT_RECORDS", records)
+    bench.push(3, 11, trajectory(50, 2))
+    assert [ack.received for ack in bench.step() + bench.step()][-1] == 2
+    monkeypatch.undo()
+    bench.push(2, 9, trajectory(40, 1))
     bench.step()
+    assert bench.step()[-1].received == 4
     before = bench.replay.state()
     alike(before, bench.begin(epoch=2).state())
-
-
-def test_a_frame_that_came_too_early_is_remembered_too(bench):
-    bench.push(3, 11, trajectory(50, 2))
-    bench.step()
-    bench.begin(epoch=2)
-    bench.push(2, 9, trajectory(40, 1))
-    acks = bench.step()
-    assert acks[-1].received == 4
 
 
 def test_nothing_is_acknowledged_that_the_journal_does_not_hold(bench, monkeypatch):
     def full(records):
         raise RunError("the disk is full")
 
-    monkeypatch.setattr(bench.replay.journal, "append", full)
+    monkeypatch.setattr(bench.replay.shelves[Level.LOW].journal, "append", full)
     bench.push(2, 9, trajectory(40, 1))
     with pytest.raises(RunError, match="disk is full"):
         bench.step()
@@ -133,12 +148,12 @@ def test_nothing_is_acknowledged_that_the_journal_does_not_hold(bench, monkeypat
 
 
 def test_refused_frames_and_repeats_are_not_written_down(bench):
-    size = bench.replay.journal.nbytes
+    size = bench.replay.statistics()["journal_bytes"]
     bench.push(0, 5, trajectory(10, 5))
     bench.push(0, 5, trajectory(10, 5), epoch=99)
     bench.push(0, 5, trajectory(10, 5), actor="stranger")
     bench.step()
-    assert bench.replay.journal.nbytes == size
+    assert bench.replay.statistics()["journal_bytes"] == size
     assert bench.replay.shelves[Level.LOW].inbox.refused.total() == 2
 
 
@@ -187,7 +202,7 @@ def test_two_shards_take_in_their_own_actors_transitions_alone_and_answer_for_th
     others.subscribe(keys.ack(RUN, keys.ANY), acks)
     config = parse({"low": {"min_size": 4}, "replay": {"shards": 2}, "run": {"actors": 3}})
     shards = [
-        Replay(Context(config, RUN, "replay", str(i), i, MemoryTransport(broker)), SHAPES, Journal(tmp_path / str(i)))
+        Replay(Context(config, RUN, "replay", str(i), i, MemoryTransport(broker)), SHAPES, tmp_path / str(i))
         for i in (0, 1)
     ]
     content = {"epochs": {f"actor-{i}": 7 for i in range(3)}, "buffer_size": 3000, "batch_size": 16, "stop": False}
