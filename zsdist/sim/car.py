@@ -6,6 +6,8 @@ base, the cabinet and the outlines of the wheels, alone touches obstacles.
 
 import math
 
+from numba import njit
+
 from zsdist.sim.bullet import pybullet
 from zsdist.sim.controller import STOPPED, WHEEL_RADIUS_M, Motion, Rates
 from zsdist.types import Pose
@@ -64,6 +66,7 @@ class Car:
         )
         self._wheels = list(range(wheels))
         self._torques = [MOTOR_NM] * wheels
+        self._commanded: Rates | None = None
         pybullet.setCollisionFilterGroupMask(self.body, -1, SKIN_GROUP, OBSTACLE_GROUP, physicsClientId=client)
         # One property a call: given together, PyBullet writes a wheel's friction to the base.
         rolling_inertia = 0.4 * WHEEL_KG * WHEEL_RADIUS_M**2
@@ -87,7 +90,10 @@ class Car:
             pybullet.resetJointState(self.body, wheel, 0.0, 0.0, physicsClientId=self._client)
 
     def command(self, rates: Rates) -> None:
-        """Sets the rates at which the four motors turn their wheels."""
+        """Sets the rates at which the four motors turn their wheels, which they do until told otherwise."""
+        if rates == self._commanded:
+            return
+        self._commanded = rates
         left, right = rates
         pybullet.setJointMotorControlArray(
             self.body,
@@ -100,11 +106,19 @@ class Car:
 
     def motion(self) -> Motion:
         """The true motion."""
-        client = self._client
-        (x_m, y_m, _), (qx, qy, qz, qw) = pybullet.getBasePositionAndOrientation(self.body, physicsClientId=client)
-        (east, north, _), (_, _, turn_rate) = pybullet.getBaseVelocity(self.body, physicsClientId=client)
-        heading = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
-        return Motion(Pose(x_m, y_m, heading), east * math.cos(heading) + north * math.sin(heading), turn_rate)
+        moving = self.moving()
+        heading, speed_mps, turn_rate = heading_and_speed(*moving)
+        return Motion(Pose(moving[0], moving[1], heading), speed_mps, turn_rate)
+
+    def moving(self) -> tuple[float, ...]:
+        """The true motion as PyBullet has it, for `heading_and_speed`.
+
+        Returns:
+            Place in x and y, quaternion x, y, z, w, velocity in x and y, turn rate; metres, seconds, radians.
+        """
+        (x_m, y_m, _), turned = pybullet.getBasePositionAndOrientation(self.body, self._client)
+        (east, north, _), (_, _, turn_rate) = pybullet.getBaseVelocity(self.body, self._client)
+        return x_m, y_m, *turned, east, north, turn_rate
 
     def tilt(self) -> tuple[float, float]:
         """Roll, right side down positive, and pitch, nose down positive, in radians."""
@@ -118,3 +132,20 @@ class Car:
 
 
 _DISTANCE, _NORMAL_FORCE = 8, 9  # fields of a PyBullet contact point
+
+
+@njit(cache=True)
+def heading_and_speed(
+    x_m: float,
+    y_m: float,
+    qx: float,
+    qy: float,
+    qz: float,
+    qw: float,
+    east_mps: float,
+    north_mps: float,
+    turn_rate: float,
+) -> tuple[float, float, float]:
+    """Heading, speed along it and turn rate of a car that moves as `Car.moving` says."""
+    heading = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+    return heading, east_mps * math.cos(heading) + north_mps * math.sin(heading), turn_rate

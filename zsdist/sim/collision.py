@@ -49,11 +49,11 @@ def clearance_m(
     Returns:
         The distance; infinite where there is nothing.
     """
-    return _clearance(pose[0], pose[1], pose[2], length_m / 2, width_m / 2, circles, boxes, arena_m / 2)
+    return box_clearance(pose[0], pose[1], pose[2], length_m / 2, width_m / 2, circles, boxes, arena_m / 2)
 
 
 @njit(cache=True)
-def _clearance(
+def box_clearance(
     x: float,
     y: float,
     heading: float,
@@ -63,6 +63,7 @@ def _clearance(
     boxes: np.ndarray,
     wall: float,
 ) -> float:
+    """Compiled `clearance_m`, of half lengths and half the arena's side."""
     cos, sin = math.cos(heading), math.sin(heading)
     nearest = min(
         wall - abs(x) - abs(cos) * half_l - abs(sin) * half_w, wall - abs(y) - abs(sin) * half_l - abs(cos) * half_w

@@ -3,6 +3,7 @@
 import math
 from typing import NamedTuple
 
+import numpy as np
 from numba import njit
 
 from zsdist.types import Pose
@@ -62,6 +63,8 @@ _ADVANCE = 3
 _ALIGN = 4  # in place, to the target's heading
 _THERE = 5
 
+_X, _Y, _HEADING, _ADVANCES, _STEP_S, _PHASE, _ASKED_MPS = range(7)  # of a manoeuvre's state
+
 
 class Manoeuvre:
     """Drives the car to one target pose: brake and turn in place first, then advance along its heading, then align.
@@ -72,91 +75,75 @@ class Manoeuvre:
         target: pose to end at.
         advance: False for a turn in place.
         turn: whether a turn comes first; without one a speed from the manoeuvre before is kept.
-        step_s: time between two calls of `rates`.
+        step_s: time between two calls of `steer`.
+
+    Attributes:
+        target: as given.
+        state: `(7,)` float64, which `steer` reads and writes: the target's x, y and heading, whether it advances, the
+            time between two calls, what it is at, and the speed asked for last (NaN: none yet).
     """
 
     def __init__(self, target: Pose, advance: bool, turn: bool, step_s: float) -> None:
         self.target = target
-        self._step_s = step_s
-        self._advances = advance
-        self._phase = _BRAKE if turn or not advance else _ADVANCE
-        self._asked_mps = math.nan  # speed asked for last; nan: none yet
+        phase = _BRAKE if turn or not advance else _ADVANCE
+        self.state = np.array([*target, advance, step_s, phase, math.nan])
 
     def rates(self, motion: Motion) -> Rates | None:
         """The wheel rates for the next step; None once the car is there."""
-        pose, target = motion.pose, self.target
-        turn = math.remainder(target.heading_rad - pose.heading_rad, math.tau)
-        self._phase, self._asked_mps, left, right = _control(
-            self._phase,
-            self._asked_mps,
-            self._advances,
-            self._step_s,
-            target.x_m - pose.x_m,
-            target.y_m - pose.y_m,
-            target.heading_rad,
-            pose.heading_rad,
-            turn,
-            motion.speed_mps,
-            motion.turn_rate_rad_s,
-        )
-        return None if self._phase == _THERE else Rates(left, right)
+        rates = Rates(*steer(self.state, *motion.pose, motion.speed_mps, motion.turn_rate_rad_s))
+        return None if math.isnan(rates.left) else rates
 
 
 @njit(cache=True)
-def _control(
-    phase: int,
-    asked_mps: float,
-    advances: bool,
-    step_s: float,
-    east: float,
-    north: float,
-    target_heading: float,
-    heading: float,
-    turn: float,
-    speed_mps: float,
-    turn_rate: float,
-) -> tuple[int, float, float, float]:
-    """The phase after this step, the speed asked for, and the rates of the left and the right wheels.
+def steer(
+    state: np.ndarray, x_m: float, y_m: float, heading: float, speed_mps: float, turn_rate: float
+) -> tuple[float, float]:
+    """Rates of the left and the right wheels for the next step of a manoeuvre; NaN once the car is there.
 
     Args:
-        phase: before this step.
-        asked_mps: speed asked for last.
-        advances: whether the manoeuvre advances.
-        step_s: until the next call.
-        east: metres from the car to the target.
-        north: metres from the car to the target.
-        target_heading: radians.
-        heading: of the car, radians.
-        turn: from the car's heading to the target's, within half a turn.
+        state: of the `Manoeuvre`.
+        x_m: place of the car.
+        y_m: place of the car.
+        heading: of the car, radians within half a turn of east.
         speed_mps: of the car.
         turn_rate: of the car, radians a second.
     """
-    cos, sin = math.cos(target_heading), math.sin(target_heading)
+    phase, advances = int(state[_PHASE]), state[_ADVANCES] != 0.0
+    east, north = state[_X] - x_m, state[_Y] - y_m
+    turn = state[_HEADING] - heading
+    if abs(turn) > math.pi:
+        turn -= math.copysign(math.tau, turn)
+    cos, sin = math.cos(state[_HEADING]), math.sin(state[_HEADING])
     ahead, aside = east * cos + north * sin, north * cos - east * sin
     aim = turn + _clip(aside / max(ahead, GAINS.look_ahead_m), GAINS.aim_most_rad)
     if phase == _BRAKE:
         if speed_mps > GAINS.still_mps:
-            return phase, asked_mps, 0.0, 0.0
+            return 0.0, 0.0
         phase = _TURN if advances else _ALIGN
     if phase == _TURN and abs(aim) < GAINS.facing_rad:
         phase = _ADVANCE
     if phase == _ADVANCE and ahead < GAINS.arrive_m and speed_mps < GAINS.arrive_mps:
         phase = _ALIGN
+    state[_PHASE] = phase
     if phase == _ADVANCE:
-        before = speed_mps if math.isnan(asked_mps) else asked_mps
+        before = speed_mps if math.isnan(state[_ASKED_MPS]) else state[_ASKED_MPS]
         braking = math.sqrt(2 * GAINS.slow_down_mps2 * ahead + GAINS.flow_mps**2) if ahead > 0 else 0.0
-        asked_mps = max(0.0, min(GAINS.speed_most_mps, braking, before + GAINS.speed_up_mps2 * step_s))
+        asked_mps = max(0.0, min(GAINS.speed_most_mps, braking, before + GAINS.speed_up_mps2 * state[_STEP_S]))
+        state[_ASKED_MPS] = asked_mps
         rate = _clip(GAINS.steer * aim - GAINS.damp * turn_rate, GAINS.turn_most_rad_s)
-        return phase, asked_mps, asked_mps / WHEEL_RADIUS_M - rate, asked_mps / WHEEL_RADIUS_M + rate
+        return asked_mps / WHEEL_RADIUS_M - rate, asked_mps / WHEEL_RADIUS_M + rate
     error, hold_mps = aim, 0.0
     if phase == _ALIGN:
         if abs(turn) < GAINS.aligned_rad:
-            return (_THERE if abs(turn_rate) < GAINS.calm_rad_s else phase), asked_mps, 0.0, 0.0
+            if abs(turn_rate) >= GAINS.calm_rad_s:
+                return 0.0, 0.0
+            state[_PHASE] = _THERE
+            return math.nan, math.nan
         off = east * math.cos(heading) + north * math.sin(heading)
         error, hold_mps = turn, _clip(GAINS.hold * off, GAINS.hold_most_mps)
     size = min(max(GAINS.turn * abs(error), GAINS.turn_least_rad_s), GAINS.turn_most_rad_s)
     rate = math.copysign(size, error)
-    return phase, asked_mps, hold_mps / WHEEL_RADIUS_M - rate, hold_mps / WHEEL_RADIUS_M + rate
+    return hold_mps / WHEEL_RADIUS_M - rate, hold_mps / WHEEL_RADIUS_M + rate
 
 
 @njit(cache=True)

@@ -107,7 +107,7 @@ class CarNavigation(gymnasium.Env):
         scene = self.world.scene
         if self._over or scene is None:
             raise ResetNeeded("step() without an episode; call reset() first")
-        if not self.action_space.contains(action):
+        if not (type(action) is int and 0 <= action < len(Action)) and not self.action_space.contains(action):
             raise InvalidAction(f"action is {action!r}; allowed are the integers 0 to {len(Action) - 1}")
         driven = self.world.drive(int(action))
         self._steps += 1

@@ -4,14 +4,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from zsdist.errors import SceneError
-from zsdist.planning.footprint import ADVANCES, TURNS, successor
+from zsdist.planning.footprint import ADVANCES, CAR_LENGTH_M, CAR_WIDTH_M, TURNS, successor
 from zsdist.planning.grid import HEADINGS, Grid
 from zsdist.sim.bullet import pybullet
-from zsdist.sim.car import GROUND_GROUP, OBSTACLE_GROUP, SKIN_GROUP, WHEEL_GROUP, Car
-from zsdist.sim.collision import NO_BOXES, NO_CIRCLES, clearance_m, touching
-from zsdist.sim.controller import Manoeuvre
+from zsdist.sim.car import GROUND_GROUP, OBSTACLE_GROUP, SKIN_GROUP, WHEEL_GROUP, Car, heading_and_speed
+from zsdist.sim.collision import NO_BOXES, NO_CIRCLES, box_clearance, touching
+from zsdist.sim.controller import Manoeuvre, Rates, steer
 from zsdist.sim.scene import Scene
 from zsdist.sim.walkers import Walker
 from zsdist.types import LatticeState, Pose
@@ -27,6 +28,8 @@ _HEIGHT_M = 2.0  # of every collision shape: what is lower is still met by the w
 _WALL_M = 1.0  # thickness of the arena's walls
 _PER_COMPOUND = 16  # PyBullet silently drops further shapes of an array
 _MOST_SHAPES = 4096  # PyBullet frees no collision shape before its client is closed
+_NOBODY = np.empty((0, 2))
+_NOBODY.flags.writeable = False
 _UPRIGHT = [0.0, 0.0, 0.0, 1.0]
 
 
@@ -84,7 +87,9 @@ class World:
     @property
     def people(self) -> np.ndarray:
         """Present places of the walking obstacles, `(P, 2)` metres, in the order of the scene."""
-        return np.array([(walker.x_m, walker.y_m) for walker in self._walkers], dtype=np.float64).reshape(-1, 2)
+        if not self._walkers:
+            return _NOBODY
+        return np.array([(walker.x_m, walker.y_m) for walker in self._walkers], dtype=np.float64)
 
     def reset(self, scene: Scene, start: Pose | None = None) -> int:
         """Puts the obstacles of `scene` and the car in place, and drives a car that starts off the lattice onto it.
@@ -140,19 +145,21 @@ class World:
         return touching(self.pose, self._circles, self._boxes, arena_m=self.grid.arena_m)
 
     def _carry_out(self, manoeuvre: Manoeuvre) -> DriveResult:
-        steps = 0
-        motion = self._car.motion()
-        while steps < MOST_STEPS and (rates := manoeuvre.rates(motion)) is not None:
-            self._car.command(rates)
+        car, client, steps = self._car, self._client, 0
+        state, circles, boxes, wall = manoeuvre.state, self._circles, self._boxes, self.grid.arena_m / 2
+        while True:
+            moving = car.moving()
+            heading, room_m, left, right = _watch(state, circles, boxes, wall, *moving)
+            if steps > 0 and (room_m <= 0.0 or (room_m < CONTACT_WITHIN_M and car.contact())):
+                confirmed = self.contact() == (room_m <= 0.0)
+                return DriveResult(Pose(moving[0], moving[1], heading), steps, True, confirmed)
+            if steps == MOST_STEPS or math.isnan(left):
+                return DriveResult(Pose(moving[0], moving[1], heading), steps, False, True)
+            car.command(Rates(left, right))
             if self._walkers:
-                self._walk(motion.pose)
-            pybullet.stepSimulation(physicsClientId=self._client)
+                self._walk(Pose(moving[0], moving[1], heading))
+            pybullet.stepSimulation(client)
             steps += 1
-            motion = self._car.motion()
-            room_m = clearance_m(motion.pose, self._circles, self._boxes, arena_m=self.grid.arena_m)
-            if room_m <= 0.0 or (room_m < CONTACT_WITHIN_M and self._car.contact()):
-                return DriveResult(motion.pose, steps, True, self.contact() == (room_m <= 0.0))
-        return DriveResult(motion.pose, steps, False, True)
 
     def _walk(self, car: Pose) -> None:
         for walker, row, body in zip(self._walkers, self._walker_rows, self._walker_bodies, strict=True):
@@ -299,3 +306,23 @@ def _arc(begin: float, end: float) -> np.ndarray:
 
 def _sides(middle: float) -> list[tuple[float, float, float]]:
     return [(0.0, middle, 0.0), (0.0, -middle, 0.0), (middle, 0.0, math.pi / 2), (-middle, 0.0, math.pi / 2)]
+
+
+@njit(cache=True)
+def _watch(
+    state: np.ndarray, circles: np.ndarray, boxes: np.ndarray, wall: float, *moving: float
+) -> tuple[float, float, float, float]:
+    """Heading, room in metres, and next wheel rates of a car on a manoeuvre; in one call, 20 times an action.
+
+    Args:
+        state: of the manoeuvre.
+        circles: as of `clearance_m`.
+        boxes: as of `clearance_m`.
+        wall: half the arena's side.
+        *moving: from `Car.moving`.
+    """
+    x_m, y_m = moving[0], moving[1]
+    heading, speed_mps, turn_rate = heading_and_speed(*moving)
+    room_m = box_clearance(x_m, y_m, heading, CAR_LENGTH_M / 2, CAR_WIDTH_M / 2, circles, boxes, wall)
+    left, right = steer(state, x_m, y_m, heading, speed_mps, turn_rate)
+    return heading, room_m, left, right

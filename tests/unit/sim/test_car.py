@@ -7,6 +7,7 @@ from zsdist.planning.footprint import CAR_LENGTH_M, CAR_WIDTH_M
 from zsdist.planning.grid import Grid
 from zsdist.sim import car as subject
 from zsdist.sim.car import Car
+from zsdist.sim.controller import Rates
 from zsdist.sim.scene import Scene, Start
 from zsdist.sim.world import World
 from zsdist.types import Action, Pose
@@ -49,6 +50,19 @@ def test_a_placed_car_is_still_and_level_at_its_pose(client):
     assert motion.pose == pytest.approx(pose)
     assert (motion.speed_mps, motion.turn_rate_rad_s) == (0.0, 0.0)
     assert car.tilt() == pytest.approx((0.0, 0.0))
+
+
+def test_motors_go_on_as_they_were_told_last_until_the_car_is_placed(client):
+    car = Car(client)
+    for rates, speed in ((Rates(2.0, 1.0), 2.0), (Rates(2.0, 1.0), 2.0), (Rates(0.5, 1.0), 0.5)):
+        car.command(rates)
+        for _ in range(100):
+            pybullet.stepSimulation(client)
+        assert pybullet.getJointState(car.body, 0, client)[1] == pytest.approx(speed, abs=0.05)
+    car.place(Pose(0.0, 0.0, 0.0))
+    for _ in range(20):
+        pybullet.stepSimulation(client)
+    assert pybullet.getJointState(car.body, 0, client)[1] == pytest.approx(0.0, abs=0.01)
 
 
 def test_an_advance_after_an_advance_takes_fewer_steps_than_one_from_rest():

@@ -24,6 +24,7 @@ Look = Callable[[Scene, Primitives], Appearance]
 INSTANCE_WALL, INSTANCE_GROUND, INSTANCE_SKY = -1, -2, -3  # the first as in `Primitives.owners`
 
 _SHADOW_CELLS = 256  # a side; 10 cm each, read with interpolation
+_NO_DISCS = np.empty((0, 3))
 _SCENES_KEPT = 32  # prepared scenes: one for each car of an actor, and some
 
 
@@ -105,7 +106,8 @@ class CasterCamera:
         primitives, look = prepared.primitives, prepared.appearance
         rows = primitives.rows_at(people)
         origin, axes = mount(pose, self.config.forward_m, self.config.height_m, roll_rad, pitch_rad)
-        discs = rows[primitives.walkers[:, 0]][:, [0, 1, 4]]  # what walks has no shadow in the map
+        # What walks has no shadow in the map.
+        discs = rows[primitives.walkers[:, 0]][:, [0, 1, 4]] if len(primitives.walkers) else _NO_DISCS
         rectangles = np.empty((len(rows), 4), np.int64)
         cast(primitives.forms, rows, origin, axes, self._tangents, self._depth, self._index, rectangles)
         shade(

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from numba import njit
 
 from zsdist.types import Pose
 
@@ -19,9 +20,16 @@ def mount(
     Returns:
         `(3,)` position in metres and `(3, 3)` unit rows: forward, left and up in the world.
     """
-    cy, sy = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
-    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
-    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
+    return _mount(float(pose.x_m), float(pose.y_m), float(pose.heading_rad), forward_m, height_m, roll_rad, pitch_rad)
+
+
+@njit(cache=True)
+def _mount(
+    x_m: float, y_m: float, heading: float, forward_m: float, height_m: float, roll: float, pitch: float
+) -> tuple[np.ndarray, np.ndarray]:
+    cy, sy = math.cos(heading), math.sin(heading)
+    cp, sp = math.cos(pitch), math.sin(pitch)
+    cr, sr = math.cos(roll), math.sin(roll)
     axes = np.array(
         [
             [cy * cp, sy * cp, -sp],
@@ -29,7 +37,7 @@ def mount(
             [cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr],
         ]
     )
-    position = np.array([pose.x_m, pose.y_m, 0.0]) + forward_m * axes[0] + height_m * axes[2]
+    position = np.array([x_m, y_m, 0.0]) + forward_m * axes[0] + height_m * axes[2]
     return position, axes
 
 

@@ -60,7 +60,7 @@ class Primitives:
 
     def rows_at(self, people: np.ndarray | None) -> np.ndarray:
         """`rows` with the walking obstacles moved to `people` `(W, 2)`; None leaves them where the scene has them."""
-        if people is None:
+        if people is None or not len(self.walkers):
             return self.rows
         rows = self.rows.copy()
         for (first, last), place in zip(self.walkers, np.asarray(people, np.float64), strict=True):
