@@ -129,8 +129,8 @@ class HighConfig(LevelConfig):
 class LowConfig(LevelConfig):
     """The low level's own defaults."""
 
-    discount: Share = 0.9  # nearer to what it can foresee
-    guide_margin_weight: NonNegative = 0.3
+    discount: Share = 0.95  # nearer to what it can foresee
+    guide_margin_weight: NonNegative = 1.0
 
 
 class ReplayConfig(Section):

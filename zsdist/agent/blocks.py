@@ -25,8 +25,8 @@ class Choices:
             The goal can always be chosen.
         exists: `(9,)` bool.
         blocks: `(9, 2)` int, (bx, by) of each neighbour; the goal's own block last.
-        subgoals: `(9, 2)` metres: the cell of the block by which the straight lines from the car to it and from it to
-            the goal are shortest, among those a free way leads to, and of these, where there are such, among those
+        subgoals: `(9, 2)` metres: the cell of the block by which the way to it and the straight line on to the goal are
+            shortest, among those a free way leads to, and of these, where there are such, among those
             from which one leads on without coming back; the goal itself last.
         onward: `(9,)` in how many of the subgoal's headings a free way leads on to the goal without coming back into
             the block the car is in, as a share.
@@ -50,11 +50,10 @@ def choices(situation: Situation) -> Choices:
     """The choices from where the car is."""
     grid, block = situation.grid, situation.block
     exists, blocks, subgoals, onward = _survey(
-        situation.reachable,
+        situation.drive_m,
         _leading_on(situation),
         *block,
         situation.state.heading,
-        *situation.place,
         *situation.goal,
         grid.block_size,
         grid.cell_size_m,
@@ -75,17 +74,15 @@ def _leading_on(situation: Situation) -> np.ndarray:
 
 
 @numba.njit(cache=True)
-def _survey(reachable, leading, bx, by, heading, x, y, goal_x, goal_y, size, cell, half):  # noqa: ANN001, ANN202
+def _survey(drive_m, leading, bx, by, heading, goal_x, goal_y, size, cell, half):  # noqa: ANN001, ANN202
     """What there is of each neighbouring block: `exists`, `blocks`, `subgoals` and `onward` of `Choices`.
 
     Args:
-        reachable: `(cells, cells)` bool.
+        drive_m: `(cells, cells)`, infinite where no free way leads.
         leading: `(cells, cells, 8)` bool, from where a way leads on.
         bx: column of the car's block.
         by: row of the car's block.
         heading: of the car, in eighths.
-        x: of the car, metres.
-        y: of the car, metres.
         goal_x: metres.
         goal_y: metres.
         size: cells along the side of a block.
@@ -95,7 +92,7 @@ def _survey(reachable, leading, bx, by, heading, x, y, goal_x, goal_y, size, cel
     Returns:
         The four arrays; `onward` is -1 where no free way leads into the block.
     """
-    blocks_a_side = reachable.shape[0] // size
+    blocks_a_side = drive_m.shape[0] // size
     exists, blocks = np.zeros(HIGH_ACTIONS, np.bool_), np.zeros((HIGH_ACTIONS, 2), np.int64)
     subgoals, onward = np.zeros((HIGH_ACTIONS, 2)), np.full(HIGH_ACTIONS, -1.0)
     for k in range(NEIGHBOURS):
@@ -107,10 +104,10 @@ def _survey(reachable, leading, bx, by, heading, x, y, goal_x, goal_y, size, cel
         least, most, ix, iy = np.inf, -1.0, nx * size + size // 2, ny * size + size // 2
         for row in range(ny * size, (ny + 1) * size):
             for column in range(nx * size, (nx + 1) * size):
-                if reachable[row, column]:
+                if drive_m[row, column] < np.inf:
                     cx, cy = (column + 0.5) * cell - half, (row + 0.5) * cell - half
                     # a little for the nearer cell, so that of equal detours the one at the near border is taken
-                    detour = math.hypot(cx - x, cy - y) * 1.05 + math.hypot(cx - goal_x, cy - goal_y)
+                    detour = drive_m[row, column] * 1.05 + math.hypot(cx - goal_x, cy - goal_y)
                     onwards = 1.0 if leading[row, column].any() else 0.0
                     if onwards > most or (onwards == most and detour < least):
                         least, most, ix, iy = detour, onwards, column, row

@@ -5,6 +5,7 @@ import math
 import numba
 import numpy as np
 
+from zsdist.agent.reach import forwards
 from zsdist.planning.footprint import ADVANCES, TURNS
 from zsdist.planning.grid import STEPS
 
@@ -12,6 +13,7 @@ DIRECTIONS = 16  # about the car, counter-clockwise from its heading
 SIGHT_M = 5.0
 ACTIONS = len(TURNS)
 RUN_CELLS = 8
+NEAR_M, FAR_M = 2.5, 5.0  # driven on
 ACTION_FEATURES = 12
 _TURNS = np.array(TURNS)
 _ADVANCES = np.array(ADVANCES)
@@ -67,6 +69,8 @@ def clearances(occupied, seen, x, y, heading, arena_half, grid_half, square):  #
 @numba.njit(cache=True)
 def action_features(
     blocked: np.ndarray,
+    after_each: np.ndarray,
+    action_costs: np.ndarray,
     seen: np.ndarray,
     visits: np.ndarray,
     ix: int,
@@ -74,22 +78,21 @@ def action_features(
     heading: int,
     sub_x: float,
     sub_y: float,
-    goal_x: float,
-    goal_y: float,
     cell: float,
     grid_half: float,
     border: int,
 ) -> np.ndarray:
-    """What each action leads to, as far as straight runs tell: `(ACTIONS, ACTION_FEATURES)`.
+    """What each action leads to, as far as can be told without planning: `(ACTIONS, ACTION_FEATURES)`.
 
     Columns: free, gain towards the subgoal (in cells' diagonals), cosine and sine of the subgoal's bearing
-    afterwards, length of the free run straight on, most gain along it, most gain along one more action and a run,
-    the same of the goal, visits of the cell and of the state at the end, unseen share and fresh share of the run.
+    afterwards, length of the free run straight on, most gain along it, most gain within `NEAR_M` driven on by any free
+    way, the same within `FAR_M`, visits of the cell and of the state at the end, unseen share and fresh share of the
+    run. Gains are in metres as the crow flies, so a subgoal behind an obstacle may gain nothing by the way round it.
     """
     out = np.zeros((ACTIONS, ACTION_FEATURES))
+    cells, flat = blocked.shape[0], blocked.ravel()
     x0, y0 = (ix + 0.5) * cell - grid_half, (iy + 0.5) * cell - grid_half
     before = math.hypot(sub_x - x0, sub_y - y0)
-    goal_before = math.hypot(goal_x - x0, goal_y - y0)
     for action in range(ACTIONS):
         if blocked[iy, ix, heading, action]:
             continue
@@ -102,21 +105,18 @@ def action_features(
         row[0] = 1.0
         row[1] = (before - after) / (1.4142135 * cell)
         row[2], row[3] = math.cos(bearing), math.sin(bearing)
-        length, nearest, goal_nearest, unseen, fresh = _run(
-            blocked, seen, visits, ex, ey, h, sub_x, sub_y, goal_x, goal_y, cell, grid_half, border
-        )
+        length, nearest, unseen, fresh = _run(blocked, seen, visits, ex, ey, h, sub_x, sub_y, cell, grid_half, border)
         row[4], row[5] = length / SIGHT_M, (before - min(nearest, after)) / SIGHT_M
-        best, goal_best = min(nearest, after), goal_nearest
-        for second in range(1, ACTIONS):
-            if blocked[ey, ex, h, second]:
-                continue
-            h2 = (h + _TURNS[second]) % 8
-            x2, y2 = ex + _STEPS[h2, 0] * _ADVANCES[second], ey + _STEPS[h2, 1] * _ADVANCES[second]
-            _, near2, goal_near2, _, _ = _run(
-                blocked, seen, visits, x2, y2, h2, sub_x, sub_y, goal_x, goal_y, cell, grid_half, border
-            )
-            best, goal_best = min(best, near2), min(goal_best, goal_near2)
-        row[6], row[7] = (before - best) / SIGHT_M, (goal_before - goal_best) / SIGHT_M
+        driven = forwards(flat, after_each, action_costs, (ey * cells + ex) * 8 + h, FAR_M)
+        near_by, far_by = after, after
+        for state in range(len(driven)):
+            if driven[state] <= FAR_M:
+                px = (state // 8 % cells + 0.5) * cell - grid_half
+                py = (state // (8 * cells) + 0.5) * cell - grid_half
+                far_by = min(far_by, math.hypot(sub_x - px, sub_y - py))
+                if driven[state] <= NEAR_M:
+                    near_by = min(near_by, math.hypot(sub_x - px, sub_y - py))
+        row[6], row[7] = (before - near_by) / SIGHT_M, (before - far_by) / SIGHT_M
         cell_visits = 0
         for k in range(8):
             cell_visits += visits[ey, ex, k]
@@ -179,14 +179,13 @@ def line(occupied, seen, x, y, to_x, to_y, arena_half, square):  # noqa: ANN001,
 
 
 @numba.njit(cache=True)
-def _run(blocked, seen, visits, x, y, h, sub_x, sub_y, goal_x, goal_y, cell, grid_half, border):  # noqa: ANN001, ANN202
-    """Straight on from a state while nothing blocks: metres, nearest to subgoal and goal, unseen and fresh shares."""
-    length, nearest, goal_nearest, unseen, fresh, count = 0.0, 1e9, 1e9, 0, 0, 0
+def _run(blocked, seen, visits, x, y, h, sub_x, sub_y, cell, grid_half, border):  # noqa: ANN001, ANN202
+    """Straight on from a state while nothing blocks: metres, nearest to the subgoal, unseen and fresh shares."""
+    length, nearest, unseen, fresh, count = 0.0, 1e9, 0, 0, 0
     step = cell * math.hypot(_STEPS[h, 0], _STEPS[h, 1])
     for _ in range(RUN_CELLS + 1):
         px, py = (x + 0.5) * cell - grid_half, (y + 0.5) * cell - grid_half
         nearest = min(nearest, math.hypot(sub_x - px, sub_y - py))
-        goal_nearest = min(goal_nearest, math.hypot(goal_x - px, goal_y - py))
         count += 1
         fx, fy = border + 4 * x + 1, border + 4 * y + 1
         for near in range(4):  # the squares about the cell's centre
@@ -201,4 +200,4 @@ def _run(blocked, seen, visits, x, y, h, sub_x, sub_y, goal_x, goal_y, cell, gri
             break
         x, y = x + _STEPS[h, 0], y + _STEPS[h, 1]
         length += step
-    return length, nearest, goal_nearest, unseen / (4 * count), fresh / (RUN_CELLS + 1)
+    return length, nearest, unseen / (4 * count), fresh / (RUN_CELLS + 1)

@@ -1,6 +1,7 @@
 """The states of both levels, relative to the car: no coordinate of the map is among them.
 
-Everything is measured on the believed map. Neither a planner's cost nor the potential field's choice is an input.
+Everything is measured on the believed map. Ways are measured from the car, never from the goal: the cost to go to it,
+by which the planner decides, is no input, and neither is the potential field's choice.
 """
 
 import math
@@ -18,8 +19,10 @@ from zsdist.agent.egocentric import (
     clearances,
     line,
 )
+from zsdist.agent.learning import way_costs
 from zsdist.agent.situation import Situation
 from zsdist.planning.grid import FINE_PER_CELL
+from zsdist.planning.lattice import successors
 from zsdist.types import Action, Level
 
 LOW_ACTIONS = len(Action)
@@ -31,6 +34,7 @@ HIGH_STATE_SIZE = NEIGHBOURS * BLOCK_FEATURES + HERE_FEATURES + DIRECTIONS + 3
 _ACTION_SINE = 3  # column of `action_features` that a reflection turns round
 _BLOCK_SINE = 8  # column of `_block_features`
 _FAR_M = 10.0
+_LONG_WAY_M = 4 * SIGHT_M  # longer ways, and what no way leads to, are all alike
 
 
 @dataclass(frozen=True)
@@ -54,13 +58,13 @@ def low_state(situation: Situation, subgoal: tuple[float, float], seeks_goal: bo
     grid, state = situation.grid, situation.state
     actions = action_features(
         situation.blocked,
+        successors(grid.cells),
+        way_costs(grid),
         situation.seen,
         situation.visits,
         *state,
         float(subgoal[0]),
         float(subgoal[1]),
-        float(situation.goal[0]),
-        float(situation.goal[1]),
         grid.cell_size_m,
         grid.side_m / 2,
         grid.fine_border,
@@ -86,11 +90,10 @@ def high_state(situation: Situation, options: Choices, rooms: np.ndarray) -> np.
         block_shares(squares, grid.fine_border, side, grid.blocks) for squares in (situation.seen, situation.occupied)
     )
     neighbours = [_block_features(situation, options, k, goal_m, seen, occupied) for k in range(NEIGHBOURS)]
-    goal_ix, goal_iy = grid.cell_at(*situation.goal)
     here = [
         *_polar(situation, situation.goal, _FAR_M),
         float(tuple(options.blocks[GOAL_CHOICE]) == (bx, by)),
-        float(situation.reachable[goal_iy, goal_ix]),
+        (min(float(situation.drive_m[situation.goals].min(initial=np.inf)), goal_m + _LONG_WAY_M) - goal_m) / SIGHT_M,
         *_line(situation, situation.goal),
         min(situation.goal_tries, 6) / 3,
         min(int(situation.block_visits[by, bx]), 6) / 3,
@@ -146,7 +149,8 @@ def _block_features(
         return [0.0] * BLOCK_FEATURES
     bx, by = (int(value) for value in options.blocks[k])
     (x, y), (sub_x, sub_y) = situation.place, options.subgoals[k]
-    there_m = math.hypot(sub_x - x, sub_y - y)
+    ix, iy = situation.grid.cell_at(sub_x, sub_y)
+    there_m = min(float(situation.drive_m[iy, ix]), _LONG_WAY_M)
     on_m = math.hypot(situation.goal[0] - sub_x, situation.goal[1] - sub_y)
     bearing = math.atan2(sub_y - y, sub_x - x) - situation.state.heading * math.pi / 4
     return [
@@ -156,7 +160,7 @@ def _block_features(
         float(occupied[by, bx]),
         min(int(situation.block_visits[by, bx]), 6) / 3,
         min(int(situation.tries[by, bx]), 6) / 3,
-        min(there_m + on_m - goal_m, 2 * SIGHT_M) / SIGHT_M,
+        min(there_m + on_m - goal_m, _LONG_WAY_M) / SIGHT_M,
         math.cos(bearing),
         math.sin(bearing),
         there_m / SIGHT_M,

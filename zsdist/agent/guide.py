@@ -15,6 +15,7 @@ from zsdist.planning.footprint import ACTIONS, successor
 from zsdist.planning.shortest_path import path
 from zsdist.types import Action
 
+DIRECT_RATIO, DIRECT_M = 1.1, 1.0  # a way no longer than this beside the straight line is gone without blocks
 _RELUCTANCE = 0.5  # cosines that speak against an action for each time its end was visited, times the trail
 
 
@@ -79,6 +80,9 @@ class LowGuide:
 def high_choice(situation: Situation, options: Choices, cost_to_goal: np.ndarray, action_costs: np.ndarray) -> int:
     """The neighbouring block into which the shortest believed way to the goal leads next, or the goal itself.
 
+    The goal is chosen where no way leads there, and where the way is hardly longer than the straight line: to go by
+    blocks would only bend it.
+
     Args:
         situation: what the car knows.
         options: the choices of the high level.
@@ -86,7 +90,8 @@ def high_choice(situation: Situation, options: Choices, cost_to_goal: np.ndarray
         action_costs: `(8, 5)` that it was made with.
     """
     state = situation.state
-    if not np.isfinite(cost_to_goal[state.iy, state.ix, state.heading]):
+    way_m = float(cost_to_goal[state.iy, state.ix, state.heading])
+    if not math.isfinite(way_m) or way_m <= DIRECT_RATIO * math.dist(situation.place, situation.goal) + DIRECT_M:
         return GOAL_CHOICE
     grid = situation.grid
     goal_block = tuple(options.blocks[GOAL_CHOICE])

@@ -130,8 +130,8 @@ class HierarchicalAgent:
         self._rooms = features.measure_rooms(self._situation)
         self._low_mask = self._allowed()
         self._low_state = self._high_state = None
-        if self._learning or self._config.agent.high_policy == "planner":
-            on_the_way = {self._situation.state, (before or self._situation).state}
+        if self._learning or "planner" in (self._config.agent.high_policy, self._config.agent.low_policy):
+            on_the_way = {self._situation.state, (before or self._situation).state, *self._ends()}
             self._cost_to_goal = cost_to_go(self._situation.blocked, self._goals, self._costs, on_the_way)
         if self._outcome is not None:
             self._complete(before)
@@ -140,7 +140,8 @@ class HierarchicalAgent:
         """Algorithm 2, lines 6 to 13, at one step.
 
         The high level sends the low level to a block or to the goal and is asked again when that option has ended;
-        the low level acts. With probability epsilon either follows its guide policy or, less often, chance.
+        the low level acts. With probability epsilon either follows its guide policy or, less often, chance. What
+        either is shown to learn from is the shortest believed way, whoever acts.
 
         Args:
             q: for each level the values `(B, A)` of states `(B, D)`.
@@ -157,7 +158,8 @@ class HierarchicalAgent:
         instead = self._instead_of_low(guided)
         choice = self._choose(q[Level.LOW], self._state(Level.LOW), self._low_mask, guided, instead)
         if self._learning:
-            self._tracks[Level.LOW].act(self._state(Level.LOW), self._low_mask, choice.index, guided, choice.behaviour)
+            shown = self._shortest_way(option, otherwise=guided)
+            self._tracks[Level.LOW].act(self._state(Level.LOW), self._low_mask, choice.index, shown, choice.behaviour)
             self._tracks[Level.HIGH].act(
                 self._state(Level.HIGH),
                 self._options.mask,
@@ -225,7 +227,7 @@ class HierarchicalAgent:
             seen=self._belief.seen(),
             blocked=judgement.blocked,
             squeezed=judgement.gave_way,
-            reachable=reach.cells_from(judgement.blocked, state),
+            drive_m=reach.metres_from(judgement.blocked, state, self._costs),
             visits=self._visits,
             block_visits=self._block_visits,
             tries=self._tries,
@@ -285,24 +287,31 @@ class HierarchicalAgent:
             return self._low_guide.descend(situation, self._option.subgoal, self._shield_mask)
         if policy == "learned" or (policy == "mixed" and situation.visits[_index(situation)] <= 1):
             return None
-        if policy == "planner":
-            ends = [successor(situation.state, action) for action in Action]
-            cost = self._cost_to_subgoal(self._option, *(end for end in ends if self._grid.on_grid(end.ix, end.iy)))
-            totals = [
-                cost[end.iy, end.ix, end.heading] + self._costs[situation.state.heading, action] if allowed else np.inf
-                for action, end, allowed in zip(Action, ends, self._shield_mask, strict=True)
-            ]
-            if min(totals) < np.inf:
-                return Action(int(np.argmin(totals)))
-        return guided
+        return self._shortest_way(self._option, otherwise=guided) if policy == "planner" else guided
+
+    def _shortest_way(self, option: Option, otherwise: Action | None) -> Action | None:
+        """The first action of the shortest believed way to the option's subgoal; `otherwise` where there is none."""
+        state = self._situation.state
+        cost = self._cost_to_subgoal(option, *self._ends())
+        totals = np.full(len(Action), np.inf)
+        for action in np.flatnonzero(self._shield_mask):
+            end = successor(state, int(action))
+            if self._grid.on_grid(end.ix, end.iy):
+                totals[action] = cost[end.iy, end.ix, end.heading] + self._costs[state.heading, action]
+        return Action(int(totals.argmin())) if np.isfinite(totals).any() else otherwise
+
+    def _ends(self) -> list[LatticeState]:
+        """Where the actions lead from here."""
+        ends = (successor(self._situation.state, action) for action in Action)
+        return [end for end in ends if self._grid.on_grid(end.ix, end.iy)]
 
     def _cost_to_subgoal(self, option: Option, *states: LatticeState) -> np.ndarray:
         """Metres to the option's subgoal on the believed map, `(cells, cells, 8)`, from `states` at least."""
-        targets = self._goals
-        if not option.seeks_goal:
-            targets = np.zeros_like(self._goals)
-            ix, iy = self._grid.cell_at(*option.subgoal)
-            targets[iy, ix] = True
+        if option.seeks_goal:
+            return self._cost_to_goal
+        targets = np.zeros_like(self._goals)
+        ix, iy = self._grid.cell_at(*option.subgoal)
+        targets[iy, ix] = True
         return cost_to_go(self._situation.blocked, targets, self._costs, states)
 
     def _planned(self) -> int:
@@ -350,10 +359,7 @@ class HierarchicalAgent:
             reached = terminated and terms.goal == self._config.reward.goal
             collided = terminated and not reached
             to_goal = learning.progress_m(self._cost_to_goal, here, there)
-            to_subgoal = to_goal
-            if not option.seeks_goal:
-                cost = self._cost_to_subgoal(option, before.state, now.state)
-                to_subgoal = learning.progress_m(cost, here, there)
+            to_subgoal = learning.progress_m(self._cost_to_subgoal(option, before.state, now.state), here, there)
             step = learning.Step(
                 revisits=int(self._visits[there]) - 1,
                 reentries=int(self._block_visits[now.block[::-1]]) - 1 if now.block != before.block else 0,

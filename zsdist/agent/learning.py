@@ -1,6 +1,7 @@
 """What the levels learn from: shaped rewards, and trajectories assembled step by step."""
 
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
@@ -23,11 +24,13 @@ TURN_45_M, TURN_90_M = 0.1, 0.4  # what turns add to the length of a way, so tha
 MAX_PROGRESS_M = 2.0  # a change of the map may move the way's length by more; that is no merit of the action
 
 
+@cache
 def way_costs(grid: Grid) -> np.ndarray:
-    """Cost of each action by heading `(8, 5)`, in metres with something for turns: the measure of progress."""
+    """Cost of each action by heading `(8, 5)`, metres with something for turns: the measure of progress. Read-only."""
     costs = metres_cost(grid)
     costs[:, [Action.LEFT_45, Action.RIGHT_45]] += TURN_45_M
     costs[:, [Action.TURN_LEFT_90, Action.TURN_RIGHT_90]] += TURN_90_M
+    costs.flags.writeable = False
     return costs
 
 

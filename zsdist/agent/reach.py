@@ -1,4 +1,4 @@
-"""Where free ways lead, forwards from a state and backwards from a place; no lengths, only whether."""
+"""Where free ways lead: how far forwards from a state, and whether backwards from a place."""
 
 import numba
 import numpy as np
@@ -8,10 +8,17 @@ from zsdist.planning.lattice import flat_state, predecessors, successors
 from zsdist.types import LatticeState
 
 
-def cells_from(blocked: np.ndarray, state: LatticeState) -> np.ndarray:
-    """Cells `(cells, cells)` bool to which a free way leads from a state, its own included."""
+def metres_from(blocked: np.ndarray, state: LatticeState, action_costs: np.ndarray) -> np.ndarray:
+    """Length of the shortest free way from a state into each cell, `(cells, cells)`; infinite where none leads there.
+
+    Args:
+        blocked: `(cells, cells, 8, 5)` bool.
+        state: where it begins.
+        action_costs: `(8, 5)`, by heading before the action, metres.
+    """
     cells = len(blocked)
-    return _forwards(blocked.ravel(), successors(cells), flat_state(state, cells)).reshape(cells, cells)
+    cost = forwards(blocked.ravel(), successors(cells), action_costs, flat_state(state, cells), np.inf)
+    return cost.reshape(cells, cells, HEADINGS).min(-1)
 
 
 def states_to(blocked: np.ndarray, goals: np.ndarray) -> np.ndarray:
@@ -21,25 +28,45 @@ def states_to(blocked: np.ndarray, goals: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(cache=True)
-def _forwards(blocked, after, start):  # noqa: ANN001, ANN202
+def forwards(blocked, after, action_costs, start, limit):  # noqa: ANN001, ANN201
+    """Least cost from a state to every state that costs no more than `limit`; infinite elsewhere.
+
+    Args:
+        blocked: `(states * actions,)` bool, of flat states.
+        after: of `lattice.successors`.
+        action_costs: `(8, 5)`, by heading before the action.
+        start: flat state.
+        limit: the most a way may cost.
+
+    Returns:
+        `(states,)`.
+    """
     states, actions = after.shape
-    found, reached = np.zeros(states, np.bool_), np.zeros(states >> 3, np.bool_)
-    queue = np.empty(states, np.int32)
-    queue[0] = start
-    found[start] = True
-    read, written = 0, 1
-    while read < written:
-        state = queue[read]
-        read += 1
-        reached[state >> 3] = True
-        for action in range(actions):
-            if not blocked[state * actions + action]:
-                end = after[state, action]
-                if not found[end]:
-                    found[end] = True
-                    queue[written] = end
-                    written += 1
-    return reached
+    width = action_costs.min()  # no action leads from a state of one band of costs to another of the same
+    cost, known = np.full(states, np.inf), np.zeros(states, np.bool_)
+    front = np.empty(states, np.int32)  # states whose actions are still to be followed
+    front[0], cost[start], known[start] = start, 0.0, True
+    count, band = 1, 0.0
+    while count:
+        band += width
+        read, kept = 0, 0
+        while read < count:
+            state = front[read]
+            read += 1
+            if cost[state] > band:
+                front[kept] = state
+                kept += 1
+                continue
+            for action in range(actions):
+                if not blocked[state * actions + action]:
+                    end, total = after[state, action], cost[state] + action_costs[state & 7, action]
+                    if total < cost[end] and total <= limit:
+                        cost[end] = total
+                        if not known[end]:
+                            front[count], known[end] = end, True
+                            count += 1
+        count = kept
+    return cost
 
 
 @numba.njit(cache=True)

@@ -23,7 +23,8 @@ class Situation:
         seen: `(fine_size, fine_size)` bool.
         blocked: `(cells, cells, 8, 5)` bool, actions that are not to be taken, of the shield's judgement.
         squeezed: whether the shield had to give way to leave a way to the goal.
-        reachable: `(cells, cells)` bool, cells to which a free way leads from here.
+        drive_m: `(cells, cells)` metres of the shortest free way into each cell, with something for turns; infinite
+            where none leads there.
         visits: `(cells, cells, 8)` int32, how often the car was in a state, this time included.
         block_visits: `(blocks, blocks)` int32, `[by, bx]`, how often it came into a block.
         tries: `(blocks, blocks)` int32, `[by, bx]`, options towards a block that ended outside it.
@@ -39,7 +40,7 @@ class Situation:
     seen: np.ndarray
     blocked: np.ndarray
     squeezed: bool
-    reachable: np.ndarray
+    drive_m: np.ndarray
     visits: np.ndarray
     block_visits: np.ndarray
     tries: np.ndarray
@@ -54,3 +55,8 @@ class Situation:
     def block(self) -> tuple[int, int]:
         """The block `(bx, by)` the car is in."""
         return self.grid.block_of(self.state.ix, self.state.iy)
+
+    @cached_property
+    def reachable(self) -> np.ndarray:
+        """Cells to which a free way leads from here, `(cells, cells)` bool."""
+        return np.isfinite(self.drive_m)

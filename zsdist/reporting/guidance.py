@@ -11,6 +11,7 @@ from matplotlib.patheffects import withStroke
 
 from zsdist.agent import features, reach
 from zsdist.agent.blocks import GOAL_CHOICE, NEIGHBOURS, choices
+from zsdist.agent.learning import way_costs
 from zsdist.agent.situation import Situation
 from zsdist.config import Config
 from zsdist.dqn import network
@@ -149,7 +150,7 @@ def _anew(known: Situation, state: LatticeState, advice: np.ndarray) -> Situatio
         known,
         state=state,
         advice=advice,
-        reachable=reach.cells_from(known.blocked, state),
+        drive_m=reach.metres_from(known.blocked, state, way_costs(known.grid)),
         visits=np.zeros_like(known.visits),
         block_visits=np.zeros_like(known.block_visits),
         tries=np.zeros_like(known.tries),

@@ -5,6 +5,7 @@ import pytest
 
 from zsdist.agent import features, reach
 from zsdist.agent.blocks import GOAL_CHOICE, HIGH_ACTIONS, choices
+from zsdist.agent.learning import way_costs
 from zsdist.agent.situation import Situation
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
@@ -82,7 +83,7 @@ def situation(parts):
         blocked=blocked,
         squeezed=False,
         goals=goal_mask(GRID, parts["goal"], 0.6),
-        reachable=reach.cells_from(blocked, parts["state"]),
+        drive_m=reach.metres_from(blocked, parts["state"], way_costs(GRID)),
         **parts,
     )
 

@@ -2,7 +2,11 @@ import numpy as np
 import pytest
 
 from zsdist.agent import reach
+from zsdist.agent.learning import way_costs
 from zsdist.planning.footprint import successor
+from zsdist.planning.grid import Grid
+from zsdist.planning.lattice import flat_state, successors
+from zsdist.planning.shortest_path import STEPS_COST, cost_to_go
 from zsdist.types import LatticeState
 
 
@@ -29,11 +33,11 @@ def walked(blocked, start):
 
 
 @pytest.mark.parametrize(("cells", "share"), [(6, 0.3), (12, 0.6), (12, 0.8), (32, 0.7), (70, 0.72)])
-def test_cells_from_a_state_are_those_that_walking_finds(cells, share):
+def test_cells_at_a_finite_way_are_those_that_walking_finds(cells, share):
     for seed in range(3):
         rng, blocked = world(cells, seed, share)
         start = LatticeState(*rng.integers(0, cells, 2).tolist(), int(rng.integers(8)))
-        found = reach.cells_from(blocked, start)
+        found = np.isfinite(reach.metres_from(blocked, start, STEPS_COST))
         expected = np.zeros((cells, cells), bool)
         for state in walked(blocked, start):
             expected[state.iy, state.ix] = True
@@ -59,4 +63,22 @@ def test_a_place_that_nothing_leads_to_is_reached_from_itself_only():
     goals[3, 4] = True
     leading = reach.states_to(blocked, goals)
     assert leading[3, 4].all() and leading.sum() == 8
-    assert reach.cells_from(blocked, LatticeState(4, 3, 0)).sum() == 1
+    assert np.isfinite(reach.metres_from(blocked, LatticeState(4, 3, 0), STEPS_COST)).sum() == 1
+
+
+def test_the_way_into_a_cell_is_as_long_as_the_way_there_found_from_that_cell():
+    costs = way_costs(Grid(cells=12, blocks=3))
+    rng, blocked = world(12, 7, 0.5)
+    start = LatticeState(3, 5, 2)
+    forth = reach.metres_from(blocked, start, costs)
+    for iy, ix in rng.integers(0, 12, (20, 2)):
+        there = np.zeros((12, 12), bool)
+        there[iy, ix] = True
+        assert forth[iy, ix] == pytest.approx(cost_to_go(blocked, there, costs)[start.iy, start.ix, start.heading])
+
+
+def test_states_farther_than_the_limit_are_left_out():
+    _, blocked = world(12, 7, 0.5)
+    start = flat_state(LatticeState(3, 5, 2), 12)
+    whole, near = (reach.forwards(blocked.ravel(), successors(12), STEPS_COST, start, limit) for limit in (np.inf, 3.0))
+    assert (near == np.where(whole <= 3.0, whole, np.inf)).all() and (whole > 3.0).any()

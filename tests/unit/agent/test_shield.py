@@ -9,7 +9,7 @@ from zsdist.types import Action, LatticeState
 
 GRID = Grid()
 EAST = LatticeState(16, 16, 0)
-NOWHERE_YET = np.zeros((32, 32, 8), np.int32)
+TURNS = [Action.TURN_LEFT_90, Action.TURN_RIGHT_90]
 
 
 def known_free(occupied=None):
@@ -32,8 +32,16 @@ def goals(ix, iy):
     return goal_mask(GRID, GRID.centre(ix, iy), 0.6)
 
 
+def visited(*states):
+    """How often the car was in each state."""
+    visits = np.zeros((32, 32, 8), np.int32)
+    for state in states:
+        visits[state.iy, state.ix, state.heading] += 1
+    return visits
+
+
 def allowed(belief, state=EAST, goal=(28, 16)):
-    judgement = shield.judge(belief, state, goals(*goal), NOWHERE_YET)
+    judgement = shield.judge(belief, state, goals(*goal), visited(state))
     return judgement.allowed, judgement.gave_way
 
 
@@ -54,22 +62,39 @@ def test_ground_never_seen_beside_the_car_is_not_swept_while_there_is_another_wa
     belief.clear_disc(x, y, 1.5)
     for ahead in np.arange(0.0, 6.0, 0.3):
         belief.clear_disc(x + 1.0 + ahead, y, 0.9)
+    belief.clear_disc(x + 6.0, y, 1.8)  # where the car could turn about
     mask, _ = allowed(belief)
     assert mask[Action.FORWARD] and not mask[Action.LEFT_45] and not mask[Action.RIGHT_45]
 
 
-def test_a_dead_end_without_room_to_turn_is_not_entered():
-    pocket = np.zeros((GRID.fine_size, GRID.fine_size), bool)
+def pocket():
+    """Two walls 1.9 m apart that begin ahead of `EAST` and are closed at the far end: no room to turn inside."""
+    squares = np.zeros((GRID.fine_size, GRID.fine_size), bool)
     fx, fy = GRID.fine_index(*GRID.centre(20, 16))
-    pocket[fy - 9 : fy - 7, fx - 4 : fx + 20] = True  # two walls, 1.9 m apart
-    pocket[fy + 7 : fy + 9, fx - 4 : fx + 20] = True
-    pocket[fy - 9 : fy + 9, fx + 18 : fx + 20] = True
-    belief = known_free(pocket)
+    squares[fy - 9 : fy - 7, fx - 4 : fx + 20] = True
+    squares[fy + 7 : fy + 9, fx - 4 : fx + 20] = True
+    squares[fy - 9 : fy + 9, fx + 18 : fx + 20] = True
+    return squares
+
+
+def test_a_dead_end_without_room_to_turn_is_not_entered():
     state = LatticeState(18, 16, 0)
-    judgement = shield.judge(belief, state, goals(28, 28), NOWHERE_YET)
-    assert not FootprintTable(GRID).blocked(pocket)[16, 18, 0, Action.FORWARD]
+    judgement = shield.judge(known_free(pocket()), state, goals(28, 28), visited(state))
+    assert not FootprintTable(GRID).blocked(pocket())[16, 18, 0, Action.FORWARD]
     assert judgement.blocked[16, 18, 0, Action.FORWARD] and not judgement.allowed[Action.FORWARD]
     assert judgement.allowed.any()
+
+
+def test_a_passage_too_narrow_to_turn_in_is_entered_only_once_its_end_was_seen():
+    passage = pocket()
+    fx, fy = GRID.fine_index(*GRID.centre(20, 16))
+    passage[fy - 7 : fy + 7, fx + 18 : fx + 20] = False  # open at the far end
+    state, end = LatticeState(18, 16, 0), slice(fx + 10, fx + 60)
+    belief = known_free(passage)
+    assert shield.judge(belief, state, goals(28, 16), visited(state)).allowed[Action.FORWARD]
+    belief._seen[fy - 40 : fy + 40, end] = False  # what lies at its end is unknown, and there is a way round
+    judgement = shield.judge(belief, state, goals(28, 16), visited(state))
+    assert not judgement.allowed[Action.FORWARD] and judgement.allowed.any()
 
 
 def test_a_car_walled_in_by_a_narrow_belief_is_given_a_smaller_margin_and_says_so():
@@ -89,7 +114,7 @@ def test_a_goal_believed_occupied_still_leaves_the_car_states_to_go_on_in():
 
 def test_where_everything_is_blocked_only_turns_in_place_are_left():
     judgement = shield.judge(
-        known_free(np.ones((GRID.fine_size, GRID.fine_size), bool)), EAST, goals(28, 16), NOWHERE_YET
+        known_free(np.ones((GRID.fine_size, GRID.fine_size), bool)), EAST, goals(28, 16), visited(EAST)
     )
     assert judgement.forced
     assert list(np.flatnonzero(judgement.allowed)) == [Action.TURN_LEFT_90, Action.TURN_RIGHT_90]
@@ -107,16 +132,21 @@ def seen_disc_beyond_a_wall():
 
 
 def test_before_unseen_ground_is_entered_the_car_looks_about_where_it_has_not_looked():
-    belief, looked = seen_disc_beyond_a_wall(), NOWHERE_YET.copy()
-    turns = [Action.TURN_LEFT_90, Action.TURN_RIGHT_90]
-    for heading, left in ((None, turns), (2, turns[1:]), (6, [])):
-        if heading is not None:
-            looked[16, 16, heading] = 1
-        judgement = shield.judge(belief, EAST, goals(28, 16), looked)
-        if left:
-            assert list(np.flatnonzero(judgement.allowed)) == left
-            assert (judgement.blocked[16, 16, 0] == ~judgement.allowed).all()
+    belief, been = seen_disc_beyond_a_wall(), [EAST]
+    assert list(np.flatnonzero(shield.judge(belief, EAST, goals(28, 16), visited(*been)).allowed)) == TURNS
+    been += [EAST._replace(heading=heading) for heading in (2, 4)]
+    south = EAST._replace(heading=6)
+    assert not shield.judge(belief, been[-1], goals(28, 16), visited(*been)).gave_way  # one look is left to take
+    judgement = shield.judge(belief, south, goals(28, 16), visited(*been, south))
     assert judgement.allowed.any() and judgement.gave_way
+
+
+def test_a_state_not_yet_looked_from_may_lead_over_unseen_ground():
+    belief = BeliefMap(GRID)
+    belief.clear_disc(*GRID.centre(16, 16), 1.5)
+    judgement = shield.judge(belief, EAST, goals(28, 16), visited(EAST))
+    assert judgement.blocked[16, 16, 0, Action.FORWARD]
+    assert not judgement.blocked[16, 16, 2, Action.RIGHT_45] and not judgement.gave_way
 
 
 def test_unseen_ground_is_suspect_up_to_its_edge_but_for_slivers():
@@ -126,7 +156,7 @@ def test_unseen_ground_is_suspect_up_to_its_edge_but_for_slivers():
     for width, free in ((3, True), (12, False)):
         belief._seen[:] = True
         belief._seen[side, x + 4 : x + 4 + width] = False
-        assert shield.judge(belief, EAST, goals(28, 28), NOWHERE_YET).allowed[Action.RIGHT_45] == free
+        assert shield.judge(belief, EAST, goals(28, 28), visited(EAST)).allowed[Action.RIGHT_45] == free
 
 
 def test_moves_off_the_grid_are_masked_for_everyone():
@@ -143,7 +173,7 @@ def test_what_is_reached_backwards_agrees_with_the_cost_to_go_and_forwards_with_
     blocked = FootprintTable(GRID).blocked(squares)
     leading = reach.states_to(blocked, goals(5, 5))
     assert (leading == np.isfinite(cost_to_go(blocked, goals(5, 5), STEPS_COST))).all()
-    cells = reach.cells_from(blocked, EAST)
+    cells = np.isfinite(reach.metres_from(blocked, EAST, STEPS_COST))
     state = EAST
     for action in rng.integers(0, 5, 400):
         if not blocked[state.iy, state.ix, state.heading, action]:
@@ -163,5 +193,5 @@ def test_width_of_the_car_is_what_the_shield_keeps_clear():
         fx, fy = GRID.fine_index(*GRID.centre(18, 16))
         squares = np.zeros((GRID.fine_size, GRID.fine_size), bool)
         squares[fy + aside, fx] = True
-        blocked = shield.judge(known_free(squares), EAST, goals(28, 16), NOWHERE_YET).blocked
+        blocked = shield.judge(known_free(squares), EAST, goals(28, 16), visited(EAST)).blocked
         assert blocked[16, 16, 0, Action.FORWARD] != free
