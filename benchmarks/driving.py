@@ -1,0 +1,89 @@
+"""How well the shipped policy drives beside everything that it is held against, on the test scenes.
+
+`python benchmarks/driving.py [--quick] [--episodes N] [--seed S] [--out DIR]` evaluates each entrant of `ENTRANTS` on
+each split of `SPLITS` by `zsdist.evaluate`, one after the other, and prints a table and one JSON line. It goes on where
+it was broken off: episodes stay in DIR with the hashes of the code and the weights that they were driven with.
+`python -m zsdist.report DIR` makes the page with paired differences and figures of them.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from _common import report
+
+SPLITS = ("iid", "ood-start-goal", "ood-layout", "ood-clusters", "ood-dynamic")
+# By the name in the table: what `zsdist.evaluate` is called with. The first are what is claimed, then the ceilings, the
+# baselines without a map, and the policy with something taken away or put in its place.
+ENTRANTS = {
+    "full": ("pretrained",),
+    "hybrid": ("pretrained", "--variant", "hybrid"),
+    "astar-frontier": ("astar-frontier",),
+    "astar-vision": ("astar-vision",),
+    "astar": ("astar",),
+    "potential-field": ("potential-field",),
+    "potential-field-no-trail": ("potential-field-no-trail",),
+    "goal-greedy": ("goal-greedy",),
+    "random": ("random",),
+} | {
+    name: ("pretrained", "--variant", name)
+    for name in (
+        "untrained-high",
+        "untrained-low",
+        "untrained",
+        "shuffled-advice",
+        "oracle-depth",
+        "oracle-high",
+        "oracle-low",
+        "oracle-levels",
+        "oracle-motion",
+    )
+}
+NO_SHIELD = "no-shield"
+ENTRANTS[NO_SHIELD] = ("pretrained", "--no-shield")
+
+
+def main() -> None:
+    """Drive, print the table and the JSON line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    add = parser.add_argument
+    add(
+        "--quick",
+        action="store_true",
+        help="2 episodes of the first three entrants; ends within 3 minutes on two cores",
+    )
+    add("--episodes", type=int, default=150, metavar="N", help="of each entrant on each split (default: 150)")
+    add("--seed", type=int, default=1, metavar="S", help="which test scenes (default: 1)")
+    add("--entrants", nargs="+", choices=ENTRANTS, default=list(ENTRANTS), metavar="NAME", help=", ".join(ENTRANTS))
+    add("--splits", nargs="+", choices=SPLITS, default=list(SPLITS), metavar="SPLIT", help=", ".join(SPLITS))
+    add("--out", type=Path, metavar="DIR", help="of the episodes (default: a temporary folder)")
+    options = parser.parse_args()
+    if options.quick:
+        options.entrants, options.episodes = options.entrants[:3], 2
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = options.out or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        figures = {}
+        for entrant in options.entrants:
+            for split in options.splits:
+                result = _evaluated(entrant, split, options.episodes, options.seed, folder)
+                figures |= {f"{entrant}, {split}: {key}": result[key] for key in ("success", "collision", "spl")}
+    report("driving", {name: value for name, value in figures.items() if value is not None}, {})
+
+
+def _evaluated(entrant: str, split: str, episodes: int, seed: int, folder: Path) -> dict[str, float | None]:
+    """The result of one entrant on one split, of which what is on file is not driven again."""
+    command = [sys.executable, "-m", "zsdist.evaluate", *ENTRANTS[entrant], "--scenes", split, "--seed", str(seed)]
+    file = "full" if entrant == NO_SHIELD else entrant  # which is driven with the shield as well
+    command += ["--episodes", str(episodes), "--out", str(folder / f"{file}.jsonl"), "--resume"]
+    with tempfile.NamedTemporaryFile(suffix=".json") as told:
+        subprocess.run([*command, "--json", told.name], check=True)
+        result = json.loads(Path(told.name).read_text())
+    return result["without_shield"] if entrant == NO_SHIELD else result
+
+
+if __name__ == "__main__":
+    main()
