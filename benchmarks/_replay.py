@@ -7,6 +7,7 @@ import multiprocessing
 import tempfile
 import threading
 import time
+from collections import deque
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -19,7 +20,7 @@ from wire import make_trajectory
 from zsdist.config import Config
 from zsdist.protocol.outbox import Outbox
 from zsdist.roles.base import Context
-from zsdist.roles.learner import PREFETCH
+from zsdist.roles.learner import BATCHES_AN_ANSWER, PREFETCH
 from zsdist.roles.replay import Replay
 from zsdist.roles.shelf import Shape
 from zsdist.transport.base import Mailbox, Transport
@@ -185,29 +186,32 @@ class Sampler:
         self.lost = 0  # answers that did not come
         self._transport, self._level = transport, level
         self._heard_s = time.monotonic()
-        self._asked = 0
+        self._asked: deque[int] = deque()  # batches of each request
         self.wake = threading.Event()
         self._box = Mailbox(mailbox_bytes, self.wake.set)
 
-    def step(self, in_flight: int = PREFETCH) -> Batch | None:
-        """Decodes what has come, asks for more; returns the last batch."""
+    def step(self, in_flight: int = PREFETCH, at_once: int = BATCHES_AN_ANSWER) -> Batch | None:
+        """Decodes what has come, asks for more as a learner does; returns the last batch."""
         batch = None
         self.wake.clear()
         for message in self._box.drain():
             reply = codec.decode(message.payload)
-            self._asked, self._heard_s = max(0, self._asked - 1), time.monotonic()
+            self._heard_s = time.monotonic()
+            if self._asked:
+                self._asked.popleft()
             if isinstance(reply, SampleReply) and reply.batch is not None:
-                batch = reply.batch
-                self.batches += 1
-                self.transitions += len(batch)
+                batch = reply.batch.parts(reply.batches)[-1]
+                self.batches += reply.batches
+                self.transitions += len(reply.batch)
         if time.monotonic() - self._heard_s > LOST_AFTER_S:
-            self.lost += self._asked
-            self._asked, self._heard_s = 0, time.monotonic()
-        while self._asked < in_flight:
-            request = codec.encode(SampleRequest(1, self._level, self.batches))
+            self.lost += sum(self._asked)
+            self._asked.clear()
+            self._heard_s = time.monotonic()
+        while sum(self._asked) + at_once <= in_flight:
+            request = codec.encode(SampleRequest(1, self._level, self.batches, at_once))
             key = keys.sample(RUN, self._level)
             self._transport.request(key, request, self._box, timeout_s=ANSWER_WITHIN_S)
-            self._asked += 1
+            self._asked.append(at_once)
         return batch
 
     def run(self, seconds: float) -> None:
@@ -227,7 +231,7 @@ class Sampler:
         batch = None
         while batch is None:
             if not self._asked:
-                self.step(in_flight=1)
+                self.step(in_flight=1, at_once=1)
             self.wake.wait(0.1)
             batch = self.step(in_flight=0)
         return batch

@@ -27,7 +27,7 @@ from zsdist.agent.features import LOW_ACTIONS, LOW_STATE_SIZE
 from zsdist.config import Config, parse
 from zsdist.protocol.outbox import Outbox
 from zsdist.roles.base import Context
-from zsdist.roles.learner import PREFETCH
+from zsdist.roles.learner import BATCHES_AN_ANSWER, PREFETCH
 from zsdist.roles.replay import Replay
 from zsdist.roles.shelf import Shape
 from zsdist.transport.base import Mailbox, Transport
@@ -102,12 +102,13 @@ class Sampler:
         """Decodes what has come, and asks for more."""
         for message in self._box.drain():
             reply = codec.decode(message.payload)
-            self._asked -= 1
-            self.batches += isinstance(reply, SampleReply) and reply.batch is not None
-        while self._asked < PREFETCH:
-            request = codec.encode(SampleRequest(1, Level.LOW, self.batches))
+            self._asked -= BATCHES_AN_ANSWER
+            if isinstance(reply, SampleReply) and reply.batch is not None:
+                self.batches += reply.batches
+        while self._asked + BATCHES_AN_ANSWER <= PREFETCH:
+            request = codec.encode(SampleRequest(1, Level.LOW, self.batches, BATCHES_AN_ANSWER))
             self._transport.request(keys.sample(RUN, Level.LOW), request, self._box, timeout_s=10.0)
-            self._asked += 1
+            self._asked += BATCHES_AN_ANSWER
 
 
 def main() -> None:

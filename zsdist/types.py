@@ -208,6 +208,15 @@ class Batch:
     def __len__(self) -> int:
         return len(self.actions)
 
+    def parts(self, count: int) -> list[Self]:
+        """Equal parts, one after the other, which share its memory; `count` divides its length."""
+        size = len(self) // count
+        columns = {name: column for name, column in vars(self).items() if column is not None}
+        return [
+            type(self)(**{name: column[start : start + size] for name, column in columns.items()})
+            for start in range(0, len(self), size)
+        ]
+
 
 Parameters = dict[str, np.ndarray]  # a network's weights by name, float32
 

@@ -109,10 +109,15 @@ class RingBuffer:
         self._write(offer, chosen[-self.capacity :])
         return stored, rejected
 
-    def sample(self, rng: np.random.Generator, batch_size: int) -> Batch:
-        """`batch_size` stored transitions, drawn uniformly and independently, or by priority with weights and serials.
+    def sample(self, rng: np.random.Generator, batch_size: int, batches: int = 1) -> Batch:
+        """Stored transitions, drawn uniformly and independently, or by priority with weights and serials.
 
         Columns are of the dtypes in which they are held and travel; `zsdist.wire.codec` gives the learner its own.
+
+        Args:
+            rng: where chance comes from.
+            batch_size: transitions of a batch.
+            batches: how many to draw; they come as one, one after the other.
 
         Raises:
             ValueError: nothing is stored.
@@ -121,9 +126,11 @@ class RingBuffer:
             raise ValueError("cannot sample from a replay buffer that holds 0 transitions; at least 1 is needed")
         drawn = {}
         if self._priorities is None:
-            places = rng.integers(0, self._size, batch_size)  # rows 0 to size - 1 are in use, wherever the head is
+            # Rows 0 to size - 1 are in use, wherever the head is.
+            places = rng.integers(0, self._size, batches * batch_size)
         else:
-            places, weights = self._priorities.draw(rng, batch_size, self._size)
+            draws = [self._priorities.draw(rng, batch_size, self._size) for _ in range(batches)]
+            places, weights = (np.concatenate(parts) for parts in zip(*draws, strict=True))
             drawn = {"weights": weights, "serials": self._written - 1 - (self._head - 1 - places) % self.capacity}
         taken = {name: column.take(places, axis=0) for name, column in self._columns.items() if name != "versions"}
         return Batch(**taken, **drawn)

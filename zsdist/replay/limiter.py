@@ -87,7 +87,8 @@ class Limiter:
 
     def may_sample(self) -> bool:
         """Whether the learner may take a batch for one update now."""
-        return self.limited and self.updates + 1 <= self._ratio * self.stored
+        ratio = self._ratio  # by whole numbers: a product of fractions takes longer than drawing a batch's rows
+        return self.limited and (self.updates + 1) * ratio.denominator <= ratio.numerator * self.stored
 
     def sampled(self) -> None:
         """A batch was handed out. Raises ProtocolError where `may_sample` says no."""

@@ -22,6 +22,7 @@ from zsdist.wire.messages import (
 )
 
 PREFETCH = 8  # batches of a shard asked for or waiting: what is learned from while the next answer is on its way
+BATCHES_AN_ANSWER = 4  # asked for at once: a message costs more than what a batch has to be carried
 UPDATES_A_STEP = 8  # before mailboxes are looked at again
 ANSWER_WITHIN_S = 4.0  # a request not answered by then is forgotten
 ASK_AGAIN_AFTER_S = 0.6  # a replay that lives answers sooner; one that died, or its hub, may be back by now
@@ -35,9 +36,14 @@ class _Source:
 
     def __init__(self) -> None:
         self.ready: deque[Batch] = deque()
-        self.asked_s: deque[float] = deque()
+        self.asked_s: deque[float] = deque()  # for `BATCHES_AN_ANSWER` each
         self.held = 1
         self.served = 0
+
+    @property
+    def coming(self) -> int:
+        """Batches that are there, and at most as many as were asked for."""
+        return len(self.ready) + BATCHES_AN_ANSWER * len(self.asked_s)
 
     @property
     def turn(self) -> float:
@@ -136,7 +142,7 @@ class Learner(Role):
             source.held = max(1, reply.held)
             lacked_s = max(lacked_s or 0.0, reply.waited_s)
             if reply.batch is not None:
-                source.ready.append(reply.batch)
+                source.ready.extend(reply.batch.parts(reply.batches))
         for source in self._sources:
             while source.asked_s and now - source.asked_s[0] > ASK_AGAIN_AFTER_S:
                 source.asked_s.popleft()
@@ -176,8 +182,8 @@ class Learner(Role):
 
     def _ask(self, now: float) -> None:
         for index, source in enumerate(self._sources):
-            while not self._paused and len(source.asked_s) + len(source.ready) < PREFETCH:
-                request = codec.encode(SampleRequest(self.context.epoch, self.level, self.updates))
+            while not self._paused and source.coming + BATCHES_AN_ANSWER <= PREFETCH:
+                request = codec.encode(SampleRequest(self.context.epoch, self.level, self.updates, BATCHES_AN_ANSWER))
                 key = keys.sample(self.context.run, self.level, index)
                 self.transport.request(key, request, self._batches, timeout_s=ANSWER_WITHIN_S)
                 source.asked_s.append(now)

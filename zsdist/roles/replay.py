@@ -73,7 +73,7 @@ class Replay(Role):
         for message, request in self.messages(self._requests, SampleRequest):
             waiting = self.shelves[request.level].waiting
             if len(waiting) < MAX_WAITING:
-                waiting.append((now, message))
+                waiting.append((now, message, request.batches))
             else:
                 self.refuse("requests")
         for shelf in self.shelves.values():

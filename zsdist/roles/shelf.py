@@ -70,7 +70,7 @@ class Shelf:
         self.stored = 0
         self.rejected: dict[str, int] = {}
         self.sampled = 0
-        self.waiting: deque[tuple[float, Message]] = deque()
+        self.waiting: deque[tuple[float, Message, int]] = deque()  # since when, who asks, for how many batches
         self._epochs: dict[str, int] = {}  # newest issued since this start of the run
         self._closed: set[tuple[str, int]] = set()
         self.journal = Journal(folder)
@@ -122,19 +122,21 @@ class Shelf:
         return self._epochs.get(actor) == epoch and (actor, epoch) not in self._closed
 
     def serve(self, now: float) -> None:
-        """Answers waiting requests: with a batch while the limiter allows, with none after `HOLD_REQUEST_S`."""
+        """Answers waiting requests: with as many batches as the limiter allows, with none after `HOLD_REQUEST_S`."""
         while self.waiting:
-            asked_s, message = self.waiting[0]
-            batch = None
-            if len(self.buffer) and self.limiter.may_sample():
-                size = min(self.batch_size, len(self.buffer))
-                batch = self.buffer.sample(self.rng, size)
+            asked_s, message, wanted = self.waiting[0]
+            batch, batches, held = None, 0, len(self.buffer)
+            while batches < wanted and held and self.limiter.may_sample():
                 self.limiter.sampled()
-                self.sampled += size
+                batches += 1
+            if batches:
+                size = min(self.batch_size, held)
+                batch = self.buffer.sample(self.rng, size, batches)
+                self.sampled += batches * size
             elif now - asked_s < HOLD_REQUEST_S:
                 return
             self.waiting.popleft()
-            message.reply(codec.encode(SampleReply(self.level, batch, len(self.buffer), now - asked_s)))
+            message.reply(codec.encode(SampleReply(self.level, batch, held, now - asked_s, max(1, batches))))
 
     def resize(self, buffer_size: int, batch_size: int) -> None:
         """Takes over the sizes that the scheduler derives from the returns (`zsdist.replay.sizing`).

@@ -17,6 +17,7 @@ from zsdist.wire import frame, keys
 from zsdist.wire.messages import (
     EPISODES,
     EVALUATION,
+    MAX_BATCHES,
     Ack,
     AnyMessage,
     Candidate,
@@ -133,6 +134,11 @@ def _json_object(meta: Meta, name: str) -> None:
         raise DecodeError("field", f"{name} is no JSON object")
 
 
+def _batches(meta: Meta, rows: int) -> None:
+    if not 1 <= meta["batches"] <= MAX_BATCHES or rows % meta["batches"]:
+        raise DecodeError("batches", f"{meta['batches']} of {rows} rows")
+
+
 def _no_columns(columns: Columns) -> None:
     column_codec.require_columns(columns, {})
 
@@ -213,9 +219,10 @@ def _check_ack(meta: Meta, columns: Columns) -> None:
 
 def _check_sample_request(meta: Meta, columns: Columns) -> None:
     _no_columns(columns)
-    _fields(meta, "sender_epoch", "level", "updates")
+    _fields(meta, "sender_epoch", "level", "updates", "batches")
     _one_of(meta, "level", _LEVELS)
-    _counts(meta, "sender_epoch", "updates")
+    _counts(meta, "sender_epoch", "updates", "batches")
+    _batches(meta, 0)
 
 
 def _build_sample_request(meta: Meta, columns: Columns) -> SampleRequest:
@@ -225,23 +232,24 @@ def _build_sample_request(meta: Meta, columns: Columns) -> SampleRequest:
 def _split_sample_reply(message: SampleReply) -> tuple[Meta, Columns]:
     columns, actions = ({}, 0) if message.batch is None else column_codec.from_batch(message.batch)
     meta = {"level": str(message.level), "held": message.held, "waited_s": message.waited_s}
-    return meta | {"actions": actions}, columns
+    return meta | {"batches": message.batches, "actions": actions}, columns
 
 
 def _check_sample_reply(meta: Meta, columns: Columns) -> None:
-    _fields(meta, "level", "held", "waited_s", "actions")
+    _fields(meta, "level", "held", "waited_s", "batches", "actions")
     _one_of(meta, "level", _LEVELS)
-    _counts(meta, "held", "actions")
+    _counts(meta, "held", "batches", "actions")
     _seconds(meta, "waited_s")
     if columns:
         column_codec.check_batch(columns, meta["actions"])
+        _batches(meta, len(columns["actions"]))
     elif meta["actions"]:
         raise DecodeError("actions", "no batch, yet actions")
 
 
 def _build_sample_reply(meta: Meta, columns: Columns) -> SampleReply:
     batch = column_codec.to_batch(columns, meta["actions"]) if columns else None
-    return SampleReply(Level(meta["level"]), batch, meta["held"], meta["waited_s"])
+    return SampleReply(Level(meta["level"]), batch, meta["held"], meta["waited_s"], meta["batches"])
 
 
 def _split_priorities(message: Priorities) -> tuple[Meta, Columns]:

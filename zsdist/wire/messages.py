@@ -14,6 +14,7 @@ from zsdist.types import Ack, Batch, Level, Parameters, Trajectory, Weights, cou
 
 EPISODES = "episodes"  # stream of how each episode ended
 EVALUATION = "evaluation"  # stream of the results of greedy drives
+MAX_BATCHES = 16  # of an answer
 
 
 @dataclass(frozen=True)
@@ -70,11 +71,17 @@ class Records:
 
 @dataclass(frozen=True)
 class SampleRequest:
-    """A learner asks for a batch, saying how many `updates` it has made so far."""
+    """A learner asks for batches.
+
+    Attributes:
+        updates: how many it has made so far.
+        batches: how many it can take, 1 to `MAX_BATCHES`.
+    """
 
     sender_epoch: int
     level: Level
     updates: int
+    batches: int = 1
 
 
 @dataclass(frozen=True)
@@ -85,12 +92,14 @@ class SampleReply:
         batch: None where there is none to be had: too little is stored, or the learner is ahead of the data.
         held: transitions that the replay holds.
         waited_s: how long the request waited until there was one to be had.
+        batches: so many equal parts of `batch` are a batch each, as many as there were to be had at once.
     """
 
     level: Level
     batch: Batch | None
     held: int
     waited_s: float
+    batches: int = 1
 
 
 @dataclass(frozen=True)

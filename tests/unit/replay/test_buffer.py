@@ -292,6 +292,17 @@ def test_rows_are_drawn_by_the_errors_that_were_told_of_them():
     assert again.weights[again.rewards == 7].max() < 0.001 * again.weights.max()
 
 
+def test_several_batches_at_once_are_drawn_as_one_after_the_other_would_be():
+    for buffer in (RingBuffer(STATE_SIZE, ACTIONS, 8), prioritised(8)):
+        buffer.insert([trajectory(11)])
+        together, apart = (np.random.default_rng(3) for _ in range(2))
+        batches = buffer.sample(together, 16, batches=5).parts(5)
+        for drawn in batches:
+            alone = buffer.sample(apart, 16)
+            for name, column in vars(alone).items():
+                np.testing.assert_array_equal(getattr(drawn, name), column)
+
+
 def test_a_ring_that_knew_no_priorities_is_taken_over_with_equal_ones():
     plain, buffer = RingBuffer(STATE_SIZE, ACTIONS, 8), prioritised(3)
     plain.insert([trajectory(11)])

@@ -7,12 +7,12 @@ import pytest
 from zsdist.config import LevelConfig, parse
 from zsdist.dqn.learner import DqnLearner
 from zsdist.roles.base import Context
-from zsdist.roles.learner import PREFETCH, UPDATES_A_STEP, Learner
+from zsdist.roles.learner import BATCHES_AN_ANSWER, PREFETCH, UPDATES_A_STEP, Learner
 from zsdist.transport.base import Mailbox
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import Batch, Level
 from zsdist.wire import codec, keys
-from zsdist.wire.messages import Orders, Priorities, SampleReply, WeightsMessage
+from zsdist.wire.messages import Orders, Priorities, SampleReply, SampleRequest, WeightsMessage
 
 FEATURES, ACTIONS, RUN = 3, 2, "test"
 
@@ -51,8 +51,9 @@ class Bench:
 
     def answer(self, requests, waited_s=0.0, held=100):
         for request in requests:
-            found = batch(self.rng) if held else None
-            request.reply(codec.encode(SampleReply(Level.LOW, found, held, waited_s)))
+            batches = codec.decode(request.payload, expect=SampleRequest).batches
+            found = batch(self.rng, rows=4 * batches) if held else None
+            request.reply(codec.encode(SampleReply(Level.LOW, found, held, waited_s, batches)))
 
     def order(self, learning):
         content = {"learning": learning, "merge": 0, "phase": "", "candidates": [], "chosen": "", "stop": False}
@@ -66,19 +67,33 @@ def bench():
 
 def test_the_next_batches_are_asked_for_before_those_at_hand_are_learned_from(bench, monkeypatch):
     bench.step()
-    assert len(bench.requests) == PREFETCH
+    assert len(bench.requests) * BATCHES_AN_ANSWER == PREFETCH
     bench.answer(bench.requests.drain())
     asked = []
     monkeypatch.setattr(bench.learner.dqn, "update", lambda batch: asked.append(len(bench.requests)))
     bench.step()
-    assert asked == list(range(1, PREFETCH + 1))
+    assert asked == [update // BATCHES_AN_ANSWER for update in range(1, PREFETCH + 1)]
+
+
+def test_each_batch_of_an_answer_is_an_update_and_fewer_than_were_asked_for_are_made_up_for(bench, monkeypatch):
+    bench.step()
+    learned = []
+    monkeypatch.setattr(bench.learner.dqn, "update", lambda batch: learned.append(batch.states.tolist()))
+    drawn = batch(bench.rng, rows=12)
+    first, second = bench.requests.drain()
+    first.reply(codec.encode(SampleReply(Level.LOW, drawn, 100, 0.0, 3)))
+    second.reply(codec.encode(SampleReply(Level.LOW, None, 100, 0.0)))
+    bench.step()
+    kept = drawn.states.astype(np.float16).astype(np.float32)
+    assert learned == [kept[start : start + 4].tolist() for start in (0, 4, 8)]
+    assert len(bench.requests) * BATCHES_AN_ANSWER == PREFETCH
 
 
 def test_updates_are_followed_by_another_step_at_once(bench):
     bench.step()
-    bench.answer(bench.requests.drain()[:3])
+    bench.answer(bench.requests.drain()[:1])
     assert bench.step() == bench.now
-    assert bench.learner.updates == 3
+    assert bench.learner.updates == BATCHES_AN_ANSWER
     assert bench.step() > bench.now
 
 
@@ -132,9 +147,10 @@ def test_batches_come_from_each_shard_in_proportion_to_what_it_holds():
     for _ in range(50):
         for index, (box, held) in enumerate(zip(bench.shards, (300, 100), strict=True)):
             for request in box.drain():
-                given[index] += 1
-                marked = dataclasses.replace(batch(bench.rng), rewards=np.full(4, index, np.float32))
-                request.reply(codec.encode(SampleReply(Level.LOW, marked, held, 0.0)))
+                given[index] += BATCHES_AN_ANSWER
+                rows = 4 * BATCHES_AN_ANSWER
+                marked = dataclasses.replace(batch(bench.rng, rows), rewards=np.full(rows, index, np.float32))
+                request.reply(codec.encode(SampleReply(Level.LOW, marked, held, 0.0, BATCHES_AN_ANSWER)))
         bench.step()
     assert bench.learner.updates == 50 * UPDATES_A_STEP
     assert learned.count(0) / learned.count(1) == pytest.approx(3.0, rel=0.05)
@@ -148,7 +164,7 @@ def test_a_shard_that_is_away_does_not_keep_the_others_from_being_learned_from()
         bench.answer(bench.shards[1].drain())
         bench.step()
     assert bench.learner.updates == 5 * PREFETCH
-    assert len(bench.shards[0]) == PREFETCH
+    assert len(bench.shards[0]) * BATCHES_AN_ANSWER == PREFETCH
 
 
 def test_errors_of_rows_drawn_by_priority_are_told_to_the_shard_they_came_from():
@@ -160,7 +176,7 @@ def test_errors_of_rows_drawn_by_priority_are_told_to_the_shard_they_came_from()
     bench.shards[1].drain()[0].reply(codec.encode(SampleReply(Level.LOW, drawn, 100, 0.0)))
     bench.answer(bench.shards[0].drain()[:1])  # without priorities there is nothing to tell
     bench.step()
-    assert bench.learner.updates == 2
+    assert bench.learner.updates == 1 + BATCHES_AN_ANSWER
     assert not told[0]
     (found,) = (codec.decode(message.payload, expect=Priorities) for message in told[1].drain())
     assert found.serials.tolist() == [7, 9, 7, 3]

@@ -169,6 +169,18 @@ def test_a_run_that_is_resumed_begins_a_journal_from_its_checkpoint_and_knows_no
     assert resumed.replay.statistics()["low_size"] == 12
 
 
+def test_it_gives_as_many_batches_as_were_asked_for_and_the_limiter_allows(bench):
+    bench.replies.drain()
+    for _ in range(2):  # 8 transitions are held, an update each is allowed, and one has been served
+        request = codec.encode(SampleRequest(1, Level.LOW, 1, batches=5))
+        bench.others.request(keys.sample(RUN, Level.LOW), request, bench.replies, timeout_s=1.0)
+    bench.step()
+    replies = [codec.decode(message.payload, expect=SampleReply) for message in bench.replies.drain()]
+    assert [(reply.batches, len(reply.batch)) for reply in replies] == [(5, 40), (2, 16)]
+    assert bench.replay.statistics()["low_updates_served"] == 8
+    assert bench.replay.shelves[Level.LOW].books()["sampled"] == 64
+
+
 def test_a_finished_run_leaves_no_journal(bench):
     content = {"epochs": {"a": 7}, "buffer_size": 2000, "batch_size": 16, "stop": True}
     bench.others.publish(keys.control(RUN, "replay"), codec.encode(Orders(1, "replay", content)))

@@ -22,7 +22,7 @@ from zsdist.errors import ProtocolError
 from zsdist.types import Level, Weights
 from zsdist.wire import frame
 from zsdist.wire.codec import decode, encode
-from zsdist.wire.messages import Orders, Priorities, Push, SampleReply, WeightsMessage
+from zsdist.wire.messages import Orders, Priorities, Push, SampleReply, SampleRequest, WeightsMessage
 
 
 def reseal(payload: bytes, meta: dict, columns: dict[str, np.ndarray]) -> bytes:
@@ -160,6 +160,17 @@ def test_wrong_priorities_are_refused(message: str, column: str, value: float, e
     meta, columns = frame.unpack(payload, 2**20)
     columns[column][2] = value
     assert reason(reseal(payload, meta, columns)) == expected
+
+
+@pytest.mark.parametrize("batches", [0, 17, 3, -1, True, 2.0])
+def test_a_reply_of_batches_that_are_not_equal_parts_of_it_is_refused(batches: object) -> None:
+    payload = encode(SampleReply(Level.LOW, batch(np.random.default_rng(0), rows=16), 100, 0.0, 2))
+    meta, columns = frame.unpack(payload, 2**20)
+    expected = "batches" if type(batches) is int and batches >= 0 else "count"
+    assert reason(reseal(payload, meta | {"batches": batches}, columns)) == expected
+    if batches not in (3, 2.0):
+        meta, columns = frame.unpack(encode(SampleRequest(1, Level.LOW, 0)), 2**20)
+        assert reason(reseal(encode(SampleRequest(1, Level.LOW, 0)), meta | {"batches": batches}, {})) == expected
 
 
 def test_weights_must_be_finite_float32_under_a_hash() -> None:
