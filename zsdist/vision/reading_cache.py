@@ -20,6 +20,7 @@ from zsdist.vision.visual_act import Reading
 
 SHAPES = ((3, BINS), (3,), (RAYS, BINS))  # of the parts of one picture's `Reading`
 LENGTHS = tuple(int(np.prod(shape)) for shape in SHAPES)
+_PARTS = [slice(sum(LENGTHS[:part]), sum(LENGTHS[: part + 1])) for part in range(len(LENGTHS))]
 KEY_BYTES, CHECK_BYTES = 16, 8
 HEAD_BYTES = KEY_BYTES + CHECK_BYTES
 SLOT_BYTES = HEAD_BYTES + 2 * sum(LENGTHS)
@@ -126,6 +127,7 @@ def _check(key: bytes, content: bytes) -> bytes:
 def _unpacked(content: bytes) -> Reading:
     """The reading in a slot's content, float32, its distributions of sum 1 again."""
     flat = np.frombuffer(content, np.float16).astype(np.float32)
-    parts = np.split(flat, np.cumsum(LENGTHS)[:-1])
-    clearance, dynamic, rays = (part.reshape(shape) for part, shape in zip(parts, SHAPES, strict=True))
-    return Reading(clearance / clearance.sum(-1, keepdims=True), dynamic, rays / rays.sum(-1, keepdims=True))
+    clearance, dynamic, rays = (flat[part].reshape(shape) for part, shape in zip(_PARTS, SHAPES, strict=True))
+    clearance /= np.add.reduce(clearance, -1, keepdims=True)
+    rays /= np.add.reduce(rays, -1, keepdims=True)
+    return Reading(clearance, dynamic, rays)

@@ -89,10 +89,12 @@ def shadow_map(
         way = max(math.sqrt(way_x * way_x + way_y * way_y), 1e-9)
         way_x, way_y = way_x / way, way_y / way
         spread = reach + _CONTACT_M + cell
-        x0 = max(int((min(row[0], ex) - spread + half) / cell), 0)
-        x1 = min(int((max(row[0], ex) + spread + half) / cell) + 1, n)
-        y0 = max(int((min(row[1], ey) - spread + half) / cell), 0)
-        y1 = min(int((max(row[1], ey) + spread + half) / cell) + 1, n)
+        wide = abs(cosine) * hx + abs(sine) * hy + _CONTACT_M + cell
+        high = abs(sine) * hx + abs(cosine) * hy + _CONTACT_M + cell
+        x0 = max(int((min(row[0], ex) - wide + half) / cell), 0)
+        x1 = min(int((max(row[0], ex) + wide + half) / cell) + 1, n)
+        y0 = max(int((min(row[1], ey) - high + half) / cell), 0)
+        y1 = min(int((max(row[1], ey) + high + half) / cell) + 1, n)
         for iy in range(y0, y1):
             y = -half + (iy + 0.5) * cell - row[1]
             for ix in range(x0, x1):
