@@ -18,13 +18,23 @@ def metres_from(blocked: np.ndarray, state: LatticeState, action_costs: np.ndarr
     """
     cells = len(blocked)
     cost = forwards(blocked.ravel(), successors(cells), action_costs, flat_state(state, cells), np.inf)
-    return cost.reshape(cells, cells, HEADINGS).min(-1)
+    return _least(cost).reshape(cells, cells)
 
 
 def states_to(blocked: np.ndarray, goals: np.ndarray) -> np.ndarray:
     """States `(cells, cells, 8)` bool from which a free way leads to one of the cells `goals` `(cells, cells)` bool."""
     cells = len(blocked)
     return _backwards(blocked.ravel(), goals.ravel(), predecessors(cells)).reshape(cells, cells, HEADINGS)
+
+
+def leaving(blocked: np.ndarray, among: np.ndarray) -> np.ndarray:
+    """Actions `(cells, cells, 8, 5)` bool that are blocked, or end outside a set of states.
+
+    Args:
+        blocked: `(cells, cells, 8, 5)` bool; what leaves the grid is blocked.
+        among: `(cells, cells, 8)` bool.
+    """
+    return _leaving(blocked.ravel(), among.ravel(), successors(len(blocked)).ravel()).reshape(blocked.shape)
 
 
 @numba.njit(cache=True)
@@ -70,6 +80,16 @@ def forwards(blocked, after, action_costs, start, limit):  # noqa: ANN001, ANN20
 
 
 @numba.njit(cache=True)
+def _least(cost):  # noqa: ANN001, ANN202
+    """The least of each cell's states."""
+    least = np.full(len(cost) // HEADINGS, np.inf)
+    for cell in range(len(least)):
+        for state in range(HEADINGS * cell, HEADINGS * (cell + 1)):
+            least[cell] = min(least[cell], cost[state])
+    return least
+
+
+@numba.njit(cache=True)
 def _backwards(blocked, goals, before):  # noqa: ANN001, ANN202
     states, actions = before.shape
     found = np.zeros(states, np.bool_)
@@ -90,3 +110,11 @@ def _backwards(blocked, goals, before):  # noqa: ANN001, ANN202
                 queue[written] = previous
                 written += 1
     return found
+
+
+@numba.njit(cache=True)
+def _leaving(blocked, among, after):  # noqa: ANN001, ANN202
+    out = np.empty_like(blocked)
+    for way in range(len(out)):
+        out[way] = blocked[way] | (not among[after[way]])
+    return out

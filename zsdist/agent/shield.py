@@ -5,13 +5,13 @@ from itertools import product
 from typing import NamedTuple
 
 import cv2
+import numba
 import numpy as np
 
 from zsdist.agent import reach
 from zsdist.planning.belief import BeliefMap
 from zsdist.planning.footprint import ACTIONS, MARGIN_M, FootprintTable, successor
 from zsdist.planning.grid import Grid
-from zsdist.planning.lattice import successors
 from zsdist.planning.shortest_path import live_states
 from zsdist.types import Action, LatticeState
 
@@ -107,10 +107,9 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, visits: np.
     """
     read = cache(lambda reading: _blocked(belief, reading))
     cautious = cache(lambda near, returning: _returning(read(near), goals) if returning else read(near))
-    been = (visits > 0)[..., None]
     here = (state.iy, state.ix, state.heading)
     for rung in CAREFUL_RUNGS + DARING_RUNGS:
-        hits = np.where(been, cautious(rung.near, rung.returning), read(rung.far))
+        hits = _mixed(visits, cautious(rung.near, rung.returning), read(rung.far))
         live = reach.states_to(hits, goals)
         if live[here]:
             break
@@ -127,7 +126,7 @@ def on_grid(state: LatticeState, cells: int) -> np.ndarray:
 
 
 def _judgement(hits: np.ndarray, live: np.ndarray, state: LatticeState, gave_way: bool) -> Judgement:
-    blocked = hits | ~live.ravel()[successors(len(hits))].reshape(hits.shape)  # what leaves the grid is among the hits
+    blocked = reach.leaving(hits, live)
     here = (state.iy, state.ix, state.heading)
     allowed = ~blocked[here]
     forced = not allowed.any()
@@ -136,6 +135,17 @@ def _judgement(hits: np.ndarray, live: np.ndarray, state: LatticeState, gave_way
     if not allowed.any():
         allowed[list(_IN_PLACE)] = True
     return Judgement(blocked, allowed, forced, gave_way)
+
+
+@numba.njit(cache=True)
+def _mixed(visits: np.ndarray, near: np.ndarray, far: np.ndarray) -> np.ndarray:
+    """`near` of the states that were visited, `far` of all others; `(cells, cells, 8, 5)` bool each."""
+    mixed = far.copy()
+    been, of_near, of_all = visits.ravel(), near.ravel(), mixed.ravel()
+    for state in range(len(been)):
+        if been[state] > 0:
+            of_all[ACTIONS * state : ACTIONS * (state + 1)] = of_near[ACTIONS * state : ACTIONS * (state + 1)]
+    return mixed
 
 
 @cache
@@ -161,6 +171,6 @@ def _hides(seen: np.ndarray, deep: bool) -> np.ndarray:
 def _returning(hits: np.ndarray, goals: np.ndarray) -> np.ndarray:
     """`hits`, and the moves to where no free way leads to the goal or to a cell in which the car can turn about."""
     about = ~hits[:, :, _SQUARE_ON, Action.TURN_LEFT_90].any(-1)
-    stuck = ~reach.states_to(hits, goals | about).ravel()[successors(len(hits))].reshape(hits.shape)
-    stuck[..., _IN_PLACE] = False
-    return hits | stuck
+    blocked = reach.leaving(hits, reach.states_to(hits, goals | about))
+    blocked[..., _IN_PLACE] = hits[..., _IN_PLACE]
+    return blocked

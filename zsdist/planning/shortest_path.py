@@ -146,21 +146,15 @@ def _search(
         for action in range(actions):
             if _ADVANCED[heading, action] > 0:
                 per_cell = min(per_cell, action_costs[heading, action] / _ADVANCED[heading, action])
-    ahead = np.zeros(cells * cells)
-    for cell in range(cells * cells if len(until) else 0):
-        nearest = np.inf
-        for state in until:
-            there = state >> 3
-            nearest = min(nearest, math.hypot(cell % cells - there % cells, cell // cells - there // cells))
-        ahead[cell] = nearest * per_cell
+    ahead = per_cell * _to_the_nearest(until, cells)
     cost, expanded = np.full(states, np.inf), np.full(states, np.inf)
     heads = np.full(2 + int(ahead.max() * per_cost), -1, np.int32)  # the first entry of each bucket
     entries, following = np.empty(4 * states, np.int32), np.empty(4 * states, np.int32)
     count = 0
-    for state in range(states):
-        if goals[state >> 3]:
+    for cell in np.flatnonzero(goals):
+        into = int(ahead[cell] * per_cost)
+        for state in range(HEADINGS * cell, HEADINGS * (cell + 1)):
             cost[state] = 0.0
-            into = int(ahead[state >> 3] * per_cost)
             entries[count], following[count] = state, heads[into]
             heads[into] = count
             count += 1
@@ -194,11 +188,26 @@ def _search(
         for state in until:
             wanted -= (cost[state] + ahead[state >> 3]) * per_cost < bucket
         if len(until) and not wanted:
-            for state in range(states):
-                if (cost[state] + ahead[state >> 3]) * per_cost >= bucket:
-                    cost[state] = np.inf
+            for cell in range(cells * cells):
+                for state in range(HEADINGS * cell, HEADINGS * (cell + 1)):
+                    cost[state] = cost[state] if (cost[state] + ahead[cell]) * per_cost < bucket else np.inf
             break
     return cost.astype(np.float32)
+
+
+@njit(cache=True)
+def _to_the_nearest(states: np.ndarray, cells: int) -> np.ndarray:
+    """How far it is from each cell to the nearest of the cells of `states`, in cells; 0 where there are none."""
+    far = np.int32(2 * cells * cells)
+    squares = np.full((cells, cells), far if len(states) else np.int32(0))
+    for state in states:
+        ix, iy = np.int32((state >> 3) % cells), np.int32((state >> 3) // cells)
+        for row in range(cells):
+            north = np.int32(row) - iy
+            for column in range(cells):
+                east = np.int32(column) - ix
+                squares[row, column] = min(squares[row, column], east * east + north * north)
+    return np.sqrt(squares.ravel())
 
 
 @njit(cache=True)
