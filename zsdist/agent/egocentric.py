@@ -14,7 +14,8 @@ SIGHT_M = 5.0
 ACTIONS = len(TURNS)
 RUN_CELLS = 8
 NEAR_M, FAR_M = 2.5, 5.0  # driven on
-ACTION_FEATURES = 12
+LONG_WAY_M = 4 * SIGHT_M  # longer ways, and what no way leads to, are all alike
+ACTION_FEATURES, BLOCK_FEATURES = 12, 14
 _TURNS = np.array(TURNS)
 _ADVANCES = np.array(ADVANCES)
 _STEPS = np.asarray(STEPS)
@@ -109,13 +110,16 @@ def action_features(
         row[4], row[5] = length / SIGHT_M, (before - min(nearest, after)) / SIGHT_M
         driven = forwards(flat, after_each, action_costs, (ey * cells + ex) * 8 + h, FAR_M)
         near_by, far_by = after, after
-        for state in range(len(driven)):
-            if driven[state] <= FAR_M:
-                px = (state // 8 % cells + 0.5) * cell - grid_half
-                py = (state // (8 * cells) + 0.5) * cell - grid_half
-                far_by = min(far_by, math.hypot(sub_x - px, sub_y - py))
-                if driven[state] <= NEAR_M:
-                    near_by = min(near_by, math.hypot(sub_x - px, sub_y - py))
+        reach = int(FAR_M / cell) + 1  # cells; no way of that length leads farther
+        for cy in range(max(ey - reach, 0), min(ey + reach + 1, cells)):
+            for cx in range(max(ex - reach, 0), min(ex + reach + 1, cells)):
+                driven_m = np.inf
+                for state in range((cy * cells + cx) * 8, (cy * cells + cx) * 8 + 8):
+                    driven_m = min(driven_m, driven[state])
+                if driven_m <= FAR_M:
+                    gap = math.hypot(sub_x - ((cx + 0.5) * cell - grid_half), sub_y - ((cy + 0.5) * cell - grid_half))
+                    far_by = min(far_by, gap)
+                    near_by = min(near_by, gap) if driven_m <= NEAR_M else near_by
         row[6], row[7] = (before - near_by) / SIGHT_M, (before - far_by) / SIGHT_M
         cell_visits = 0
         for k in range(8):
@@ -144,6 +148,80 @@ def block_shares(squares: np.ndarray, border: int, side: int, blocks: int) -> np
                     count += squares[fy, fx]
             shares[by, bx] = count / side**2
     return shares
+
+
+@numba.njit(cache=True)
+def block_features(
+    exists: np.ndarray,
+    mask: np.ndarray,
+    blocks: np.ndarray,
+    subgoals: np.ndarray,
+    onward: np.ndarray,
+    on_m: np.ndarray,
+    goal_m: float,
+    seen: np.ndarray,
+    occupied: np.ndarray,
+    block_visits: np.ndarray,
+    tries: np.ndarray,
+    drive_m: np.ndarray,
+    squares: np.ndarray,
+    seen_squares: np.ndarray,
+    x: float,
+    y: float,
+    heading: float,
+    cell: float,
+    grid_half: float,
+    arena_half: float,
+    square: float,
+) -> np.ndarray:
+    """What there is of each neighbouring block, `(NEIGHBOURS, BLOCK_FEATURES)`; all 0 where it does not exist.
+
+    Columns: exists, can be chosen, seen share, occupied share, visits, tries, detour by its subgoal, cosine and sine of
+    the subgoal's bearing, way there, gain towards the goal as the crow flies, whether it is the goal's block, free
+    share of the line to the subgoal, `onward`.
+
+    Args:
+        exists: of `Choices`, as are the next four; the last row is the goal.
+        mask: see there.
+        blocks: see there.
+        subgoals: see there.
+        onward: see there.
+        on_m: `(9,)` from each subgoal to the goal, metres as the crow flies.
+        goal_m: from the car to the goal.
+        seen: share of each block's squares, `[by, bx]`.
+        occupied: the same.
+        block_visits: of `Situation`, as are the next two.
+        tries: see there.
+        drive_m: see there.
+        squares: `(fine_size, fine_size)` bool, occupied.
+        seen_squares: `(fine_size, fine_size)` bool.
+        x: of the car, metres.
+        y: of the car, metres.
+        heading: of the car, radians.
+        cell: side of a cell.
+        grid_half: half the side of the grid.
+        arena_half: half the side of the fine frame.
+        square: side of a fine square.
+    """
+    goal = len(exists) - 1
+    out = np.zeros((goal, BLOCK_FEATURES))
+    for k in range(goal):
+        if not exists[k]:
+            continue
+        bx, by = blocks[k]
+        sub_x, sub_y = subgoals[k]
+        there_m = min(drive_m[int((sub_y + grid_half) / cell), int((sub_x + grid_half) / cell)], LONG_WAY_M)
+        bearing = math.atan2(sub_y - y, sub_x - x) - heading
+        row = out[k]
+        row[0], row[1], row[2], row[3] = 1.0, mask[k], seen[by, bx], occupied[by, bx]
+        row[4], row[5] = min(block_visits[by, bx], 6) / 3, min(tries[by, bx], 6) / 3
+        row[6] = min(there_m + on_m[k] - goal_m, LONG_WAY_M) / SIGHT_M
+        row[7], row[8] = math.cos(bearing), math.sin(bearing)
+        row[9], row[10] = there_m / SIGHT_M, (goal_m - on_m[k]) / SIGHT_M
+        row[11] = bx == blocks[goal, 0] and by == blocks[goal, 1]
+        row[12] = line(squares, seen_squares, x, y, sub_x, sub_y, arena_half, square)[0]
+        row[13] = onward[k]
+    return out
 
 
 @numba.njit(cache=True)

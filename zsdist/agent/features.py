@@ -12,9 +12,12 @@ import numpy as np
 from zsdist.agent.blocks import GOAL_CHOICE, NEIGHBOURS, Choices
 from zsdist.agent.egocentric import (
     ACTION_FEATURES,
+    BLOCK_FEATURES,
     DIRECTIONS,
+    LONG_WAY_M,
     SIGHT_M,
     action_features,
+    block_features,
     block_shares,
     clearances,
     line,
@@ -26,15 +29,13 @@ from zsdist.planning.lattice import successors
 from zsdist.types import Action, Level
 
 LOW_ACTIONS = len(Action)
-BLOCK_FEATURES = 14
 HERE_FEATURES = 10  # of the goal and of the block the car is in
 LOW_STATE_SIZE = LOW_ACTIONS * ACTION_FEATURES + 2 * DIRECTIONS + 3 + 8
 HIGH_STATE_SIZE = NEIGHBOURS * BLOCK_FEATURES + HERE_FEATURES + DIRECTIONS + 3
 
 _ACTION_SINE = 3  # column of `action_features` that a reflection turns round
-_BLOCK_SINE = 8  # column of `_block_features`
+_BLOCK_SINE = 8  # column of `block_features`
 _FAR_M = 10.0
-_LONG_WAY_M = 4 * SIGHT_M  # longer ways, and what no way leads to, are all alike
 
 
 @dataclass(frozen=True)
@@ -89,17 +90,17 @@ def high_state(situation: Situation, options: Choices, rooms: np.ndarray) -> np.
     seen, occupied = (
         block_shares(squares, grid.fine_border, side, grid.blocks) for squares in (situation.seen, situation.occupied)
     )
-    neighbours = [_block_features(situation, options, k, goal_m, seen, occupied) for k in range(NEIGHBOURS)]
+    neighbours = _block_features(situation, options, goal_m, seen, occupied)
     here = [
         *_polar(situation, situation.goal, _FAR_M),
         float(tuple(options.blocks[GOAL_CHOICE]) == (bx, by)),
-        (min(float(situation.drive_m[situation.goals].min(initial=np.inf)), goal_m + _LONG_WAY_M) - goal_m) / SIGHT_M,
+        (min(float(situation.drive_m[situation.goals].min(initial=np.inf)), goal_m + LONG_WAY_M) - goal_m) / SIGHT_M,
         *_line(situation, situation.goal),
         min(situation.goal_tries, 6) / 3,
         min(int(situation.block_visits[by, bx]), 6) / 3,
         float(seen[by, bx]),
     ]
-    parts = (np.asarray(neighbours).ravel(), here, rooms[0] / SIGHT_M, situation.advice)
+    parts = (neighbours.ravel(), here, rooms[0] / SIGHT_M, situation.advice)
     return np.concatenate(parts).astype(np.float32)
 
 
@@ -143,32 +144,35 @@ def mirror(level: Level) -> Mirror:
 
 
 def _block_features(
-    situation: Situation, options: Choices, k: int, goal_m: float, seen: np.ndarray, occupied: np.ndarray
-) -> list[float]:
-    if not options.exists[k]:
-        return [0.0] * BLOCK_FEATURES
-    bx, by = (int(value) for value in options.blocks[k])
-    (x, y), (sub_x, sub_y) = situation.place, options.subgoals[k]
-    ix, iy = situation.grid.cell_at(sub_x, sub_y)
-    there_m = min(float(situation.drive_m[iy, ix]), _LONG_WAY_M)
-    on_m = math.hypot(situation.goal[0] - sub_x, situation.goal[1] - sub_y)
-    bearing = math.atan2(sub_y - y, sub_x - x) - situation.state.heading * math.pi / 4
-    return [
-        1.0,
-        float(options.mask[k]),
-        float(seen[by, bx]),
-        float(occupied[by, bx]),
-        min(int(situation.block_visits[by, bx]), 6) / 3,
-        min(int(situation.tries[by, bx]), 6) / 3,
-        min(there_m + on_m - goal_m, _LONG_WAY_M) / SIGHT_M,
-        math.cos(bearing),
-        math.sin(bearing),
-        there_m / SIGHT_M,
-        (goal_m - on_m) / SIGHT_M,
-        float(tuple(options.blocks[k]) == tuple(options.blocks[GOAL_CHOICE])),
-        _line(situation, (sub_x, sub_y))[0],
-        float(options.onward[k]),
-    ]
+    situation: Situation, options: Choices, goal_m: float, seen: np.ndarray, occupied: np.ndarray
+) -> np.ndarray:
+    """`(NEIGHBOURS, BLOCK_FEATURES)`; all 0 of a block that is not there."""
+    grid, (x, y), (goal_x, goal_y) = situation.grid, situation.place, situation.goal
+    # Here, since compiled code rounds a hypotenuse in another way.
+    on_m = np.array([math.hypot(goal_x - sub_x, goal_y - sub_y) for sub_x, sub_y in options.subgoals.tolist()])
+    return block_features(
+        options.exists,
+        options.mask,
+        options.blocks,
+        options.subgoals,
+        options.onward,
+        on_m,
+        goal_m,
+        seen,
+        occupied,
+        situation.block_visits,
+        situation.tries,
+        situation.drive_m,
+        situation.occupied,
+        situation.seen,
+        x,
+        y,
+        situation.state.heading * math.pi / 4,
+        grid.cell_size_m,
+        grid.side_m / 2,
+        grid.arena_m / 2,
+        grid.fine_m,
+    )
 
 
 def _polar(situation: Situation, point: tuple[float, float], scale_m: float) -> tuple[float, float, float]:

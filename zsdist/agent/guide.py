@@ -5,6 +5,7 @@ Both serve training; who is evaluated with one in a network's place is called by
 
 import math
 
+import numba
 import numpy as np
 
 from zsdist.agent.blocks import GOAL_CHOICE, Choices
@@ -16,6 +17,7 @@ from zsdist.planning.shortest_path import path
 from zsdist.types import Action
 
 DIRECT_RATIO, DIRECT_M = 1.1, 1.0  # a way no longer than this beside the straight line is gone without blocks
+_MOST_TRAIL = 5  # times that a cell counts
 _RELUCTANCE = 0.5  # cosines that speak against an action for each time its end was visited, times the trail
 
 
@@ -124,14 +126,36 @@ def _surfaces(situation: Situation, reach_m: float) -> np.ndarray:
     fx, fy = grid.fine_index(x, y)
     reach = math.ceil(reach_m / grid.fine_m)
     top, left = max(fy - reach, 0), max(fx - reach, 0)
-    rows, columns = np.nonzero(situation.occupied[top : fy + reach + 1, left : fx + reach + 1])
-    corner = np.array([left + 0.5, top + 0.5]) * grid.fine_m - grid.arena_m / 2
-    return np.stack([columns, rows], axis=1) * grid.fine_m + corner
+    near = situation.occupied[top : fy + reach + 1, left : fx + reach + 1]
+    west, south = (at * grid.fine_m - grid.arena_m / 2 for at in (left + 0.5, top + 0.5))
+    return _places(near, west, south, grid.fine_m)
 
 
 def _trail(situation: Situation) -> np.ndarray:
     """Centres of visited cells, `(M, 2)`, each as often as it was visited; the present one is no part of it."""
-    counts = situation.visits.sum(-1)
-    rows, columns = np.nonzero(counts)
-    xs, ys = situation.grid.cell_centres()
-    return np.repeat(np.stack([xs[columns], ys[rows]], axis=1), np.minimum(counts[rows, columns], 5), axis=0)
+    grid = situation.grid
+    return _visited(situation.visits, grid.cell_size_m, grid.side_m / 2)
+
+
+@numba.njit(cache=True)
+def _places(squares: np.ndarray, west: float, south: float, side: float) -> np.ndarray:
+    """Centres `(N, 2)` of the squares that are set; `west`, `south` is that of the first."""
+    places, count = np.empty((squares.size, 2)), 0
+    for row in range(squares.shape[0]):
+        for column in range(squares.shape[1]):
+            if squares[row, column]:
+                places[count, 0], places[count, 1] = column * side + west, row * side + south
+                count += 1
+    return places[:count]
+
+
+@numba.njit(cache=True)
+def _visited(visits: np.ndarray, cell: float, half: float) -> np.ndarray:
+    """Centres `(M, 2)` of the cells of a grid with the given half side, each as often as it was visited."""
+    places, count = np.empty((_MOST_TRAIL * visits.shape[0] * visits.shape[1], 2)), 0
+    for row in range(visits.shape[0]):
+        for column in range(visits.shape[1]):
+            for _ in range(min(visits[row, column].sum(), _MOST_TRAIL)):
+                places[count, 0], places[count, 1] = (column + 0.5) * cell - half, (row + 0.5) * cell - half
+                count += 1
+    return places[:count]
