@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba
 import numpy as np
@@ -40,10 +41,12 @@ class Choices:
 
     def index_of(self, block: tuple[int, int]) -> int | None:
         """The choice that means a neighbouring block; None where it is none."""
-        for k in range(NEIGHBOURS):
-            if self.exists[k] and tuple(self.blocks[k]) == block:
-                return k
-        return None
+        return self._indices.get(block)
+
+    @cached_property
+    def _indices(self) -> dict[tuple[int, int], int]:
+        neighbours = zip(self.blocks.tolist(), self.exists[:NEIGHBOURS].tolist(), strict=False)
+        return {(bx, by): k for k, ((bx, by), exists) in enumerate(neighbours) if exists}
 
 
 def choices(situation: Situation) -> Choices:

@@ -13,7 +13,8 @@ from zsdist.agent.situation import Situation
 from zsdist.config import AgentConfig
 from zsdist.planning import policy_map, potential
 from zsdist.planning.footprint import ACTIONS, successor
-from zsdist.planning.shortest_path import path
+from zsdist.planning.grid import HEADINGS
+from zsdist.planning.shortest_path import flat_path
 from zsdist.types import Action
 
 DIRECT_RATIO, DIRECT_M = 1.1, 1.0  # a way no longer than this beside the straight line is gone without blocks
@@ -97,13 +98,15 @@ def high_choice(situation: Situation, options: Choices, cost_to_goal: np.ndarray
         return GOAL_CHOICE
     grid = situation.grid
     goal_block = tuple(options.blocks[GOAL_CHOICE])
-    way = path(cost_to_goal, situation.blocked, state, action_costs).states
-    for step in way:
-        block = grid.block_of(step.ix, step.iy)
-        if block != situation.block:
-            index = options.index_of(block)
-            return GOAL_CHOICE if block == goal_block or index is None or not options.mask[index] else index
-    return GOAL_CHOICE
+    cells = flat_path(cost_to_goal, situation.blocked, state, action_costs)[0] // HEADINGS
+    by, bx = (at // grid.block_size for at in np.divmod(cells, grid.cells))
+    elsewhere = (bx != situation.block[0]) | (by != situation.block[1])
+    first = int(elsewhere.argmax())
+    if not elsewhere[first]:
+        return GOAL_CHOICE
+    block = int(bx[first]), int(by[first])
+    index = options.index_of(block)
+    return GOAL_CHOICE if block == goal_block or index is None or not options.mask[index] else index
 
 
 def explored_share(situation: Situation, bx: int, by: int) -> float:

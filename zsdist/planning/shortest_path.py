@@ -88,16 +88,25 @@ def path(cost: np.ndarray, blocked: np.ndarray, start: LatticeState, action_cost
     Raises:
         ValueError: no goal cell can be reached from `start`, or the field is of another `blocked`.
     """
+    flat, actions = flat_path(cost, blocked, start, action_costs)
+    states = [lattice_state(state, len(blocked)) for state in flat.tolist()]
+    return Path(states, [Action(action) for action in actions.tolist()])
+
+
+def flat_path(
+    cost: np.ndarray, blocked: np.ndarray, start: LatticeState, action_costs: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """`path` as the flat states and the numbers of the actions, both int."""
     if not math.isfinite(cost[start.iy, start.ix, start.heading]):
         raise ValueError(f"no way leads from {start} to the goal")
     cells = len(blocked)
     flat, actions, arrived = _follow(
         cost.ravel(), blocked.ravel(), action_costs, successors(cells), flat_state(start, cells)
     )
-    states = [lattice_state(state, cells) for state in flat.tolist()]
     if not arrived:
-        raise ValueError(f"every action from {states[-1]} is blocked; the costs belong to another map")
-    return Path(states, [Action(action) for action in actions.tolist()])
+        last = lattice_state(int(flat[-1]), cells)
+        raise ValueError(f"every action from {last} is blocked; the costs belong to another map")
+    return flat, actions
 
 
 def length_m(states: list[LatticeState], cell_size_m: float) -> float:
