@@ -54,7 +54,7 @@ def forwards(blocked, after, action_costs, start, limit):  # noqa: ANN001, ANN20
     states, actions = after.shape
     width = action_costs.min()  # no action leads from a state of one band of costs to another of the same
     cost, known = np.full(states, np.inf), np.zeros(states, np.bool_)
-    front = np.empty(states, np.int32)  # states whose actions are still to be followed
+    front = np.empty(states + 1, np.int32)  # states whose actions are still to be followed
     front[0], cost[start], known[start] = start, 0.0, True
     count, band = 1, 0.0
     while count:
@@ -67,14 +67,14 @@ def forwards(blocked, after, action_costs, start, limit):  # noqa: ANN001, ANN20
                 front[kept] = state
                 kept += 1
                 continue
-            for action in range(actions):
-                if not blocked[state * actions + action]:
-                    end, total = after[state, action], cost[state] + action_costs[state & 7, action]
-                    if total < cost[end] and total <= limit:
-                        cost[end] = total
-                        if not known[end]:
-                            front[count], known[end] = end, True
-                            count += 1
+            so_far = cost[state]
+            for action in range(actions):  # without branches, which nobody could foretell
+                end, total = after[state, action], so_far + action_costs[state & 7, action]
+                better = (not blocked[state * actions + action]) & (total < cost[end]) & (total <= limit)
+                cost[end] = total if better else cost[end]
+                front[count] = end
+                count += better & (not known[end])
+                known[end] |= better
         count = kept
     return cost
 

@@ -182,10 +182,10 @@ def _search(
                 entries, following = np.append(entries, entries), np.append(following, following)
             for action in range(actions):
                 previous = before[state, action]
-                if previous < 0 or blocked[previous * actions + action]:
+                if previous < 0:
                     continue
                 total = so_far + action_costs[previous & 7, action]
-                if total < cost[previous]:
+                if total < cost[previous] and not blocked[previous * actions + action]:
                     cost[previous] = total
                     into = max(int((total + ahead[previous >> 3]) * per_cost), bucket)
                     last = max(last, into)
