@@ -1,14 +1,15 @@
 """Memory of the replay while its learner is stalled and 16 actors push: does it keep to its budget?
 
 `python benchmarks/stalled.py [--quick] [--minutes M]` prints a table, then one JSON line. Hub and replay are processes
-of their own, as in a run. A learner in another process takes batches for a moment and is then stopped (SIGSTOP) with
-requests under way, connected and deaf. From then on 16 actors push for `M` minutes: at the low level as far as their
-credit goes, which the replay of a stalled learner soon holds back; at the high level, whose `min_size` is out of reach,
-without any limit, so that its ring and the journal turn over all the time.
+of their own, as in a run. Another process asks for batches of both levels, as two learners would, until it has been
+served as much of the low level as there may be; then it is stopped (SIGSTOP), connected and deaf, with requests of both
+under way. From then on 16 actors push at both levels for `M` minutes: at the low level as far as their credit goes,
+which the replay of a stalled learner soon holds back; at the high level, whose `min_size` is out of reach, without any
+limit, so that its ring and its journal turn over all the time.
 
 The budget is what the replay holds by itself (measured idle) and what its configuration allows on top: both rings full,
-the bytes of its five mailboxes, and one more copy of the rings for the moment in which the journal begins anew. Memory
-is resident, read 20 times a second.
+the bytes of its five mailboxes, and one more copy of the rings, for the piece of one that its journal writes when it
+begins anew. Memory is resident, read 20 times a second.
 """
 
 import argparse
@@ -58,6 +59,7 @@ def main() -> None:
         try:
             while not sum(told[f"{Level.LOW}_sampled"] for told in _drain(said)):
                 _push(crews, service, 0.5)
+            time.sleep(2.0)  # the learner catches up, so that there is credit to be had when it stalls
             os.kill(learner.pid, signal.SIGSTOP)
             before = {crew.level: crew.produced for crew in crews}
             resident = _push(crews, service, seconds)
@@ -78,8 +80,12 @@ def main() -> None:
 
 
 def _learn(endpoint: str, config: Config) -> None:
-    """Takes low-level batches until it is stopped."""
-    Sampler(ZenohTransport(endpoint), config.transport.mailbox_bytes, Level.LOW).run(3600.0)
+    """Takes batches of both levels until it is stopped."""
+    transport = ZenohTransport(endpoint)
+    samplers = [Sampler(transport, config.transport.mailbox_bytes, level) for level in Level]
+    while True:
+        if not any([sampler.step() is not None for sampler in samplers]):
+            time.sleep(0.01)
 
 
 def _drain(said: Mailbox) -> list[dict]:
