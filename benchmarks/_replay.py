@@ -214,12 +214,12 @@ class Sampler:
             self._asked.append(at_once)
         return batch
 
-    def run(self, seconds: float) -> None:
-        """Takes batches for so long."""
+    def run(self, seconds: float, at_once: int = BATCHES_AN_ANSWER) -> None:
+        """Takes batches for so long, so many a message."""
         self._heard_s = time.monotonic()
         until_s = self._heard_s + seconds
         while time.monotonic() < until_s:
-            if self.step() is None:
+            if self.step(at_once=at_once) is None:
                 self.wake.wait(0.1)
         while self._asked:
             self.step(in_flight=0)

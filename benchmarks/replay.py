@@ -2,17 +2,19 @@
 
 `python benchmarks/replay.py [--quick] [--peers DIR]` prints a table, then one JSON line. Ours is what a run starts: hub
 and replay are processes of their own, one client pushes trajectories through the real outbox with acknowledgements and
-takes batches, as many asked for at a time as by a run's learner (8). The peers, each with a client of its own, get the
-same transitions, 256 features and so 2,048 bytes of float32 states a transition, into a ring of the same size:
+takes batches, as many on their way as a run's learner has (8). The peers, each with a client of its own, get the same
+transitions, 256 features and so 2,048 bytes of float32 states a transition, into a ring of the same size:
 
-- a Ray actor holding a numpy ring, 64 transitions a call, 16 calls in flight both ways;
+- a Ray actor holding a numpy ring, 64 transitions a call, 16 calls in flight, and 16 batches the other way;
 - Reverb, where DIR/reverb has it: its trajectory writer, which sends each state once, and its TrajectoryDataset;
 - TorchRL, where DIR/torchrl has it: a storage in the client's own process, without a service.
 
 `make peers` makes DIR; a peer that is not there is left out. An insert counts once the other side has acknowledged it,
 so each round ends with all of it stored; ours also rounds states to half floats, checks every value and holds masks and
 guide actions, which the peers do not get. One system is loaded at a time, in turn, and a figure is the median of the
-rounds. `batch_ms` are batches asked for one at a time; Reverb's dataset fetches ahead, so that its figure is a bound.
+rounds. `sample` is a batch a message on both sides, `sample_4` four batches a message, as a run's learner takes them; a
+Ray actor can do that too. `batch_ms` are batches asked for one at a time; Reverb's dataset fetches ahead, so that its
+figure is a bound, and it is held against our `sample_4`.
 """
 
 import argparse
@@ -33,6 +35,7 @@ from _common import report
 from _replay import Actors, ReplayService, Sampler, pairs
 
 from zsdist.config import parse
+from zsdist.roles.learner import BATCHES_AN_ANSWER
 from zsdist.transport.zenoh import ZenohTransport
 from zsdist.types import Level
 
@@ -46,6 +49,11 @@ PEERS = {  # script, environment below the folder of peers (None: this one)
     "reverb": ("reverb_server.py", "reverb"),
     "torchrl_in_process": ("torchrl_storage.py", "torchrl"),
 }
+
+
+PLURALS = {"insert": "inserts", "sample": "samples", "sample_4": "samples_4"}
+RATES = tuple(PLURALS)
+FOUR = ("ours", "ray_actor")  # who can send several batches in a message
 
 
 class Ours:
@@ -69,11 +77,15 @@ class Ours:
         self._writer.settle()
         return (self._writer.produced - before) / (time.perf_counter() - began_s)
 
-    def sample(self, seconds: float) -> float:
-        """Transitions a second."""
+    def sample(self, seconds: float, at_once: int = 1) -> float:
+        """Transitions a second, so many batches a message."""
         before, began_s = self._reader.transitions, time.perf_counter()
-        self._reader.run(seconds)
+        self._reader.run(seconds, at_once)
         return (self._reader.transitions - before) / (time.perf_counter() - began_s)
+
+    def sample_4(self, seconds: float) -> float:
+        """As a run's learner takes them."""
+        return self.sample(seconds, at_once=BATCHES_AN_ANSWER)
 
     def latency(self, count: int) -> list[float]:
         """Milliseconds of batches asked for one at a time."""
@@ -124,6 +136,10 @@ class PeerProcess:
     def sample(self, seconds: float) -> float:
         """See `Ours.sample`."""
         return self._ask(f"sample {seconds}")
+
+    def sample_4(self, seconds: float) -> float:
+        """See `Ours.sample_4`."""
+        return self._ask(f"sample_4 {seconds}")
 
     def latency(self, count: int) -> list[float]:
         """See `Ours.latency`."""
@@ -182,10 +198,14 @@ def main() -> None:
 
 def measure(systems: dict, rounds: int, seconds: float, batches: int) -> dict[str, dict[str, list[float]]]:
     """Each figure of each system, a value a round; the first round warms up and is dropped. All batches' times."""
-    found: dict[str, dict[str, list[float]]] = {name: {"insert": [], "sample": [], "batch_ms": []} for name in systems}
+    found: dict[str, dict[str, list[float]]] = {
+        name: {figure: [] for figure in (*RATES, "batch_ms")} for name in systems
+    }
     for number in range(rounds + 1):
-        for figure in ("insert", "sample"):
+        for figure in RATES:
             for name, system in systems.items():
+                if figure == "sample_4" and name not in FOUR:
+                    continue
                 value = getattr(system, figure)(seconds)
                 if number:
                     found[name][figure].append(value)
@@ -201,20 +221,26 @@ def summarise(found: dict[str, dict[str, list[float]]], figures: dict[str, float
     """Prints table and JSON line."""
     ratios: dict[str, float] = {}
     medians = {
-        name: {figure: statistics.median(values[figure]) for figure in ("insert", "sample")}
+        name: {figure: statistics.median(values[figure]) for figure in RATES if values[figure]}
         for name, values in found.items()
     }
-    print(f"{'system':22}{'insert/s':>10}{'sample/s':>10}{'batch p50 ms':>14}{'p99 ms':>9}")
+    print(f"{'system':22}{'insert/s':>10}{'sample/s':>10}{'sample_4/s':>12}{'batch p50 ms':>14}{'p99 ms':>9}")
     for name, values in found.items():
         p50, p99 = np.percentile(values["batch_ms"], (50, 99))
         rates = medians[name]
-        print(f"{name:22}{rates['insert']:10.0f}{rates['sample']:10.0f}{p50:14.2f}{p99:9.2f}")
-        figures |= {f"{name}_inserts_per_s": rates["insert"], f"{name}_samples_per_s": rates["sample"]}
+        four = f"{rates['sample_4']:12.0f}" if "sample_4" in rates else f"{'-':>12}"
+        print(f"{name:22}{rates['insert']:10.0f}{rates['sample']:10.0f}{four}{p50:14.2f}{p99:9.2f}")
+        figures |= {f"{name}_{PLURALS[figure]}_per_s": rate for figure, rate in rates.items()}
         figures |= {f"{name}_batch_p50_ms": p50, f"{name}_batch_p99_ms": p99}
         if name != "ours":
-            reader = "reverb_dataset" if name == "reverb" else name
             ratios[f"insert_vs_{name}"] = medians["ours"]["insert"] / rates["insert"]
-            ratios[f"sample_vs_{reader}"] = medians["ours"]["sample"] / rates["sample"]
+            if name == "reverb":
+                ratios["sample_vs_reverb_dataset"] = medians["ours"]["sample_4"] / rates["sample"]
+            else:
+                ratios[f"sample_vs_{name}"] = medians["ours"]["sample"] / rates["sample"]
+            if "sample_4" in rates:
+                ratios[f"sample_4_vs_{name}"] = medians["ours"]["sample_4"] / rates["sample_4"]
+                ratios[f"sample_4_vs_{name}_sample"] = medians["ours"]["sample_4"] / rates["sample"]
     report("replay", figures, ratios)
 
 

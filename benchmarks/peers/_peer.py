@@ -1,7 +1,8 @@
 """What the peers' scripts share: orders come as lines on standard input, answers go out as JSON lines.
 
-A peer runs in its own environment, so nothing of zsdist is imported here. `insert` and `sample` go on for so many
-seconds and answer transitions a second; `latency` answers the milliseconds of so many batches, one after the other.
+A peer runs in its own environment, so nothing of zsdist is imported here. `insert`, `sample` and `sample_4` (four
+batches a message) go on for so many seconds and answer transitions a second; `latency` answers the milliseconds of so
+many batches, one after the other.
 """
 
 import json
@@ -26,8 +27,11 @@ class Peer(Protocol):
     def insert(self, seconds: float) -> int:
         """Transitions stored, all of them acknowledged, in so many seconds of offering."""
 
-    def draw(self) -> Iterator[int]:
-        """Batches without end, as many in flight as serves it best; yields the length of each."""
+    def draw(self, batches: int) -> Iterator[int]:
+        """Batches without end, so many a message where that can be chosen; yields how many transitions came each time.
+
+        As many are in flight as serves it best.
+        """
 
     def one(self) -> None:
         """One batch of `BATCH`, asked for now and waited for."""
@@ -48,9 +52,9 @@ def serve(peer: Peer) -> None:
         if what == "insert":
             count = peer.insert(float(amount))
             answer: object = count / (time.perf_counter() - began_s)
-        elif what == "sample":
+        elif what in ("sample", "sample_4"):
             count = 0
-            for taken in peer.draw():
+            for taken in peer.draw(4 if what == "sample_4" else 1):
                 count += taken
                 if time.perf_counter() - began_s >= float(amount):
                     break

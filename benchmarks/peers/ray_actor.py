@@ -68,13 +68,13 @@ class RayActor:
                 count += ray.get(flight.popleft())
         return count + sum(ray.get(list(flight)))
 
-    def draw(self) -> Iterator[int]:
-        """Keeps `IN_FLIGHT` calls under way."""
-        flight = deque(self._ring.sample.remote(BATCH) for _ in range(IN_FLIGHT))
+    def draw(self, batches: int) -> Iterator[int]:
+        """Keeps so many calls under way that `IN_FLIGHT` batches are."""
+        flight = deque(self._ring.sample.remote(batches * BATCH) for _ in range(IN_FLIGHT // batches))
         while True:
-            batch = ray.get(flight.popleft())
-            flight.append(self._ring.sample.remote(BATCH))
-            yield len(batch["action"])
+            drawn = ray.get(flight.popleft())
+            flight.append(self._ring.sample.remote(batches * BATCH))
+            yield len(drawn["action"])
 
     def one(self) -> None:
         """A call and its answer."""

@@ -60,7 +60,7 @@ class Reverb:
             writer.flush()
         return count
 
-    def draw(self) -> Iterator[int]:
+    def draw(self, batches: int) -> Iterator[int]:
         """Batches of the dataset, whose own threads keep it fed."""
         if self._batches is None:
             dataset = reverb.TrajectoryDataset.from_table_signature(
@@ -72,7 +72,7 @@ class Reverb:
 
     def one(self) -> None:
         """The next batch of the dataset: it may be there already, so this is a lower bound of a round trip."""
-        next(self.draw())
+        next(self.draw(1))
 
     def _episode(self, writer: reverb.TrajectoryWriter) -> int:
         rows, start = self._rows, self._next

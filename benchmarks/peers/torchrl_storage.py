@@ -31,7 +31,7 @@ class TorchRL:
             count += len(chunk)
         return count
 
-    def draw(self) -> Iterator[int]:
+    def draw(self, batches: int) -> Iterator[int]:
         """Batches drawn one after the other."""
         while True:
             yield len(self._buffer.sample())
