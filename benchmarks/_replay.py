@@ -20,7 +20,7 @@ from wire import make_trajectory
 from zsdist.config import Config
 from zsdist.protocol.outbox import Outbox
 from zsdist.roles.base import Context
-from zsdist.roles.learner import BATCHES_AN_ANSWER, PREFETCH
+from zsdist.roles.learner import ASK_AGAIN_AFTER_S, BATCHES_AN_ANSWER, PREFETCH
 from zsdist.roles.replay import Replay
 from zsdist.roles.shelf import Shape
 from zsdist.transport.base import Mailbox, Transport
@@ -34,7 +34,6 @@ ACTIONS = 5
 ENDPOINT = "tcp/127.0.0.1:7600"  # or the next free port above it
 TRAJECTORIES = 64  # different ones, of which all actors push
 ANSWER_WITHIN_S = 10.0
-LOST_AFTER_S = 3.0  # longer than the replay holds a request; then all that was asked for is asked again
 _spawn = multiprocessing.get_context("spawn")
 
 
@@ -183,41 +182,36 @@ class Sampler:
     def __init__(self, transport: Transport, mailbox_bytes: int, level: Level) -> None:
         self.batches = 0
         self.transitions = 0
-        self.lost = 0  # answers that did not come
+        self.lost = 0  # batches in answers that did not come
         self._transport, self._level = transport, level
-        self._heard_s = time.monotonic()
-        self._asked: deque[int] = deque()  # batches of each request
+        self._asked: deque[tuple[float, int]] = deque()  # when, and batches, of each request
         self.wake = threading.Event()
         self._box = Mailbox(mailbox_bytes, self.wake.set)
 
     def step(self, in_flight: int = PREFETCH, at_once: int = BATCHES_AN_ANSWER) -> Batch | None:
         """Decodes what has come, asks for more as a learner does; returns the last batch."""
-        batch = None
+        batch, now = None, time.monotonic()
         self.wake.clear()
         for message in self._box.drain():
             reply = codec.decode(message.payload)
-            self._heard_s = time.monotonic()
             if self._asked:
                 self._asked.popleft()
             if isinstance(reply, SampleReply) and reply.batch is not None:
                 batch = reply.batch.parts(reply.batches)[-1]
                 self.batches += reply.batches
                 self.transitions += len(reply.batch)
-        if time.monotonic() - self._heard_s > LOST_AFTER_S:
-            self.lost += sum(self._asked)
-            self._asked.clear()
-            self._heard_s = time.monotonic()
-        while sum(self._asked) + at_once <= in_flight:
+        while self._asked and now - self._asked[0][0] > ASK_AGAIN_AFTER_S:
+            self.lost += self._asked.popleft()[1]
+        while sum(batches for _, batches in self._asked) + at_once <= in_flight:
             request = codec.encode(SampleRequest(1, self._level, self.batches, at_once))
             key = keys.sample(RUN, self._level)
             self._transport.request(key, request, self._box, timeout_s=ANSWER_WITHIN_S)
-            self._asked.append(at_once)
+            self._asked.append((now, at_once))
         return batch
 
     def run(self, seconds: float, at_once: int = BATCHES_AN_ANSWER) -> None:
         """Takes batches for so long, so many a message."""
-        self._heard_s = time.monotonic()
-        until_s = self._heard_s + seconds
+        until_s = time.monotonic() + seconds
         while time.monotonic() < until_s:
             if self.step(at_once=at_once) is None:
                 self.wake.wait(0.1)
@@ -227,7 +221,6 @@ class Sampler:
 
     def one(self) -> Batch:
         """Asks for one batch and waits for it; nothing else may be asked for."""
-        self._heard_s = time.monotonic()
         batch = None
         while batch is None:
             if not self._asked:
