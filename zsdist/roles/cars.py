@@ -53,6 +53,9 @@ class CameraEnv(Protocol):
     def picture(self, pose: Pose | None = None) -> np.ndarray:
         """What the camera sees at the true pose, or on a level car at `pose`."""
 
+    def close(self) -> None:
+        """Lets go of the simulation."""
+
 
 class Car:
     """Drives one errand at a time; `over` once the episode has ended and its last state has been seen."""

@@ -164,7 +164,7 @@ def check_shards(config: Config, states: Mapping[str, State]) -> None:
 
 
 def warm_up(config: Config) -> VisionIdentity:
-    """Drives one car for a step, in this process: what is compiled or built at first use is then on disk for all.
+    """Drives a car in this process: what is compiled or built at first use is then on disk for all.
 
     Returns:
         By what the car saw.
@@ -173,13 +173,19 @@ def warm_up(config: Config) -> VisionIdentity:
         ZsdistError: scenes or vision weights are not there, or do not fit the configuration.
     """
     parts = simulation(config)
+    try_out(parts, config)
+    return VisionIdentity.of(parts.visual_act, config.vision.network)
+
+
+def try_out(parts: Parts, config: Config) -> None:
+    """Drives a car for two steps: what is loaded or made at first use, which takes half a second, then is there."""
     car = Car(parts.make_env(), HierarchicalAgent(config))
     car.begin(Errand(parts.itinerary.training(1), 1, 1.0, True, (0,)), dict.fromkeys(Level, 0))
     q = q_functions({level: make_learner(config, level).parameters() for level in Level})
     sight = Sight(parts.visual_act, Grid.from_config(config.grid), None)
     for _ in range(2):
         car.advance(*sight.views([car]), q)
-    return VisionIdentity.of(parts.visual_act, config.vision.network)
+    car.env.close()
 
 
 @dataclass(frozen=True)

@@ -44,8 +44,10 @@ class RoleHost:
         self._parts: Parts | None = None
 
     def warm_up(self) -> None:
-        """Makes what takes longest to make, so that whatever role is taken on later begins at once."""
-        self._parts = self.setting.make_parts(self.setting.config)
+        """Makes what takes longest to make, and uses it, so that whatever role is taken on later begins at once."""
+        parts = self.setting.make_parts(self.setting.config)
+        program.try_out(parts, self.setting.config)
+        self._parts = parts
 
     def open_hub(self, endpoint: str | None) -> str:
         """Opens the router in this process and returns the endpoint at which it listens.
