@@ -7,9 +7,10 @@ episodes pass between two kills. Each result is a line of JSON in FILE, and a se
 ended. `RESTARTS_ALLOWED` bounds what one run survives, so there are several.
 
 What is stored is read where it counts, from the replay's own journal, as it grows. *Inserts resume* at the first frame
-in it after the kill: of the replaced actor (there is one), by the replaced replay, or after the longest pause where the
-hub died. *Lost* are transitions in frames that were acknowledged, or in the journal, and are not in the final books,
-and whatever `produced - stored - rejected` leaves: all must be 0. `abandoned_at_most` is what dead actors may have
+in it after the kill: of the replaced actor (there is one), by the replaced replay, or, where the hub died, after the
+longest pause that began within a quarter of a second, for what it had passed on still arrives. *Lost* are transitions
+in frames that were acknowledged, or in the journal, and are not in the final books, and whatever
+`produced - stored - rejected` leaves: all must be 0. `abandoned_at_most` is what dead actors may have
 driven and not got across, for they died with it.
 """
 
@@ -59,6 +60,7 @@ LIGHT = (
 CALM_S = 1.0  # at least so long do inserts flow before a kill
 PATIENCE_S = 60.0
 POLL_S = 0.002
+SOON_S = 0.25
 TIMES = ("resumed_s", "pauses_s")  # until the first insert; longest time without one in the two seconds after the kill
 
 
@@ -210,7 +212,8 @@ class Executioner:
             case "actor":
                 first = 1 + next((index for index, (_, epoch) in enumerate(after) if epoch > self._epoch), len(after))
             case _:
-                first = pauses.index(max(pauses)) + 1
+                soon = [index for index, time_s in enumerate(times[:-1]) if time_s - self._killed_s < SOON_S]
+                first = 1 + max(soon, key=pauses.__getitem__)
         if first < len(times):
             self.resumed_s.append(times[first] - self._killed_s)
             self.pauses_s.append(max(pauses))
