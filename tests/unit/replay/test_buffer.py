@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from zsdist.errors import RunError
+from zsdist.replay import pieces
 from zsdist.replay.buffer import REASONS, RingBuffer, row_bytes
 from zsdist.replay.priorities import SMALLEST_ERROR, Priorities
 from zsdist.types import Level, Trajectory
@@ -316,3 +317,40 @@ def test_without_priorities_a_batch_has_neither_weights_nor_serials():
     buffer.insert([trajectory(5)])
     batch = buffer.sample(np.random.default_rng(0), 4)
     assert batch.weights is None and batch.serials is None
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    capacity=st.integers(1, 12),
+    operations=st.lists(
+        st.tuples(st.sampled_from(["insert", "insert", "resize", "fold"]), st.integers(1, 15)), max_size=20
+    ),
+    of=st.sampled_from([prioritised, lambda capacity: RingBuffer(STATE_SIZE, ACTIONS, capacity)]),
+)
+def test_a_ring_comes_back_as_it_was_from_its_layout_and_the_rows_of_each_piece(capacity, operations, of):
+    ring, offered, folded = of(capacity), 0, 0
+    kept = [(0, ring.newest(0))]
+    for what, amount in [*operations, ("fold", 1)]:
+        if what == "insert":
+            ring.insert([trajectory(amount, offered)])
+            offered += amount
+        elif what == "resize":
+            ring.resize(amount)
+        else:
+            rows = ring.newest(folded)
+            kept.append((ring.written - len(rows["actions"]), rows))
+            folded = ring.written
+    before, after = ring.state(), pieces.joined(ring.layout(), len(ring), kept)
+    assert before.keys() == after.keys()
+    for name, column in before.items():
+        np.testing.assert_array_equal(column, after[name])
+    again = of(3)
+    again.restore(after)
+    again.check_valid()
+
+
+def test_a_ring_of_which_a_piece_is_missing_is_refused():
+    ring = RingBuffer(STATE_SIZE, ACTIONS, 20)
+    ring.insert([trajectory(6)])
+    with pytest.raises(RunError, match="journal has 2 of 6 rows"):
+        pieces.joined(ring.layout(), len(ring), [(4, ring.newest(4))])
