@@ -51,8 +51,10 @@ class Rung(NamedTuple):
     returning: bool
 
 
-USUAL, DOUBTFUL = Reading(MARGIN_M, 0.0), Reading(0.0, 0.7)
-CAREFUL, CLOSE, CLOSER = USUAL._replace(unseen=True), Reading(0.0, 0.0, unseen=True), DOUBTFUL._replace(unseen=True)
+# From afar a surface is smeared over as much as a metre. Until nearer looks wear it away, even odds close too much.
+_LIKELY, _SURE, _SURER = 0.25, 0.95, 1.65
+USUAL, DOUBTFUL = Reading(MARGIN_M, _LIKELY), Reading(0.0, _SURE)
+CAREFUL, CLOSE, CLOSER = USUAL._replace(unseen=True), Reading(0.0, _LIKELY, unseen=True), DOUBTFUL._replace(unseen=True)
 CAREFUL_RUNGS = tuple(
     Rung(near, far, returning)
     for returning, far, near in product((True, False), (USUAL, DOUBTFUL), (CAREFUL, CLOSE, CLOSER))
@@ -67,7 +69,7 @@ DARING_RUNGS = (
     Rung(USUAL, DOUBTFUL, returning=False),
     Rung(DOUBTFUL, DOUBTFUL, returning=False),
     # squares that are touched rather than covered add as much again
-    Rung(Reading(-0.08, 1.4), DOUBTFUL, returning=False),
+    Rung(Reading(-0.08, _SURER), DOUBTFUL, returning=False),
 )
 
 
