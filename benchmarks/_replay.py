@@ -17,6 +17,7 @@ import numpy as np
 import psutil
 from wire import make_trajectory
 
+from zsdist.allocator import keep_freed_memory
 from zsdist.config import Config
 from zsdist.protocol.outbox import Outbox
 from zsdist.roles.base import Context
@@ -28,6 +29,8 @@ from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 from zsdist.types import Batch, Level, Trajectory
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders, Push, SampleReply, SampleRequest
+
+keep_freed_memory()  # as every role's process does; those of hub and replay come here too
 
 RUN = "benchmark"
 ACTIONS = 5

@@ -2,7 +2,7 @@
 
 `python benchmarks/replay.py [--quick] [--peers DIR]` prints a table, then one JSON line. Ours is what a run starts: hub
 and replay are processes of their own, one client pushes trajectories through the real outbox with acknowledgements and
-takes batches, as many on their way as a run's learner has (8). The peers, each with a client of its own, get the same
+takes batches, as many on their way as a run's learner has (16). The peers, each with a client of its own, get the same
 transitions, 256 features and so 2,048 bytes of float32 states a transition, into a ring of the same size:
 
 - a Ray actor holding a numpy ring, 64 transitions a call, 16 calls in flight, and 16 batches the other way;

@@ -21,7 +21,7 @@ from zsdist.wire.messages import (
     WeightsMessage,
 )
 
-PREFETCH = 8  # batches of a shard asked for or waiting: what is learned from while the next answer is on its way
+PREFETCH = 16  # batches of a shard asked for or waiting: what is learned from while the next answer is on its way
 BATCHES_AN_ANSWER = 4  # asked for at once: a message costs more than what a batch has to be carried
 UPDATES_A_STEP = 8  # before mailboxes are looked at again
 ANSWER_WITHIN_S = 4.0  # a request not answered by then is forgotten

@@ -12,6 +12,7 @@ import ray
 from ray.exceptions import RayActorError, RayError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
+from zsdist.allocator import keep_freed_memory
 from zsdist.errors import RunError, ZsdistError
 from zsdist.roles.base import HEARTBEAT_S, Role
 from zsdist.run import program
@@ -37,6 +38,7 @@ class RoleHost:
         import torch
 
         torch.set_num_threads(1)
+        keep_freed_memory()
         self.setting = setting
         self.wake = threading.Event()
         self._stop = False

@@ -72,7 +72,7 @@ def test_the_next_batches_are_asked_for_before_those_at_hand_are_learned_from(be
     asked = []
     monkeypatch.setattr(bench.learner.dqn, "update", lambda batch: asked.append(len(bench.requests)))
     bench.step()
-    assert asked == [update // BATCHES_AN_ANSWER for update in range(1, PREFETCH + 1)]
+    assert asked == [update // BATCHES_AN_ANSWER for update in range(1, UPDATES_A_STEP + 1)]
 
 
 def test_each_batch_of_an_answer_is_an_update_and_fewer_than_were_asked_for_are_made_up_for(bench, monkeypatch):
@@ -80,9 +80,10 @@ def test_each_batch_of_an_answer_is_an_update_and_fewer_than_were_asked_for_are_
     learned = []
     monkeypatch.setattr(bench.learner.dqn, "update", lambda batch: learned.append(batch.states.tolist()))
     drawn = batch(bench.rng, rows=12)
-    first, second = bench.requests.drain()
+    first, *others = bench.requests.drain()
     first.reply(codec.encode(SampleReply(Level.LOW, drawn, 100, 0.0, 3)))
-    second.reply(codec.encode(SampleReply(Level.LOW, None, 100, 0.0)))
+    for request in others:
+        request.reply(codec.encode(SampleReply(Level.LOW, None, 100, 0.0)))
     bench.step()
     kept = drawn.states.astype(np.float16).astype(np.float32)
     assert learned == [kept[start : start + 4].tolist() for start in (0, 4, 8)]
@@ -163,7 +164,7 @@ def test_a_shard_that_is_away_does_not_keep_the_others_from_being_learned_from()
     for _ in range(5):
         bench.answer(bench.shards[1].drain())
         bench.step()
-    assert bench.learner.updates == 5 * PREFETCH
+    assert bench.learner.updates == 5 * UPDATES_A_STEP
     assert len(bench.shards[0]) * BATCHES_AN_ANSWER == PREFETCH
 
 
