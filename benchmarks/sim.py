@@ -98,7 +98,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="fewer rounds; ends within 50 s on two cores")
     parser.add_argument("--weights", default="pretrained", help="as vision.weights (default: pretrained)")
     options = parser.parse_args()
-    rounds, actions, warm_episodes, measured = (3, 10, 10, 200) if options.quick else (16, 25, 200, 4000)
+    rounds, actions, warm_episodes, measured = (3, 10, 10, 200) if options.quick else (8, 25, 100, 1000)
     torch.set_num_threads(1)
     designs, head = _designs(options.weights)
     for index in range(-1, rounds):  # the first does not count
