@@ -1,5 +1,6 @@
 """Algorithm 2 for one car: both levels, the guides and the shield, driven by observations from outside."""
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -15,11 +16,12 @@ from zsdist.agent.situation import Situation
 from zsdist.config import Config
 from zsdist.dqn import network
 from zsdist.planning.belief import BeliefMap
+from zsdist.planning.cost_field import CostField
 from zsdist.planning.footprint import successor
 from zsdist.planning.grid import HEADINGS, Grid
 from zsdist.planning.rewards import RewardTerms
-from zsdist.planning.shortest_path import cost_to_go, goal_mask
-from zsdist.types import Action, Behaviour, LatticeState, Level, Parameters, Pose, Trajectory, View
+from zsdist.planning.shortest_path import goal_mask
+from zsdist.types import Action, Behaviour, Level, Parameters, Pose, Trajectory, View
 from zsdist.vision.limited import limited
 
 START_DISC_M = 1.5  # about the start, known to be free
@@ -98,6 +100,7 @@ class HierarchicalAgent:
         cells, blocks = self._grid.cells, self._grid.blocks
         self._goal = (float(goal_xy[0]), float(goal_xy[1]))
         self._goals = goal_mask(self._grid, self._goal, self._config.sim.success_radius_m)
+        self._to_goal, self._to_subgoal = CostField(self._goals, self._costs), None
         self._epsilon, self._shielded, self._rng = epsilon, shielded, rng
         self._versions, self._learning = weight_versions, learning
         self._belief = BeliefMap(self._grid)
@@ -131,8 +134,7 @@ class HierarchicalAgent:
         self._low_mask = self._allowed()
         self._low_state = self._high_state = None
         if self._learning or "planner" in (self._config.agent.high_policy, self._config.agent.low_policy):
-            on_the_way = {self._situation.state, (before or self._situation).state, *self._ends()}
-            self._cost_to_goal = cost_to_go(self._situation.blocked, self._goals, self._costs, on_the_way)
+            self._cost_to_goal = self._to_goal.on(self._situation.blocked)
         if self._outcome is not None:
             self._complete(before)
 
@@ -291,28 +293,27 @@ class HierarchicalAgent:
 
     def _shortest_way(self, option: Option, otherwise: Action | None) -> Action | None:
         """The first action of the shortest believed way to the option's subgoal; `otherwise` where there is none."""
-        state = self._situation.state
-        cost = self._cost_to_subgoal(option, *self._ends())
-        totals = np.full(len(Action), np.inf)
-        for action in np.flatnonzero(self._shield_mask):
-            end = successor(state, int(action))
-            if self._grid.on_grid(end.ix, end.iy):
-                totals[action] = cost[end.iy, end.ix, end.heading] + self._costs[state.heading, action]
-        return Action(int(totals.argmin())) if np.isfinite(totals).any() else otherwise
+        state, allowed = self._situation.state, self._shield_mask.tolist()
+        cost, steps = self._cost_to_subgoal(option), self._costs[state.heading].tolist()
+        least, best = math.inf, otherwise
+        for action in Action:
+            end = successor(state, action)
+            if allowed[action] and self._grid.on_grid(end.ix, end.iy):
+                total = float(cost[end.iy, end.ix, end.heading]) + steps[action]
+                if total < least:
+                    least, best = total, action
+        return best
 
-    def _ends(self) -> list[LatticeState]:
-        """Where the actions lead from here."""
-        ends = (successor(self._situation.state, action) for action in Action)
-        return [end for end in ends if self._grid.on_grid(end.ix, end.iy)]
-
-    def _cost_to_subgoal(self, option: Option, *states: LatticeState) -> np.ndarray:
-        """Metres to the option's subgoal on the believed map, `(cells, cells, 8)`, from `states` at least."""
+    def _cost_to_subgoal(self, option: Option) -> np.ndarray:
+        """Metres to the option's subgoal on the believed map, `(cells, cells, 8)`."""
         if option.seeks_goal:
             return self._cost_to_goal
-        targets = np.zeros_like(self._goals)
         ix, iy = self._grid.cell_at(*option.subgoal)
-        targets[iy, ix] = True
-        return cost_to_go(self._situation.blocked, targets, self._costs, states)
+        if self._to_subgoal is None or not self._to_subgoal.targets[iy, ix]:
+            targets = np.zeros_like(self._goals)
+            targets[iy, ix] = True
+            self._to_subgoal = CostField(targets, self._costs)
+        return self._to_subgoal.on(self._situation.blocked)
 
     def _planned(self) -> int:
         return guide.high_choice(self._situation, self._options, self._cost_to_goal, self._costs)
@@ -359,7 +360,7 @@ class HierarchicalAgent:
             reached = terminated and terms.goal == self._config.reward.goal
             collided = terminated and not reached
             to_goal = learning.progress_m(self._cost_to_goal, here, there)
-            to_subgoal = learning.progress_m(self._cost_to_subgoal(option, before.state, now.state), here, there)
+            to_subgoal = learning.progress_m(self._cost_to_subgoal(option), here, there)
             step = learning.Step(
                 revisits=int(self._visits[there]) - 1,
                 reentries=int(self._block_visits[now.block[::-1]]) - 1 if now.block != before.block else 0,

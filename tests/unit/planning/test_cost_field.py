@@ -1,0 +1,60 @@
+import numpy as np
+import pytest
+
+from zsdist.agent.learning import way_costs
+from zsdist.planning.cost_field import CostField
+from zsdist.planning.footprint import successor
+from zsdist.planning.grid import Grid
+from zsdist.planning.shortest_path import METRES, STEPS_COST, cost_to_go
+from zsdist.types import LatticeState
+
+CELLS = 12
+
+
+def world(rng, share):
+    """Random blocked actions; those that end off the grid always are."""
+    blocked = rng.random((CELLS, CELLS, 8, 5)) < share
+    for iy, ix, heading, action in np.ndindex(blocked.shape):
+        end = successor(LatticeState(ix, iy, heading), action)
+        blocked[iy, ix, heading, action] |= not (0 <= end.ix < CELLS and 0 <= end.iy < CELLS)
+    return blocked
+
+
+def targets(*cells):
+    mask = np.zeros((CELLS, CELLS), bool)
+    for ix, iy in cells:
+        mask[iy, ix] = True
+    return mask
+
+
+@pytest.mark.parametrize("costs", [STEPS_COST, METRES, way_costs(Grid(cells=CELLS, blocks=3))])
+def test_costs_kept_up_from_map_to_map_are_to_the_bit_those_of_a_search_of_each(costs):
+    rng = np.random.default_rng(0)
+    field, closed = CostField(targets((3, 9), (4, 9)), costs), 0
+    for step in range(120):
+        other = world(rng, rng.choice([0.2, 0.5, 0.8]))
+        if step:
+            changed = rng.random(other.shape) < rng.choice([1e-3, 0.02, 0.3, 1.0])
+            other = np.where(changed, other, blocked)  # noqa: F821 - of the step before
+        blocked = other
+        expected = cost_to_go(blocked, field.targets, costs)
+        assert np.array_equal(field.on(blocked), expected)
+        closed += int(np.isinf(expected).sum())
+    assert closed
+
+
+def test_a_way_that_closes_and_opens_again_costs_what_it_did():
+    free = world(np.random.default_rng(0), 0.0)
+    field = CostField(targets((9, 5)), METRES)
+    before = field.on(free).copy()
+    walled = free.copy()
+    walled[:, 6] = True
+    assert np.isinf(field.on(walled)[5, 2]).all()
+    assert np.array_equal(field.on(free), before)
+
+
+def test_the_same_map_gives_the_same_costs_without_a_search():
+    free = world(np.random.default_rng(0), 0.0)
+    field = CostField(targets((9, 5)), METRES)
+    assert field.on(free) is field.on(free)
+    assert field.on(free) is field.on(free.copy())
