@@ -7,9 +7,10 @@ from functools import cached_property
 import numba
 import numpy as np
 
-from zsdist.agent import reach
 from zsdist.agent.situation import Situation
+from zsdist.planning import ways
 from zsdist.planning.grid import HEADINGS, STEPS
+from zsdist.planning.ways import Ways
 
 NEIGHBOURS = HEADINGS  # choice k is the neighbour k eighths of a turn to the left of the car's heading
 GOAL_CHOICE = NEIGHBOURS
@@ -71,9 +72,10 @@ def choices(situation: Situation) -> Choices:
 
 def _leading_on(situation: Situation) -> np.ndarray:
     """States `(cells, cells, 8)` bool from which a free way leads to the goal without the car's present block."""
-    blocked = situation.blocked.copy()
-    blocked[situation.grid.block_cells(*situation.block)] = True
-    return reach.states_to(blocked, situation.goals)
+    here = np.zeros_like(situation.goals)
+    here[situation.grid.block_cells(*situation.block)] = True
+    elsewhere = Ways(situation.ways.words | ways.places(here))
+    return ways.unpacked(elsewhere.states_to(ways.places(situation.goals)))
 
 
 @numba.njit(cache=True)

@@ -1,10 +1,10 @@
-"""Where free ways lead: how far forwards from a state, and whether backwards from a place."""
+"""How far free ways lead from a state."""
 
 import numba
 import numpy as np
 
 from zsdist.planning.grid import HEADINGS
-from zsdist.planning.lattice import flat_state, predecessors, successors
+from zsdist.planning.lattice import flat_state, successors
 from zsdist.types import LatticeState
 
 
@@ -19,22 +19,6 @@ def metres_from(blocked: np.ndarray, state: LatticeState, action_costs: np.ndarr
     cells = len(blocked)
     cost = forwards(blocked.ravel(), successors(cells), action_costs, flat_state(state, cells), np.inf)
     return _least(cost).reshape(cells, cells)
-
-
-def states_to(blocked: np.ndarray, goals: np.ndarray) -> np.ndarray:
-    """States `(cells, cells, 8)` bool from which a free way leads to one of the cells `goals` `(cells, cells)` bool."""
-    cells = len(blocked)
-    return _backwards(blocked.ravel(), goals.ravel(), predecessors(cells)).reshape(cells, cells, HEADINGS)
-
-
-def leaving(blocked: np.ndarray, among: np.ndarray) -> np.ndarray:
-    """Actions `(cells, cells, 8, 5)` bool that are blocked, or end outside a set of states.
-
-    Args:
-        blocked: `(cells, cells, 8, 5)` bool; what leaves the grid is blocked.
-        among: `(cells, cells, 8)` bool.
-    """
-    return _leaving(blocked.ravel(), among.ravel(), successors(len(blocked)).ravel()).reshape(blocked.shape)
 
 
 @numba.njit(cache=True)
@@ -87,34 +71,3 @@ def _least(cost):  # noqa: ANN001, ANN202
         for state in range(HEADINGS * cell, HEADINGS * (cell + 1)):
             least[cell] = min(least[cell], cost[state])
     return least
-
-
-@numba.njit(cache=True)
-def _backwards(blocked, goals, before):  # noqa: ANN001, ANN202
-    states, actions = before.shape
-    found = np.zeros(states, np.bool_)
-    queue = np.empty(states, np.int32)
-    read, written = 0, 0
-    for state in range(states):
-        if goals[state >> 3]:
-            found[state] = True
-            queue[written] = state
-            written += 1
-    while read < written:
-        state = queue[read]
-        read += 1
-        for action in range(actions):
-            previous = before[state, action]
-            if previous >= 0 and not found[previous] and not blocked[previous * actions + action]:
-                found[previous] = True
-                queue[written] = previous
-                written += 1
-    return found
-
-
-@numba.njit(cache=True)
-def _leaving(blocked, among, after):  # noqa: ANN001, ANN202
-    out = np.empty_like(blocked)
-    for way in range(len(out)):
-        out[way] = blocked[way] | (not among[after[way]])
-    return out

@@ -5,14 +5,14 @@ from itertools import product
 from typing import NamedTuple
 
 import cv2
-import numba
 import numpy as np
 
-from zsdist.agent import reach
+from zsdist.planning import ways
 from zsdist.planning.belief import BeliefMap
 from zsdist.planning.footprint import ACTIONS, MARGIN_M, FootprintTable, successor
 from zsdist.planning.grid import Grid
 from zsdist.planning.shortest_path import live_states
+from zsdist.planning.ways import Ways
 from zsdist.types import Action, LatticeState
 
 HIDING_SQUARES = 3  # unseen ground that is nowhere farther from seen ground is a sliver, in which no obstacle hides
@@ -77,15 +77,14 @@ class Judgement(NamedTuple):
     """What the shield makes of the belief.
 
     Attributes:
-        blocked: `(cells, cells, 8, 5)` bool, actions that are not to be taken: they hit something, leave the grid, or
-            end where no free way leads on.
+        ways: what is blocked: it hits something, leaves the grid, or ends where no free way leads on.
         allowed: `(5,)` bool, what the car may do now. Where everything is blocked, what hits nothing; then turns in
             place.
         forced: whether everything was blocked.
         gave_way: whether full care leaves the car no way to the goal.
     """
 
-    blocked: np.ndarray
+    ways: Ways
     allowed: np.ndarray
     forced: bool
     gave_way: bool
@@ -107,17 +106,17 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, visits: np.
         goals: `(cells, cells)` bool.
         visits: `(cells, cells, 8)`, how often the car was in each state, this time included.
     """
-    read = cache(lambda reading: _blocked(belief, reading))
-    cautious = cache(lambda near, returning: _returning(read(near), goals) if returning else read(near))
-    here = (state.iy, state.ix, state.heading)
+    places, been = ways.places(goals), ways.packed(visits > 0)
+    read = cache(lambda reading: _hits(belief, reading))
+    cautious = cache(lambda near, returning: _returning(read(near), places) if returning else read(near))
     for rung in CAREFUL_RUNGS + DARING_RUNGS:
-        hits = _mixed(visits, cautious(rung.near, rung.returning), read(rung.far))
-        live = reach.states_to(hits, goals)
-        if live[here]:
+        hits = cautious(rung.near, rung.returning).among(been, read(rung.far))
+        live = hits.states_to(places)
+        if ways.holds(live, state):
             break
     else:
         hits = read(USUAL)
-        live = live_states(hits)
+        live = ways.packed(live_states(hits.blocked))
     return _judgement(hits, live, state, rung != CAREFUL_RUNGS[0])
 
 
@@ -127,27 +126,15 @@ def on_grid(state: LatticeState, cells: int) -> np.ndarray:
     return np.array([0 <= end.ix < cells and 0 <= end.iy < cells for end in ends])
 
 
-def _judgement(hits: np.ndarray, live: np.ndarray, state: LatticeState, gave_way: bool) -> Judgement:
-    blocked = reach.leaving(hits, live)
-    here = (state.iy, state.ix, state.heading)
-    allowed = ~blocked[here]
+def _judgement(hits: Ways, live: np.ndarray, state: LatticeState, gave_way: bool) -> Judgement:
+    blocked = hits.leaving(live)
+    allowed = ~blocked.at(state)
     forced = not allowed.any()
     if forced:
-        allowed = ~hits[here]
+        allowed = ~hits.at(state)
     if not allowed.any():
         allowed[list(_IN_PLACE)] = True
     return Judgement(blocked, allowed, forced, gave_way)
-
-
-@numba.njit(cache=True)
-def _mixed(visits: np.ndarray, near: np.ndarray, far: np.ndarray) -> np.ndarray:
-    """`near` of the states that were visited, `far` of all others; `(cells, cells, 8, 5)` bool each."""
-    mixed = far.copy()
-    been, of_near, of_all = visits.ravel(), near.ravel(), mixed.ravel()
-    for state in range(len(been)):
-        if been[state] > 0:
-            of_all[ACTIONS * state : ACTIONS * (state + 1)] = of_near[ACTIONS * state : ACTIONS * (state + 1)]
-    return mixed
 
 
 @cache
@@ -155,11 +142,11 @@ def _table(grid: Grid, margin_m: float) -> FootprintTable:
     return FootprintTable(grid, margin_m)
 
 
-def _blocked(belief: BeliefMap, reading: Reading) -> np.ndarray:
+def _hits(belief: BeliefMap, reading: Reading) -> Ways:
     squares = belief.occupied(reading.above)
     if reading.unseen:
         squares |= _hides(belief.seen(), reading.deep)
-    return _table(belief.grid, reading.margin_m).blocked(squares)
+    return Ways.on(squares, _table(belief.grid, reading.margin_m))
 
 
 def _hides(seen: np.ndarray, deep: bool) -> np.ndarray:
@@ -170,9 +157,9 @@ def _hides(seen: np.ndarray, deep: bool) -> np.ndarray:
     return cv2.morphologyEx((~seen).astype(np.uint8), operation, diamond).astype(bool)
 
 
-def _returning(hits: np.ndarray, goals: np.ndarray) -> np.ndarray:
+def _returning(hits: Ways, goals: np.ndarray) -> Ways:
     """`hits`, and the moves to where no free way leads to the goal or to a cell in which the car can turn about."""
-    about = ~hits[:, :, _SQUARE_ON, Action.TURN_LEFT_90].any(-1)
-    blocked = reach.leaving(hits, reach.states_to(hits, goals | about))
-    blocked[..., _IN_PLACE] = hits[..., _IN_PLACE]
-    return blocked
+    about = ~np.bitwise_or.reduce(hits.words[_SQUARE_ON, Action.TURN_LEFT_90])
+    back = hits.leaving(hits.states_to(goals | about))
+    back.words[:, _IN_PLACE] = hits.words[:, _IN_PLACE]
+    return back

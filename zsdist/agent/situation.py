@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from zsdist.planning.grid import Grid
+from zsdist.planning.ways import Ways
 from zsdist.types import LatticeState
 
 
@@ -21,7 +22,7 @@ class Situation:
         advice: `(3,)` R_p for forward, left, right.
         occupied: `(fine_size, fine_size)` bool.
         seen: `(fine_size, fine_size)` bool.
-        blocked: `(cells, cells, 8, 5)` bool, actions that are not to be taken, of the shield's judgement.
+        ways: of the shield's judgement.
         squeezed: whether the shield had to give way to leave a way to the goal.
         drive_m: `(cells, cells)` metres of the shortest free way into each cell, with something for turns; infinite
             where none leads there.
@@ -38,7 +39,7 @@ class Situation:
     advice: np.ndarray
     occupied: np.ndarray
     seen: np.ndarray
-    blocked: np.ndarray
+    ways: Ways
     squeezed: bool
     drive_m: np.ndarray
     visits: np.ndarray
@@ -55,6 +56,11 @@ class Situation:
     def block(self) -> tuple[int, int]:
         """The block `(bx, by)` the car is in."""
         return self.grid.block_of(self.state.ix, self.state.iy)
+
+    @property
+    def blocked(self) -> np.ndarray:
+        """Actions that are not to be taken, `(cells, cells, 8, 5)` bool."""
+        return self.ways.blocked
 
     @cached_property
     def reachable(self) -> np.ndarray:

@@ -16,6 +16,7 @@ TURNS = (0, 1, -1, 2, -2)  # eighths of a turn, counter-clockwise, of each actio
 ADVANCES = (1, 1, 1, 0, 0)  # cells moved after the turn
 _STEPS = [tuple(step) for step in STEPS.tolist()]  # plain numbers: an array's take ten times as long to get at
 
+CELLS_A_WORD = 64  # of a row, where footprints are kept as bits
 _AT_ONCE = 32  # cells of a row whose surroundings share a word of 64 bits
 _FARTHEST = FINE_PER_CELL * (64 - _AT_ONCE) // 2  # squares on each side that fit into it
 _TURN_SAMPLE_RAD = math.radians(0.5)  # the arc of a corner between samples leaves its chord by 0.01 mm
@@ -77,12 +78,19 @@ class FootprintTable:
             `[iy, ix, heading, action]` `(cells, cells, 8, 5)` bool: true where the swept squares touch occupied ones
             or leave the arena, or where the action ends off the grid.
         """
-        size, cells = self.grid.fine_size, self.grid.cells
+        cells = self.grid.cells
+        return unpacked(self.words(occupancy)).reshape(cells, cells, HEADINGS, ACTIONS)
+
+    def words(self, occupancy: np.ndarray) -> np.ndarray:
+        """The same as bits, `(8 * 5, words, cells)` uint64: by heading and action, word of a row, row.
+
+        Bit j of a row's word w is its cell `CELLS_A_WORD * w + j`; what lies beyond the last cell is not to be taken.
+        """
+        size = self.grid.fine_size
         if occupancy.shape != (size, size):
             raise ValueError(f"occupancy has the shape {occupancy.shape}; allowed is {(size, size)}")
         occupied = np.ascontiguousarray(occupancy, dtype=np.bool_)
-        hits = _hits(occupied, self._runs, self._made_of, self._off_grid, cells, self.grid.fine_border, self._reach)
-        return hits.reshape(cells, cells, HEADINGS, ACTIONS)
+        return _hits(occupied, self._runs, self._made_of, self._off_grid, self.grid.fine_border, self._reach)
 
     def _advance(self, heading: int, half_l: float, half_w: float) -> np.ndarray:
         """A cell ahead: one box as long as the way and the car."""
@@ -116,15 +124,18 @@ class FootprintTable:
         return np.stack([offsets[columns], offsets[rows]], axis=1)
 
     def _ends_off_grid(self) -> np.ndarray:
+        """Words as of `words`, of what ends off the grid."""
         cells = self.grid.cells
-        off = np.zeros((cells, cells, HEADINGS, ACTIONS), dtype=bool)
-        iy, ix = np.indices((cells, cells))
+        columns = CELLS_A_WORD * math.ceil(cells / CELLS_A_WORD)
+        iy, ix = np.indices((cells, columns))
+        off = np.zeros((HEADINGS * ACTIONS, columns // CELLS_A_WORD, cells), np.uint64)
         for heading in range(HEADINGS):
             for action in range(ACTIONS):
                 dx, dy, _ = successor(LatticeState(0, 0, heading), action)
-                inside = (ix + dx >= 0) & (ix + dx < cells) & (iy + dy >= 0) & (iy + dy < cells)
-                off[:, :, heading, action] = ~inside
-        return off.reshape(cells, cells, -1)
+                inside = (ix < cells) & (ix + dx >= 0) & (ix + dx < cells) & (iy + dy >= 0) & (iy + dy < cells)
+                bits = (~inside).reshape(cells, -1, CELLS_A_WORD) << np.arange(CELLS_A_WORD, dtype=np.uint64)
+                off[heading * ACTIONS + action] = np.bitwise_or.reduce(bits, -1).T
+        return off
 
 
 def _made_of(heading: int, action: int) -> tuple[int, int]:
@@ -154,7 +165,7 @@ def _runs(sweeps: list[np.ndarray]) -> np.ndarray:
 
 @njit(cache=True)
 def _hits(
-    occupied: np.ndarray, runs: np.ndarray, made_of: np.ndarray, off: np.ndarray, cells: int, border: int, reach: int
+    occupied: np.ndarray, runs: np.ndarray, made_of: np.ndarray, off: np.ndarray, border: int, reach: int
 ) -> np.ndarray:
     """Which footprint, of two sweeps, at which cell meets an occupied square or is `off` anyway.
 
@@ -163,15 +174,15 @@ def _hits(
     of 1, 2, 4, ... squares that the words of each doubling hold.
 
     Returns:
-        `(cells, cells, footprints)` bool.
+        `(footprints, words, cells)`, of `CELLS_A_WORD` cells each.
     """
-    size, footprints = occupied.shape[0], off.shape[2]
+    size, cells = occupied.shape[0], off.shape[2]
     origin = border + FINE_PER_CELL // 2 - reach  # of the surroundings of cell 0, in the frame
     tall, wide = FINE_PER_CELL * cells + 2 * reach, FINE_PER_CELL * _AT_ONCE + 2 * reach
     doublings = runs[:, 4].max() + 1
     # rows that are a cell apart lie together: one of them is under each cell of a column
     words = np.empty((doublings, FINE_PER_CELL, FINE_PER_CELL, (tall - 1) // FINE_PER_CELL + 1), np.uint64)
-    hits = np.empty(off.shape, np.bool_)
+    hits = off.copy()
     for left in range(0, cells, _AT_ONCE):
         for y in range(tall):
             fy = origin + y
@@ -199,12 +210,25 @@ def _hits(
                 shift = np.uint64(x // FINE_PER_CELL)
                 for iy in range(cells):
                     under[iy] |= source[iy] >> shift
-        row = np.empty(footprints, np.uint64)
-        for iy in range(cells):
-            for footprint in range(footprints):
-                row[footprint] = met[made_of[footprint, 0], iy] | met[made_of[footprint, 1], iy]
-            for ix in range(left, min(left + _AT_ONCE, cells)):
-                bit = np.uint64(ix - left)
-                for footprint in range(footprints):
-                    hits[iy, ix, footprint] = off[iy, ix, footprint] | ((row[footprint] >> bit) & np.uint64(1))
+        for footprint in range(len(off)):
+            of_these = hits[footprint, left // CELLS_A_WORD]
+            one, other = met[made_of[footprint, 0]], met[made_of[footprint, 1]]
+            for iy in range(cells):
+                these = (one[iy] | other[iy]) & np.uint64(2**_AT_ONCE - 1)
+                of_these[iy] |= these << np.uint64(left % CELLS_A_WORD)
     return hits
+
+
+@njit(cache=True)
+def unpacked(words: np.ndarray) -> np.ndarray:
+    """Bits `(planes, words, cells)` as `(cells, cells, planes)` bool."""
+    planes, _, cells = words.shape
+    flags, row = np.empty((cells, cells, planes), np.bool_), np.empty(planes, np.uint64)
+    for iy in range(cells):
+        for ix in range(cells):
+            bit = np.uint64(ix % CELLS_A_WORD)
+            if bit == 0:
+                row[:] = words[:, ix // CELLS_A_WORD, iy]
+            for plane in range(planes):
+                flags[iy, ix, plane] = (row[plane] >> bit) & np.uint64(1)
+    return flags

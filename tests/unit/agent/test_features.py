@@ -10,6 +10,7 @@ from zsdist.agent.situation import Situation
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
 from zsdist.planning.shortest_path import goal_mask
+from zsdist.planning.ways import Ways
 from zsdist.types import LatticeState, Level
 
 GRID = Grid()
@@ -80,7 +81,7 @@ def situation(parts):
     blocked = TABLE.blocked(parts["occupied"])
     return Situation(
         grid=GRID,
-        blocked=blocked,
+        ways=Ways.of(blocked),
         squeezed=False,
         goals=goal_mask(GRID, parts["goal"], 0.6),
         drive_m=reach.metres_from(blocked, parts["state"], way_costs(GRID)),

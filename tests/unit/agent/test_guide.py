@@ -7,6 +7,7 @@ from zsdist.config import AgentConfig
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
 from zsdist.planning.shortest_path import cost_to_go, goal_mask
+from zsdist.planning.ways import Ways
 from zsdist.types import Action, LatticeState
 
 GRID = Grid()
@@ -28,7 +29,7 @@ def situation(occupied=None, state=EAST, goal=(8.0, -1.9), seen=True, advice=(0.
         advice=np.array(advice, np.float32),
         occupied=occupied,
         seen=np.full((size, size), seen),
-        blocked=blocked,
+        ways=Ways.of(blocked),
         squeezed=False,
         goals=goal_mask(GRID, goal, 0.6),
         drive_m=reach.metres_from(blocked, state, learning.way_costs(GRID)),

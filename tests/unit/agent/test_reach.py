@@ -44,28 +44,6 @@ def test_cells_at_a_finite_way_are_those_that_walking_finds(cells, share):
         assert (found == expected).all()
 
 
-@pytest.mark.parametrize(("cells", "share"), [(6, 0.3), (12, 0.6), (12, 0.8), (70, 0.72)])
-def test_states_to_a_place_are_those_from_which_walking_comes_there(cells, share):
-    rng, blocked = world(cells, 5, share)
-    goals = np.zeros((cells, cells), bool)
-    goals[tuple(rng.integers(0, cells, (2, 3)))] = True
-    leading = reach.states_to(blocked, goals)
-    assert 0.02 < leading.mean() <= 1.0
-    for _ in range(60):
-        state = LatticeState(*rng.integers(0, cells, 2).tolist(), int(rng.integers(8)))
-        arrives = any(goals[end.iy, end.ix] for end in walked(blocked, state))
-        assert leading[state.iy, state.ix, state.heading] == arrives
-
-
-def test_a_place_that_nothing_leads_to_is_reached_from_itself_only():
-    blocked = np.ones((8, 8, 8, 5), bool)
-    goals = np.zeros((8, 8), bool)
-    goals[3, 4] = True
-    leading = reach.states_to(blocked, goals)
-    assert leading[3, 4].all() and leading.sum() == 8
-    assert np.isfinite(reach.metres_from(blocked, LatticeState(4, 3, 0), STEPS_COST)).sum() == 1
-
-
 def test_the_way_into_a_cell_is_as_long_as_the_way_there_found_from_that_cell():
     costs = way_costs(Grid(cells=12, blocks=3))
     rng, blocked = world(12, 7, 0.5)

@@ -1,10 +1,12 @@
 import numpy as np
 
 from zsdist.agent import reach, shield
+from zsdist.planning import ways
 from zsdist.planning.belief import BeliefMap
 from zsdist.planning.footprint import FootprintTable, successor
 from zsdist.planning.grid import Grid
 from zsdist.planning.shortest_path import STEPS_COST, cost_to_go, goal_mask
+from zsdist.planning.ways import Ways
 from zsdist.types import Action, LatticeState
 
 GRID = Grid()
@@ -81,7 +83,7 @@ def test_a_dead_end_without_room_to_turn_is_not_entered():
     state = LatticeState(18, 16, 0)
     judgement = shield.judge(known_free(pocket()), state, goals(28, 28), visited(state))
     assert not FootprintTable(GRID).blocked(pocket())[16, 18, 0, Action.FORWARD]
-    assert judgement.blocked[16, 18, 0, Action.FORWARD] and not judgement.allowed[Action.FORWARD]
+    assert judgement.ways.blocked[16, 18, 0, Action.FORWARD] and not judgement.allowed[Action.FORWARD]
     assert judgement.allowed.any()
 
 
@@ -145,8 +147,8 @@ def test_a_state_not_yet_looked_from_may_lead_over_unseen_ground():
     belief = BeliefMap(GRID)
     belief.clear_disc(*GRID.centre(16, 16), 1.5)
     judgement = shield.judge(belief, EAST, goals(28, 16), visited(EAST))
-    assert judgement.blocked[16, 16, 0, Action.FORWARD]
-    assert not judgement.blocked[16, 16, 2, Action.RIGHT_45] and not judgement.gave_way
+    assert judgement.ways.blocked[16, 16, 0, Action.FORWARD]
+    assert not judgement.ways.blocked[16, 16, 2, Action.RIGHT_45] and not judgement.gave_way
 
 
 def test_unseen_ground_is_suspect_up_to_its_edge_but_for_slivers():
@@ -171,7 +173,7 @@ def test_what_is_reached_backwards_agrees_with_the_cost_to_go_and_forwards_with_
         squares[fy : fy + 6, fx : fx + 6] = True
     squares &= ~blob(16, 16, half=10)
     blocked = FootprintTable(GRID).blocked(squares)
-    leading = reach.states_to(blocked, goals(5, 5))
+    leading = ways.unpacked(Ways.of(blocked).states_to(ways.places(goals(5, 5))))
     assert (leading == np.isfinite(cost_to_go(blocked, goals(5, 5), STEPS_COST))).all()
     cells = np.isfinite(reach.metres_from(blocked, EAST, STEPS_COST))
     state = EAST
@@ -193,5 +195,5 @@ def test_width_of_the_car_is_what_the_shield_keeps_clear():
         fx, fy = GRID.fine_index(*GRID.centre(18, 16))
         squares = np.zeros((GRID.fine_size, GRID.fine_size), bool)
         squares[fy + aside, fx] = True
-        blocked = shield.judge(known_free(squares), EAST, goals(28, 16), visited(EAST)).blocked
+        blocked = shield.judge(known_free(squares), EAST, goals(28, 16), visited(EAST)).ways.blocked
         assert blocked[16, 16, 0, Action.FORWARD] != free
