@@ -25,7 +25,7 @@ from zsdist.agent.egocentric import (
 from zsdist.agent.learning import way_costs
 from zsdist.agent.situation import Situation
 from zsdist.planning.grid import FINE_PER_CELL
-from zsdist.planning.lattice import successors
+from zsdist.planning.lattice import ends
 from zsdist.types import Action, Level
 
 LOW_ACTIONS = len(Action)
@@ -59,7 +59,7 @@ def low_state(situation: Situation, subgoal: tuple[float, float], seeks_goal: bo
     grid, state = situation.grid, situation.state
     actions = action_features(
         situation.blocked,
-        successors(grid.cells),
+        ends(grid.cells),
         way_costs(grid),
         situation.seen,
         situation.visits,

@@ -3,8 +3,9 @@
 import numba
 import numpy as np
 
+from zsdist.planning.footprint import ACTIONS
 from zsdist.planning.grid import HEADINGS
-from zsdist.planning.lattice import flat_state, successors
+from zsdist.planning.lattice import ends, flat_state
 from zsdist.types import LatticeState
 
 
@@ -17,7 +18,7 @@ def metres_from(blocked: np.ndarray, state: LatticeState, action_costs: np.ndarr
         action_costs: `(8, 5)`, by heading before the action, metres.
     """
     cells = len(blocked)
-    cost = forwards(blocked.ravel(), successors(cells), action_costs, flat_state(state, cells), np.inf)
+    cost = forwards(blocked.ravel(), ends(cells), action_costs, flat_state(state, cells), np.inf)
     return _least(cost).reshape(cells, cells)
 
 
@@ -26,8 +27,8 @@ def forwards(blocked, after, action_costs, start, limit):  # noqa: ANN001, ANN20
     """Least cost from a state to every state that costs no more than `limit`; infinite elsewhere.
 
     Args:
-        blocked: `(states * actions,)` bool, of flat states.
-        after: of `lattice.successors`.
+        blocked: `(states * 5,)` bool, of flat states.
+        after: of `lattice.ends`.
         action_costs: `(8, 5)`, by heading before the action.
         start: flat state.
         limit: the most a way may cost.
@@ -35,30 +36,30 @@ def forwards(blocked, after, action_costs, start, limit):  # noqa: ANN001, ANN20
     Returns:
         `(states,)`.
     """
-    states, actions = after.shape
+    states = len(after)
     width = action_costs.min()  # no action leads from a state of one band of costs to another of the same
-    cost, known = np.full(states, np.inf), np.zeros(states, np.bool_)
-    front = np.empty(states + 1, np.int32)  # states whose actions are still to be followed
-    front[0], cost[start], known[start] = start, 0.0, True
-    count, band = 1, 0.0
+    cost = np.full(states, np.inf)
+    front = np.empty(states + 1, np.uint32)  # states whose actions are still to be followed
+    front[0], cost[start] = start, 0.0
+    count, band = np.uint64(1), 0.0
     while count:
         band += width
-        read, kept = 0, 0
+        read, kept = np.uint64(0), np.uint64(0)
         while read < count:
-            state = front[read]
-            read += 1
-            if cost[state] > band:
-                front[kept] = state
-                kept += 1
-                continue
+            state = np.uint64(front[read])
+            read += np.uint64(1)
             so_far = cost[state]
-            for action in range(actions):  # without branches, which nobody could foretell
-                end, total = after[state, action], so_far + action_costs[state & 7, action]
-                better = (not blocked[state * actions + action]) & (total < cost[end]) & (total <= limit)
-                cost[end] = total if better else cost[end]
+            if so_far > band:
+                front[kept] = state
+                kept += np.uint64(1)
+                continue
+            for action in range(np.uint64(ACTIONS)):  # without branches, which nobody could foretell
+                end, total = np.uint64(after[state, action]), so_far + action_costs[state & np.uint64(7), action]
+                before = cost[end]
+                better = (not blocked[state * np.uint64(ACTIONS) + action]) & (total < before) & (total <= limit)
+                cost[end] = total if better else before
                 front[count] = end
-                count += better & (not known[end])
-                known[end] |= better
+                count += np.uint64(better & (before == np.inf))
         count = kept
     return cost
 

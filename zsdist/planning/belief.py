@@ -104,6 +104,8 @@ def _look(log_odds, seen, camera_x, camera_y, heading, ends, angles, edges, squa
     reach, half, rays = edges[-1], square / 2, len(angles)
     descending = -angles
     field = angles[0] + 0.5 * (angles[0] - angles[1])  # outer edge of the outermost ray
+    far_off = 1.000001 * reach * reach
+    aside = 1.000001 * math.tan(field) if field < 1.5 else np.inf
     cosine, sine = math.cos(heading), math.sin(heading)
     low_x, high_x = max(int((camera_x - reach) / square), 0), min(int((camera_x + reach) / square) + 1, size)
     low_y, high_y = max(int((camera_y - reach) / square), 0), min(int((camera_y + reach) / square) + 1, size)
@@ -112,8 +114,10 @@ def _look(log_odds, seen, camera_x, camera_y, heading, ends, angles, edges, squa
         for ix in range(low_x, high_x):
             east = (ix + 0.5) * square - camera_x
             ahead, left = cosine * east + sine * north, cosine * north - sine * east
+            if ahead <= 0.0 or ahead * ahead + left * left > far_off or abs(left) > aside * ahead:
+                continue  # most of them, told without the functions below
             distance = math.hypot(ahead, left)
-            if ahead <= 0.0 or distance > reach or distance < half:
+            if distance > reach or distance < half:
                 continue
             angle = math.atan2(left, ahead)
             if abs(angle) > field:

@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from zsdist.planning.grid import HEADINGS
-from zsdist.planning.lattice import predecessors, successors
+from zsdist.planning.lattice import ends, origins
 
 
 class CostField:
@@ -34,7 +34,7 @@ class CostField:
             old, new = np.ravel(self._blocked), np.ravel(blocked)
             changed = _changed(old.view(np.uint64), new.view(np.uint64), old, new)
             if len(changed):
-                _repair(self._exact, new, changed, self._action_costs, predecessors(cells), successors(cells))
+                _repair(self._exact, new, changed, self._action_costs, origins(cells), ends(cells))
                 self._cost = self._exact.astype(np.float32).reshape(cells, cells, HEADINGS)
             self._blocked = blocked
         return self._cost
@@ -91,9 +91,7 @@ def _repair(
         losses += 1
         for action in range(actions):
             previous = before[state, action]
-            if previous < 0 or lost[previous]:
-                continue
-            if cost[previous] == cost[state] + action_costs[previous & 7, action]:
+            if not lost[previous] and cost[previous] == cost[state] + action_costs[previous & 7, action]:
                 suspects[suspected] = previous
                 suspected += 1
     for index in range(losses):
@@ -129,8 +127,6 @@ def _repair(
             known[state] = False
             for action in range(actions):
                 previous = before[state, action]
-                if previous < 0:
-                    continue
                 total = so_far + action_costs[previous & 7, action]
                 if total < cost[previous] and not blocked[previous * actions + action]:
                     cost[previous] = total

@@ -32,6 +32,21 @@ def predecessors(cells: int) -> np.ndarray:
     return _flat(cells, ix - STEPS[heading, 0] * advances, iy - STEPS[heading, 1] * advances, before)
 
 
+@cache
+def ends(cells: int) -> np.ndarray:
+    """`successors` as uint32; an action that leads off the grid stays where it is.
+
+    For loops that look an end up before they know whether the action is blocked, at indices that cannot be negative.
+    """
+    return _staying(successors(cells))
+
+
+@cache
+def origins(cells: int) -> np.ndarray:
+    """`predecessors` as uint32; where an action would lead here from off the grid it is the state itself."""
+    return _staying(predecessors(cells))
+
+
 def flat_state(state: LatticeState, cells: int) -> int:
     """The flat state of a lattice state."""
     return (state.iy * cells + state.ix) * HEADINGS + state.heading
@@ -40,6 +55,12 @@ def flat_state(state: LatticeState, cells: int) -> int:
 def lattice_state(flat: int, cells: int) -> LatticeState:
     """The lattice state of a flat state."""
     return LatticeState(flat // HEADINGS % cells, flat // (HEADINGS * cells), flat % HEADINGS)
+
+
+def _staying(table: np.ndarray) -> np.ndarray:
+    staying = np.where(table == NOWHERE, np.arange(len(table))[:, None], table).astype(np.uint32)
+    staying.flags.writeable = False
+    return staying
 
 
 def _flat(cells: int, ix: np.ndarray, iy: np.ndarray, heading: np.ndarray) -> np.ndarray:

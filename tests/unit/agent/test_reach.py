@@ -5,7 +5,7 @@ from zsdist.agent import reach
 from zsdist.agent.learning import way_costs
 from zsdist.planning.footprint import successor
 from zsdist.planning.grid import Grid
-from zsdist.planning.lattice import flat_state, successors
+from zsdist.planning.lattice import ends, flat_state
 from zsdist.planning.shortest_path import STEPS_COST, cost_to_go
 from zsdist.types import LatticeState
 
@@ -58,5 +58,5 @@ def test_the_way_into_a_cell_is_as_long_as_the_way_there_found_from_that_cell():
 def test_states_farther_than_the_limit_are_left_out():
     _, blocked = world(12, 7, 0.5)
     start = flat_state(LatticeState(3, 5, 2), 12)
-    whole, near = (reach.forwards(blocked.ravel(), successors(12), STEPS_COST, start, limit) for limit in (np.inf, 3.0))
+    whole, near = (reach.forwards(blocked.ravel(), ends(12), STEPS_COST, start, limit) for limit in (np.inf, 3.0))
     assert (near == np.where(whole <= 3.0, whole, np.inf)).all() and (whole > 3.0).any()
