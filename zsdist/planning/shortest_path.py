@@ -5,12 +5,12 @@ car has no reverse gear, so the graph is directed: costs to go are found from th
 """
 
 import math
-from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
+from zsdist.planning.cost_field import CostField
 from zsdist.planning.footprint import ACTIONS, ADVANCES, TURNS
 from zsdist.planning.grid import HEADINGS, STEPS, Grid
 from zsdist.planning.lattice import flat_state, lattice_state, predecessors, successors
@@ -49,31 +49,23 @@ def goal_mask(grid: Grid, goal_xy: tuple[float, float], radius_m: float) -> np.n
     return np.hypot(xs[None, :] - goal_xy[0], ys[:, None] - goal_xy[1]) <= radius_m
 
 
-def cost_to_go(
-    blocked: np.ndarray, goals: np.ndarray, action_costs: np.ndarray, until: Collection[LatticeState] = ()
-) -> np.ndarray:
+def cost_to_go(blocked: np.ndarray, goals: np.ndarray, action_costs: np.ndarray) -> np.ndarray:
     """Least cost from every state to a goal cell, whatever the heading there.
 
     Args:
         blocked: `(cells, cells, 8, 5)` bool.
         goals: `[iy, ix]` `(cells, cells)` bool.
         action_costs: `(8, 5)`, by heading before the action, above 0; `METRES` or `STEPS_COST`.
-        until: where the costs of these states, and along the ways from them, are enough; none: of all states.
 
     Returns:
-        `[iy, ix, heading]` `(cells, cells, 8)` float32; infinite where no goal cell can be reached, and where it was
-        not needed for `until`.
+        `[iy, ix, heading]` `(cells, cells, 8)` float32; infinite where no goal cell can be reached.
 
     Raises:
         ValueError: an action costs nothing or less.
     """
     if not np.min(action_costs) > 0:
         raise ValueError(f"the least action cost is {np.min(action_costs)}; allowed is above 0")
-    cells = len(blocked)
-    enough = np.array([flat_state(state, cells) for state in until], np.int32)
-    costs = np.asarray(action_costs, dtype=np.float64)
-    field = _search(blocked.ravel(), goals.ravel(), costs, predecessors(cells), enough)
-    return field.reshape(cells, cells, HEADINGS)
+    return CostField(goals, action_costs).on(blocked)
 
 
 def path(cost: np.ndarray, blocked: np.ndarray, start: LatticeState, action_costs: np.ndarray) -> Path:
@@ -130,93 +122,6 @@ def live_states(blocked: np.ndarray) -> np.ndarray:
     """
     cells = len(blocked)
     return _live(blocked.ravel(), predecessors(cells)).reshape(cells, cells, HEADINGS)
-
-
-@njit(cache=True)
-def _search(
-    blocked: np.ndarray,
-    goals: np.ndarray,
-    action_costs: np.ndarray,
-    before: np.ndarray,
-    until: np.ndarray,
-) -> np.ndarray:
-    """Label-correcting search over buckets as wide as a quarter of the dearest action.
-
-    A state's bucket is that of its cost and of what is at least `ahead` of it, by cell: nothing (Dijkstra), or the way
-    as the crow flies to the nearest state whose cost is wanted (A*). What is in a bucket may still improve within it
-    and is then taken up again; once it is empty, the costs of its states are final. Entries that a better one overtook
-    are passed over.
-    """
-    states, actions = before.shape
-    per_cost = 4 / action_costs.max()
-    cells = int(math.sqrt(states // HEADINGS))
-    per_cell = np.inf  # what it costs at least to come a cell's side nearer to anywhere
-    for heading in range(HEADINGS):
-        for action in range(actions):
-            if _ADVANCED[heading, action] > 0:
-                per_cell = min(per_cell, action_costs[heading, action] / _ADVANCED[heading, action])
-    ahead = per_cell * _to_the_nearest(until, cells)
-    cost, expanded = np.full(states, np.inf), np.full(states, np.inf)
-    heads = np.full(2 + int(ahead.max() * per_cost), -1, np.int32)  # the first entry of each bucket
-    entries, following = np.empty(4 * states, np.int32), np.empty(4 * states, np.int32)
-    count = 0
-    for cell in np.flatnonzero(goals):
-        into = int(ahead[cell] * per_cost)
-        for state in range(HEADINGS * cell, HEADINGS * (cell + 1)):
-            cost[state] = 0.0
-            entries[count], following[count] = state, heads[into]
-            heads[into] = count
-            count += 1
-    bucket, last = 0, len(heads) - 1
-    while bucket <= last:
-        if bucket + 10 >= len(heads):  # an action leads at most 4 buckets on and, as the crow flies, back by as much
-            heads = np.append(heads, np.full(len(heads) + 10, -1, np.int32))
-        while heads[bucket] >= 0:
-            state = entries[heads[bucket]]
-            heads[bucket] = following[heads[bucket]]
-            so_far = cost[state]
-            if so_far >= expanded[state]:
-                continue
-            expanded[state] = so_far
-            if count + actions > len(entries):
-                entries, following = np.append(entries, entries), np.append(following, following)
-            for action in range(actions):
-                previous = before[state, action]
-                if previous < 0:
-                    continue
-                total = so_far + action_costs[previous & 7, action]
-                if total < cost[previous] and not blocked[previous * actions + action]:
-                    cost[previous] = total
-                    into = max(int((total + ahead[previous >> 3]) * per_cost), bucket)
-                    last = max(last, into)
-                    entries[count], following[count] = previous, heads[into]
-                    heads[into] = count
-                    count += 1
-        bucket += 1
-        wanted = len(until)
-        for state in until:
-            wanted -= (cost[state] + ahead[state >> 3]) * per_cost < bucket
-        if len(until) and not wanted:
-            for cell in range(cells * cells):
-                for state in range(HEADINGS * cell, HEADINGS * (cell + 1)):
-                    cost[state] = cost[state] if (cost[state] + ahead[cell]) * per_cost < bucket else np.inf
-            break
-    return cost.astype(np.float32)
-
-
-@njit(cache=True)
-def _to_the_nearest(states: np.ndarray, cells: int) -> np.ndarray:
-    """How far it is from each cell to the nearest of the cells of `states`, in cells; 0 where there are none."""
-    far = np.int32(2 * cells * cells)
-    squares = np.full((cells, cells), far if len(states) else np.int32(0))
-    for state in states:
-        ix, iy = np.int32((state >> 3) % cells), np.int32((state >> 3) // cells)
-        for row in range(cells):
-            north = np.int32(row) - iy
-            for column in range(cells):
-                east = np.int32(column) - ix
-                squares[row, column] = min(squares[row, column], east * east + north * north)
-    return np.sqrt(squares.ravel())
 
 
 @njit(cache=True)

@@ -64,28 +64,6 @@ def test_costs_equal_those_of_an_independent_search(blocked, costs):
     np.testing.assert_allclose(field, want, rtol=1e-5)
 
 
-@pytest.mark.parametrize("costs", [METRES, STEPS_COST], ids=["metres", "steps"])
-def test_costs_wanted_for_two_states_are_theirs_in_the_whole_field_and_the_ways_from_them_are_too(blocked, costs):
-    field = cost_to_go(blocked, GOALS, costs)
-    rng, shorter = np.random.default_rng(1), 0
-    reachable = np.argwhere(np.isfinite(field))
-    for _ in range(30):
-        states = [LatticeState(ix, iy, heading) for iy, ix, heading in rng.choice(reachable, 2).tolist()]
-        part = cost_to_go(blocked, GOALS, costs, states)
-        known = np.isfinite(part)
-        shorter += known.sum() < np.isfinite(field).sum()
-        assert (part[known] == field[known]).all()
-        for state in states:
-            assert path(part, blocked, state, costs) == path(field, blocked, state, costs)
-    assert shorter > 10, "not all of the field was needed"
-
-
-def test_wanting_a_state_without_a_way_is_answered_with_infinity(blocked):
-    walled_in = blocked.copy()
-    walled_in[4, 4] = True
-    assert np.isinf(cost_to_go(walled_in, GOALS, METRES, [LatticeState(4, 4, 0)])[4, 4, 0])
-
-
 def test_following_the_field_reaches_the_goal_by_unblocked_actions_at_the_promised_cost(blocked):
     field = cost_to_go(blocked, GOALS, METRES)
     starts = np.argwhere(np.isfinite(field))
