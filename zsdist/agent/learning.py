@@ -1,5 +1,6 @@
 """What the levels learn from: shaped rewards, and trajectories assembled step by step."""
 
+import math
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -43,7 +44,7 @@ def progress_m(cost: np.ndarray, before: tuple[int, int, int], after: tuple[int,
         after: the same after it.
     """
     gained = float(cost[before]) - float(cost[after])
-    return float(np.clip(gained, -MAX_PROGRESS_M, MAX_PROGRESS_M)) if np.isfinite(gained) else 0.0
+    return min(max(gained, -MAX_PROGRESS_M), MAX_PROGRESS_M) if math.isfinite(gained) else 0.0
 
 
 @dataclass(frozen=True)

@@ -40,8 +40,6 @@ class BeliefMap:
             view: rays as distributions over distance; of a view without rays nothing is learned.
             camera_forward_m: how far ahead of the centre the camera sits.
         """
-        ends = np.zeros((len(view.ray_probabilities), len(view.bin_edges_m)))
-        np.cumsum(view.ray_probabilities[:, :-1], axis=1, dtype=np.float64, out=ends[:, 1:])
         camera_x = pose.x_m + camera_forward_m * math.cos(pose.heading_rad)
         camera_y = pose.y_m + camera_forward_m * math.sin(pose.heading_rad)
         half_m = self.grid.arena_m / 2
@@ -51,9 +49,9 @@ class BeliefMap:
             camera_x + half_m,
             camera_y + half_m,
             pose.heading_rad,
-            ends,
-            view.ray_angles_rad.astype(np.float64),
-            view.bin_edges_m.astype(np.float64),
+            view.ray_probabilities,
+            view.ray_angles_rad,
+            view.bin_edges_m,
             self.grid.fine_m,
         )
         self.clear_car(pose)
@@ -85,6 +83,15 @@ class BeliefMap:
 
 
 @numba.njit(cache=True)
+def _below(values: np.ndarray, limit: float) -> int:
+    """How many values are below a limit: where it belongs among ascending ones, without branches as a bisection has."""
+    count = 0
+    for index in range(len(values)):
+        count += 1 if values[index] < limit else 0
+    return count
+
+
+@numba.njit(cache=True)
 def _bin(edges: np.ndarray, distance: float) -> tuple[int, float]:
     """The bin in which a distance lies, by its upper edge, and which share of it lies below; mass is spread evenly."""
     last = len(edges) - 1
@@ -92,14 +99,19 @@ def _bin(edges: np.ndarray, distance: float) -> tuple[int, float]:
         return 1, 0.0
     if distance >= edges[last]:
         return last, 1.0
-    upper = np.searchsorted(edges, distance)
+    upper = _below(edges, distance)
     return upper, (distance - edges[upper - 1]) / (edges[upper] - edges[upper - 1])
 
 
 @numba.njit(cache=True)
-def _look(log_odds, seen, camera_x, camera_y, heading, ends, angles, edges, square):  # noqa: ANN001, ANN202
-    if len(angles) == 0:
+def _look(log_odds, seen, camera_x, camera_y, heading, probabilities, ray_angles, bin_edges, square):  # noqa: ANN001, ANN202
+    if len(ray_angles) == 0:
         return
+    angles, edges = ray_angles.astype(np.float64), bin_edges.astype(np.float64)
+    ends = np.zeros((len(angles), len(edges)))  # how surely each ray has ended by each edge
+    for ray in range(len(angles)):
+        for upper in range(1, len(edges)):
+            ends[ray, upper] = ends[ray, upper - 1] + probabilities[ray, upper - 1]
     size = log_odds.shape[0]
     reach, half, rays = edges[-1], square / 2, len(angles)
     descending = -angles
@@ -123,8 +135,8 @@ def _look(log_odds, seen, camera_x, camera_y, heading, ends, angles, edges, squa
             if abs(angle) > field:
                 continue
             spread = half / distance  # near squares are wider than a ray: the most alarming ray counts
-            first = min(np.searchsorted(descending, -(angle + spread)), rays - 1)
-            last = max(np.searchsorted(descending, -(angle - spread)) - 1, 0)
+            first = min(_below(descending, -(angle + spread)), rays - 1)
+            last = max(_below(descending, -(angle - spread)) - 1, 0)
             if last < first:  # between two rays: the nearer one
                 first, last = last, first
                 if angles[first] - angle < angle - angles[last]:

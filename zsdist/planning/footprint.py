@@ -89,8 +89,18 @@ class FootprintTable:
         size = self.grid.fine_size
         if occupancy.shape != (size, size):
             raise ValueError(f"occupancy has the shape {occupancy.shape}; allowed is {(size, size)}")
-        occupied = np.ascontiguousarray(occupancy, dtype=np.bool_)
-        return _hits(occupied, self._runs, self._made_of, self._off_grid, self.grid.fine_border, self._reach)
+        return _hits(self._surroundings(occupancy), self._runs, self._made_of, self._off_grid, self._reach)
+
+    def _surroundings(self, occupancy: np.ndarray) -> np.ndarray:
+        """Rows of 64 squares a word, from `_reach` squares south-west of the centre of cell (0, 0) on."""
+        size, tall = self.grid.fine_size, FINE_PER_CELL * self.grid.cells + 2 * self._reach
+        origin = self.grid.fine_border + FINE_PER_CELL // 2 - self._reach
+        chunks = math.ceil(self.grid.cells / _AT_ONCE)
+        wide = FINE_PER_CELL * _AT_ONCE * chunks + 64 * math.ceil(2 * self._reach / 64)
+        squares = np.ones((tall, wide), np.bool_)  # outside the frame everything is occupied
+        first, last, east = max(origin, 0), min(origin + tall, size), min(origin + wide, size)
+        squares[first - origin : last - origin, first - origin : east - origin] = occupancy[first:last, first:east]
+        return np.packbits(squares, axis=1, bitorder="little").view(np.uint64)
 
     def _advance(self, heading: int, half_l: float, half_w: float) -> np.ndarray:
         """A cell ahead: one box as long as the way and the car."""
@@ -164,9 +174,17 @@ def _runs(sweeps: list[np.ndarray]) -> np.ndarray:
 
 
 @njit(cache=True)
-def _hits(
-    occupied: np.ndarray, runs: np.ndarray, made_of: np.ndarray, off: np.ndarray, border: int, reach: int
-) -> np.ndarray:
+def _every_fourth(squares: np.uint64) -> np.uint64:
+    """Bits 0, 4, 8, ... of a word, side by side."""
+    bits = squares & np.uint64(0x1111111111111111)
+    bits = (bits | bits >> np.uint64(3)) & np.uint64(0x0303030303030303)
+    bits = (bits | bits >> np.uint64(6)) & np.uint64(0x000F000F000F000F)
+    bits = (bits | bits >> np.uint64(12)) & np.uint64(0x000000FF000000FF)
+    return (bits | bits >> np.uint64(24)) & np.uint64(0xFFFF)
+
+
+@njit(cache=True)
+def _hits(squares: np.ndarray, runs: np.ndarray, made_of: np.ndarray, off: np.ndarray, reach: int) -> np.ndarray:
     """Which footprint, of two sweeps, at which cell meets an occupied square or is `off` anyway.
 
     Works on `_AT_ONCE` cells of a row together. Bit j of a word (row, phase) is column 4 j + phase of their
@@ -176,24 +194,19 @@ def _hits(
     Returns:
         `(footprints, words, cells)`, of `CELLS_A_WORD` cells each.
     """
-    size, cells = occupied.shape[0], off.shape[2]
-    origin = border + FINE_PER_CELL // 2 - reach  # of the surroundings of cell 0, in the frame
-    tall, wide = FINE_PER_CELL * cells + 2 * reach, FINE_PER_CELL * _AT_ONCE + 2 * reach
+    tall, cells = len(squares), off.shape[2]
     doublings = runs[:, 4].max() + 1
     # rows that are a cell apart lie together: one of them is under each cell of a column
     words = np.empty((doublings, FINE_PER_CELL, FINE_PER_CELL, (tall - 1) // FINE_PER_CELL + 1), np.uint64)
     hits = off.copy()
     for left in range(0, cells, _AT_ONCE):
+        first = FINE_PER_CELL * left // 64  # word of the surroundings of these cells
+        last = first + (FINE_PER_CELL * _AT_ONCE + 2 * reach - 1) // 64
         for y in range(tall):
-            fy = origin + y
             for phase in range(FINE_PER_CELL):
-                word = ~np.uint64(0)  # outside the frame everything is occupied
-                if 0 <= fy < size:
-                    word = np.uint64(0)
-                    for bit in range((wide - phase + FINE_PER_CELL - 1) // FINE_PER_CELL):
-                        fx = origin + FINE_PER_CELL * (left + bit) + phase
-                        met_here = fx < 0 or fx >= size or occupied[fy, fx]
-                        word |= np.uint64(met_here) << np.uint64(bit)
+                word = np.uint64(0)
+                for part in range(first, last + 1):
+                    word |= _every_fourth(squares[y, part] >> np.uint64(phase)) << np.uint64(16 * (part - first))
                 words[0, phase, y % FINE_PER_CELL, y // FINE_PER_CELL] = word
         for k in range(1, doublings):
             step = 1 << (k - 1)
