@@ -15,6 +15,7 @@ from zsdist.types import Pose, View
 
 HIT = 1.6  # log-odds a certain hit adds
 PASS = 0.4  # log-odds a certain passage takes away; a hit of one look in five holds its ground
+TINY = 1e-6  # keeps odds finite
 CEILING = 2.4  # belief stays correctable: six certain passages undo whatever was believed
 FLOOR = -1.2  # and one certain hit
 THICKNESS_M = 0.4  # what is behind a surface is occupied so far; deeper is unknown
@@ -31,9 +32,11 @@ class BeliefMap:
     def update(self, pose: Pose, view: View, camera_forward_m: float) -> None:
         """Takes in one look.
 
-        Along a ray whose distance is distributed as the view says, a square at distance `d` is free as surely as the
-        ray survives beyond it, and occupied as surely as the ray ends in it or up to `THICKNESS_M` before it; where
-        it ended earlier, nothing is learned.
+        Along a ray whose distance is distributed as the view says, a square at distance `d` is passed as surely as the
+        ray survives beyond it (p), and hit as surely as the ray ends in it or up to `THICKNESS_M` before it (h); where
+        it ended earlier, nothing is learned. The square's log-odds grow by log(h / p), within `-PASS` and `HIT`,
+        times h + p, the share of the ray that tells of it. So a surface that is far away, of which little but the
+        direction is sure, closes the squares in which it is likelier than not, and not all in which it may be.
 
         Args:
             pose: the car's centre; where it stands is free.
@@ -143,19 +146,18 @@ def _look(log_odds, seen, camera_x, camera_y, heading, probabilities, ray_angles
                     last = first
                 else:
                     first = last
-            hit, passed = 0.0, 0.0
+            change, told = -PASS, 0.0
             far, far_share = _bin(edges, distance + half)
             near, near_share = _bin(edges, distance - THICKNESS_M)
             for ray in range(first, last + 1):
                 end = ends[ray]
                 beyond = end[far - 1] + far_share * (end[far] - end[far - 1])  # that it ended before or in the square
                 before = end[near - 1] + near_share * (end[near] - end[near - 1])
-                hit = max(hit, beyond - before)
-                passed += 1.0 - beyond
-            passed /= last - first + 1
-            change = HIT * hit - PASS * passed
+                odds = math.log(max(beyond - before, TINY) / max(1.0 - beyond, TINY))
+                change = max(change, (1.0 - before) * min(max(odds, -PASS), HIT))
+                told = max(told, 1.0 - before)
             log_odds[iy, ix] = min(max(log_odds[iy, ix] + change, FLOOR), CEILING)
-            if hit + passed > 0.5:
+            if told > 0.5:
                 seen[iy, ix] = True
 
 

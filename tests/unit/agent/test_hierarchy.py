@@ -208,8 +208,9 @@ def test_the_literal_reward_is_the_papers_sum():
 
 
 def test_the_guides_alone_reach_most_goals():
-    outcomes = [Drive(scene, epsilon=1.0, config=guided(), steps=150).outcome for scene in SCENES]
-    assert outcomes.count("success") >= 3
+    scenes = [families.generate("iid", index) for index in range(6)]
+    outcomes = [Drive(scene, epsilon=1.0, config=guided(), steps=150).outcome for scene in scenes]
+    assert outcomes.count("success") >= 5
 
 
 def test_statistics_are_plain_finite_numbers():

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zsdist.planning.belief import CEILING, FLOOR, BeliefMap
+from zsdist.planning.belief import CEILING, FLOOR, PASS, BeliefMap
 from zsdist.planning.grid import Grid
 from zsdist.types import Pose, View
 
@@ -79,13 +79,20 @@ def test_one_miss_in_five_looks_does_not_clear_an_obstacle():
     assert at(belief.occupied(), 3.05, 0.0)
 
 
-def test_an_uncertain_ray_claims_less_free_ground_than_a_certain_one():
+def test_an_uncertain_ray_claims_free_ground_less_surely_than_a_certain_one():
     certain, uncertain = BeliefMap(GRID), BeliefMap(GRID)
     certain.update(ORIGIN, view_of(3.0), CAMERA_M)
     uncertain.update(ORIGIN, view_of(3.0, spread=6), CAMERA_M)
-    free = certain.seen() & ~certain.occupied()
-    uncertain_free = uncertain.seen() & ~uncertain.occupied()
-    assert uncertain_free.sum() < 0.8 * free.sum()
+    surely = -0.9 * PASS
+    assert (~uncertain.occupied(surely)).sum() < 0.8 * (~certain.occupied(surely)).sum()
+
+
+def test_a_surface_at_no_sure_distance_closes_no_square_that_it_more_likely_lies_beyond():
+    belief = BeliefMap(GRID)
+    for _ in range(5):
+        belief.update(ORIGIN, view_of(3.0, spread=6), CAMERA_M)
+    assert not at(belief.occupied(), CAMERA_M + 2.0, 0.0) and at(belief.seen(), CAMERA_M + 2.0, 0.0)
+    assert at(belief.occupied(), CAMERA_M + 4.8, 0.0)
 
 
 def test_a_thin_pole_met_by_one_ray_is_believed():
@@ -93,7 +100,8 @@ def test_a_thin_pole_met_by_one_ray_is_believed():
     distances = np.full(32, 5.0)
     distances[16] = 1.5
     belief.update(ORIGIN, view_of(distances), CAMERA_M)
-    assert at(belief.occupied(), CAMERA_M + 1.5 * math.cos(ANGLES[16]), 1.5 * math.sin(ANGLES[16]))
+    end_m = EDGES[np.searchsorted(EDGES, 1.5)]  # of its bin
+    assert at(belief.occupied(), CAMERA_M + end_m * math.cos(ANGLES[16]), end_m * math.sin(ANGLES[16]))
 
 
 def test_ground_under_the_car_and_in_a_cleared_disc_is_known_to_be_free():
