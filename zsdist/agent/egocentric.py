@@ -124,7 +124,7 @@ def action_features(
         cell_visits = 0
         for k in range(8):
             cell_visits += visits[ey, ex, k]
-        row[8], row[9] = min(cell_visits, 16) / 6, min(visits[ey, ex, h], 9) / 3
+        row[8], row[9] = math.log1p(cell_visits), math.log1p(visits[ey, ex, h])
         row[10], row[11] = unseen, fresh
     return out
 
@@ -214,7 +214,7 @@ def block_features(
         bearing = math.atan2(sub_y - y, sub_x - x) - heading
         row = out[k]
         row[0], row[1], row[2], row[3] = 1.0, mask[k], seen[by, bx], occupied[by, bx]
-        row[4], row[5] = min(block_visits[by, bx], 6) / 3, min(tries[by, bx], 6) / 3
+        row[4], row[5] = math.log1p(block_visits[by, bx]), math.log1p(tries[by, bx])
         row[6] = min(there_m + on_m[k] - goal_m, LONG_WAY_M) / SIGHT_M
         row[7], row[8] = math.cos(bearing), math.sin(bearing)
         row[9], row[10] = there_m / SIGHT_M, (goal_m - on_m[k]) / SIGHT_M

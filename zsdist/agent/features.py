@@ -1,7 +1,8 @@
 """The states of both levels, relative to the car: no coordinate of the map is among them.
 
 Everything is measured on the believed map. Ways are measured from the car, never from the goal: the cost to go to it,
-by which the planner decides, is no input, and neither is the potential field's choice.
+by which the planner decides, is no input, and neither is the potential field's choice. What is counted enters by its
+logarithm, which has no upper end: a car that goes in circles never comes to look as it did before.
 """
 
 import math
@@ -75,7 +76,7 @@ def low_state(situation: Situation, subgoal: tuple[float, float], seeks_goal: bo
         *_polar(situation, subgoal, SIGHT_M),
         *_polar(situation, situation.goal, _FAR_M),
         float(seeks_goal),
-        min(int(own.sum()), 16) / 6,
+        math.log1p(int(own.sum())),
     ]
     parts = (actions.ravel(), rooms.ravel() / SIGHT_M, situation.advice, here)
     return np.concatenate(parts).astype(np.float32)
@@ -96,8 +97,8 @@ def high_state(situation: Situation, options: Choices, rooms: np.ndarray) -> np.
         float(tuple(options.blocks[GOAL_CHOICE]) == (bx, by)),
         (min(float(situation.drive_m[situation.goals].min(initial=np.inf)), goal_m + LONG_WAY_M) - goal_m) / SIGHT_M,
         *_line(situation, situation.goal),
-        min(situation.goal_tries, 6) / 3,
-        min(int(situation.block_visits[by, bx]), 6) / 3,
+        math.log1p(situation.goal_tries),
+        math.log1p(int(situation.block_visits[by, bx])),
         float(seen[by, bx]),
     ]
     parts = (neighbours.ravel(), here, rooms[0] / SIGHT_M, situation.advice)

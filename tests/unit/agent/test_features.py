@@ -151,6 +151,18 @@ def test_a_blocked_action_has_no_promise_and_a_free_one_towards_the_subgoal_gain
     assert not low[:12].any() and not mask[0]
 
 
+@pytest.mark.parametrize("count", [5, 50, 500])
+def test_a_car_that_goes_in_circles_never_looks_as_it_did_before(count):
+    parts = world(1) | {"occupied": np.zeros((FINE, FINE), bool), "state": LatticeState(12, 12, 0)}
+
+    def after(turns):
+        counts = {name: np.full_like(parts[name], turns) for name in ("visits", "block_visits", "tries")}
+        return states(situation(parts | counts | {"goal_tries": turns}), (3.0, -1.7))[:2]
+
+    for earlier, later in zip(after(count), after(count + count // 5), strict=True):
+        assert (later - earlier).max() > 0.1
+
+
 def test_choices_keep_the_order_of_the_cars_heading():
     for heading in range(8):
         parts = world(2) | {"state": LatticeState(12, 12, heading), "occupied": np.zeros((FINE, FINE), bool)}
