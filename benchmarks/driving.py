@@ -35,6 +35,7 @@ ENTRANTS = {
         "untrained-low",
         "untrained",
         "shuffled-advice",
+        "shuffled-vision",
         "oracle-depth",
         "oracle-high",
         "oracle-low",

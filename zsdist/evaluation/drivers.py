@@ -88,7 +88,7 @@ class LearnedDriver(Driver):
         parameters: of both networks.
         see: how it comes by its view.
         shielded: whether the shield masks.
-        shuffled: whether the three entries of the advice R_p are exchanged by chance at every look.
+        shuffled: fields of the `View` whose entries, one a direction, are exchanged by chance at every look.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class LearnedDriver(Driver):
         see: See,
         *,
         shielded: bool = True,
-        shuffled: bool = False,
+        shuffled: Sequence[str] = (),
     ) -> None:
         self._agent = HierarchicalAgent(config)
         self._see, self._shielded, self._shuffled = see, shielded, shuffled
@@ -115,8 +115,7 @@ class LearnedDriver(Driver):
     def act(self, observed: Observed) -> int:
         """Looks, then takes the best action of Q_low under the best subgoal of Q_high."""
         view = self._see(observed)
-        if self._shuffled:
-            view = replace(view, advice=self._rng.permutation(view.advice))
+        view = replace(view, **{name: self._rng.permutation(getattr(view, name)) for name in self._shuffled})
         self._agent.observe(observed.pose, view)
         decision = self._agent.act(self._q)
         self.thought = Thought(self._agent.situation, decision)

@@ -23,7 +23,7 @@ class Variant:
         agent: settings of `agent` that differ from the policy's own.
         untrained: levels whose networks are as before training.
         sees: what it is shown.
-        shuffled: whether the entries of the advice R_p are exchanged by chance at every look.
+        shuffled: fields of what it sees whose entries, one a direction, are exchanged by chance at every look.
         exact: whether the car stands exactly where each action should have brought it.
     """
 
@@ -31,7 +31,7 @@ class Variant:
     agent: dict[str, Any] = field(default_factory=dict)
     untrained: tuple[Level, ...] = ()
     sees: Sees = Sees.CAMERA
-    shuffled: bool = False
+    shuffled: tuple[str, ...] = ()
     exact: bool = False
 
 
@@ -46,7 +46,11 @@ VARIANTS: dict[str, Variant] = {
     "untrained-high": Variant("the high level's network as before training", untrained=(Level.HIGH,)),
     "untrained-low": Variant("the low level's network as before training", untrained=(Level.LOW,)),
     "untrained": Variant("both networks as before training", untrained=tuple(Level)),
-    "shuffled-advice": Variant("the entries of R_p exchanged by chance at every look", shuffled=True),
+    "shuffled-advice": Variant("the entries of R_p exchanged by chance at every look", shuffled=("advice",)),
+    "shuffled-vision": Variant(
+        "the same with the rays too: all that vision says of one direction is of another",
+        shuffled=("advice", "clearance_m", "dynamic", "ray_probabilities"),
+    ),
     "oracle-depth": Variant("vision replaced by true distances in view", sees=Sees.RANGES),
     "oracle-high": Variant("the high level replaced by the planner over blocks on the believed map", _PLANNED_HIGH),
     "oracle-low": Variant("the low level replaced by A* to the subgoal on the believed map", _PLANNED_LOW),

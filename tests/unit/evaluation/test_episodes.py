@@ -7,11 +7,13 @@ from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist.config import Config, load
 from zsdist.evaluation.drivers import Driver, LearnedDriver, Sees
+from zsdist.evaluation.entrants import VARIANTS
 from zsdist.evaluation.episodes import Course, Examiner
 from zsdist.evaluation.sight import TRUE_EDGES_M, by_camera
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
 from zsdist.run import program
+from zsdist.sim import families
 from zsdist.sim.scene import Obstacle, Scene, Start
 from zsdist.types import Action, Level, Outcome
 
@@ -154,11 +156,20 @@ def test_watching_changes_nothing_of_an_episode():
 
 def test_shuffled_advice_is_drawn_anew_by_the_episodes_randomness():
     config = load(overrides=("sim.max_steps=25", "seed=1"))  # of networks in which the advice turns a choice
-    driver = learned(config, shuffled=True)
+    driver = learned(config, shuffled=("advice",))
     examiner = Examiner(LatticeEnv(config=config), config, driver, Sees.CAMERA, lambda: 0.0)
     plain = examine(learned(config), POLE, Sees.CAMERA, config).poses
     one, two, again = (examiner.drive(POLE, np.random.default_rng(seed)).poses for seed in (1, 2, 1))
     assert one == again and len({plain, one, two}) > 1
+
+
+def test_shuffled_rays_draw_another_map():
+    config = load(overrides=("sim.max_steps=1",))
+    scene = families.draw("iid", "validation", 0)
+    plain, shuffled = learned(config), learned(config, shuffled=VARIANTS["shuffled-vision"].shuffled)
+    for driver in (plain, shuffled):
+        examine(driver, scene, Sees.CAMERA, config)
+    assert (plain.thought.situation.occupied != shuffled.thought.situation.occupied).any()
 
 
 def test_without_the_shield_nothing_is_changed():
