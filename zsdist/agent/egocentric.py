@@ -92,6 +92,7 @@ def action_features(
     """
     out = np.zeros((ACTIONS, ACTION_FEATURES))
     cells, flat = blocked.shape[0], blocked.ravel()
+    driven = np.full(len(after_each), np.inf)
     x0, y0 = (ix + 0.5) * cell - grid_half, (iy + 0.5) * cell - grid_half
     before = math.hypot(sub_x - x0, sub_y - y0)
     for action in range(ACTIONS):
@@ -108,7 +109,7 @@ def action_features(
         row[2], row[3] = math.cos(bearing), math.sin(bearing)
         length, nearest, unseen, fresh = _run(blocked, seen, visits, ex, ey, h, sub_x, sub_y, cell, grid_half, border)
         row[4], row[5] = length / SIGHT_M, (before - min(nearest, after)) / SIGHT_M
-        driven = forwards(flat, after_each, action_costs, (ey * cells + ex) * 8 + h, FAR_M)
+        forwards(flat, after_each, action_costs, (ey * cells + ex) * 8 + h, FAR_M, driven)
         near_by, far_by = after, after
         reach = int(FAR_M / cell) + 1  # cells; no way of that length leads farther
         for cy in range(max(ey - reach, 0), min(ey + reach + 1, cells)):
@@ -116,6 +117,7 @@ def action_features(
                 driven_m = np.inf
                 for state in range((cy * cells + cx) * 8, (cy * cells + cx) * 8 + 8):
                     driven_m = min(driven_m, driven[state])
+                    driven[state] = np.inf  # for the next action
                 if driven_m <= FAR_M:
                     gap = math.hypot(sub_x - ((cx + 0.5) * cell - grid_half), sub_y - ((cy + 0.5) * cell - grid_half))
                     far_by = min(far_by, gap)
@@ -130,23 +132,26 @@ def action_features(
 
 
 @numba.njit(cache=True)
-def block_shares(squares: np.ndarray, border: int, side: int, blocks: int) -> np.ndarray:
-    """Share of each block's squares that are set, `[by, bx]` `(blocks, blocks)`.
+def block_shares(squares: np.ndarray, border: int, side: int, blocks: int, bx: int, by: int) -> np.ndarray:
+    """Share of the squares that are set, of a block and of those about it, `[by, bx]` `(blocks, blocks)`; 0 elsewhere.
 
     Args:
         squares: `(fine_size, fine_size)` bool.
         border: squares between the arena's wall and the first block.
         side: squares along the side of a block.
         blocks: per side.
+        bx: column of the block.
+        by: row of the block.
     """
     shares = np.zeros((blocks, blocks))
-    for by in range(blocks):
-        for bx in range(blocks):
-            count = 0
-            for fy in range(border + by * side, border + (by + 1) * side):
-                for fx in range(border + bx * side, border + (bx + 1) * side):
-                    count += squares[fy, fx]
-            shares[by, bx] = count / side**2
+    for row in range(max(by - 1, 0), min(by + 2, blocks)):
+        for column in range(max(bx - 1, 0), min(bx + 2, blocks)):
+            count, left = 0, border + column * side
+            for fy in range(border + row * side, border + (row + 1) * side):
+                across = squares[fy, left : left + side]
+                for fx in range(len(across)):
+                    count += 1 if across[fx] else 0
+            shares[row, column] = count / side**2
     return shares
 
 

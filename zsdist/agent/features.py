@@ -89,7 +89,8 @@ def high_state(situation: Situation, options: Choices, rooms: np.ndarray) -> np.
     goal_m = math.hypot(situation.goal[0] - x, situation.goal[1] - y)
     side = grid.block_size * FINE_PER_CELL
     seen, occupied = (
-        block_shares(squares, grid.fine_border, side, grid.blocks) for squares in (situation.seen, situation.occupied)
+        block_shares(squares, grid.fine_border, side, grid.blocks, bx, by)
+        for squares in (situation.seen, situation.occupied)
     )
     neighbours = _block_features(situation, options, goal_m, seen, occupied)
     here = [

@@ -99,12 +99,11 @@ def high_choice(situation: Situation, options: Choices, cost_to_goal: np.ndarray
     grid = situation.grid
     goal_block = tuple(options.blocks[GOAL_CHOICE])
     cells = flat_path(cost_to_goal, situation.blocked, state, action_costs)[0] // HEADINGS
-    by, bx = (at // grid.block_size for at in np.divmod(cells, grid.cells))
-    elsewhere = (bx != situation.block[0]) | (by != situation.block[1])
-    first = int(elsewhere.argmax())
-    if not elsewhere[first]:
+    on_the_way = ((cell % grid.cells, cell // grid.cells) for cell in cells.tolist())
+    blocks = (grid.block_of(ix, iy) for ix, iy in on_the_way)
+    block = next((block for block in blocks if block != situation.block), None)
+    if block is None:
         return GOAL_CHOICE
-    block = int(bx[first]), int(by[first])
     index = options.index_of(block)
     return GOAL_CHOICE if block == goal_block or index is None or not options.mask[index] else index
 
@@ -114,7 +113,8 @@ def explored_share(situation: Situation, bx: int, by: int) -> float:
     grid = situation.grid
     start, step = grid.fine_border + 2, 4
     centres = situation.seen[start::step, start::step][: grid.cells, : grid.cells]
-    return float(centres[grid.block_cells(bx, by)].mean())
+    block = centres[grid.block_cells(bx, by)]
+    return np.count_nonzero(block) / block.size
 
 
 def _towards(situation: Situation, subgoal: tuple[float, float], action: Action) -> bool:

@@ -18,13 +18,12 @@ def metres_from(blocked: np.ndarray, state: LatticeState, action_costs: np.ndarr
         action_costs: `(8, 5)`, by heading before the action, metres.
     """
     cells = len(blocked)
-    cost = forwards(blocked.ravel(), ends(cells), action_costs, flat_state(state, cells), np.inf)
-    return _least(cost).reshape(cells, cells)
+    return _metres(blocked.ravel(), ends(cells), action_costs, flat_state(state, cells)).reshape(cells, cells)
 
 
 @numba.njit(cache=True)
-def forwards(blocked, after, action_costs, start, limit):  # noqa: ANN001, ANN201
-    """Least cost from a state to every state that costs no more than `limit`; infinite elsewhere.
+def forwards(blocked, after, action_costs, start, limit, cost):  # noqa: ANN001, ANN201
+    """Puts the least cost from a state into `cost`, of every state that costs no more than `limit`.
 
     Args:
         blocked: `(states * 5,)` bool, of flat states.
@@ -32,14 +31,10 @@ def forwards(blocked, after, action_costs, start, limit):  # noqa: ANN001, ANN20
         action_costs: `(8, 5)`, by heading before the action.
         start: flat state.
         limit: the most a way may cost.
-
-    Returns:
-        `(states,)`.
+        cost: `(states,)`, infinite before.
     """
-    states = len(after)
     width = action_costs.min()  # no action leads from a state of one band of costs to another of the same
-    cost = np.full(states, np.inf)
-    front = np.empty(states + 1, np.uint32)  # states whose actions are still to be followed
+    front = np.empty(len(after) + 1, np.uint32)  # states whose actions are still to be followed
     front[0], cost[start] = start, 0.0
     count, band = np.uint64(1), 0.0
     while count:
@@ -61,12 +56,13 @@ def forwards(blocked, after, action_costs, start, limit):  # noqa: ANN001, ANN20
                 front[count] = end
                 count += np.uint64(better & (before == np.inf))
         count = kept
-    return cost
 
 
 @numba.njit(cache=True)
-def _least(cost):  # noqa: ANN001, ANN202
-    """The least of each cell's states."""
+def _metres(blocked, after, action_costs, start):  # noqa: ANN001, ANN202
+    """The least cost from a state to any state of each cell."""
+    cost = np.full(len(after), np.inf)
+    forwards(blocked, after, action_costs, start, np.inf, cost)
     least = np.full(len(cost) // HEADINGS, np.inf)
     for cell in range(len(least)):
         for state in range(HEADINGS * cell, HEADINGS * (cell + 1)):

@@ -1,6 +1,7 @@
 """The two policies of Algorithm 2 and their union: what the camera advises, and where the potential field points."""
 
 from collections.abc import Callable
+from operator import itemgetter
 
 import numpy as np
 
@@ -19,10 +20,9 @@ def advised_action(advice: np.ndarray, mask: np.ndarray) -> Action | None:
     Returns:
         The best advised action; None where no advised one is allowed.
     """
-    allowed = mask[list(ADVISED)]
-    if not allowed.any():
-        return None
-    return ADVISED[int(np.where(allowed, advice, -np.inf).argmax())]
+    allowed = mask.tolist()
+    rated = [(value, action) for value, action in zip(advice.tolist(), ADVISED, strict=True) if allowed[action]]
+    return max(rated, key=itemgetter(0))[1] if rated else None
 
 
 class PolicyMap:

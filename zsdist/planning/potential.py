@@ -92,11 +92,11 @@ def decompose(
         mask: `(5,)` bool, allowed actions.
         reluctance: `(5,)` what speaks against each action, in cosines (such as having been at its end before).
     """
-    if not mask.any():
-        return None
     bearing = math.atan2(direction[1], direction[0]) - heading_rad
-    score = np.array([math.cos(bearing - eighths * math.pi / 4) for eighths in TURN_EIGHTHS.values()])
-    score[[Action.TURN_LEFT_90, Action.TURN_RIGHT_90]] -= IN_PLACE
-    if reluctance is not None:
-        score -= reluctance
-    return Action(int(np.where(mask, score, -np.inf).argmax()))
+    against = [0.0] * len(TURN_EIGHTHS) if reluctance is None else reluctance.tolist()
+    best, choice = -math.inf, None
+    for (action, eighths), allowed in zip(TURN_EIGHTHS.items(), mask.tolist(), strict=True):
+        score = math.cos(bearing - eighths * math.pi / 4) - IN_PLACE * (abs(eighths) == 2) - against[action]
+        if allowed and score > best:
+            best, choice = score, action
+    return choice

@@ -49,8 +49,8 @@ class Ways:
 
     def at(self, state: LatticeState) -> np.ndarray:
         """What is blocked in one state, `(5,)` bool."""
-        words = self.words[state.heading, :, state.ix // CELLS_A_WORD, state.iy]
-        return (words >> np.uint64(state.ix % CELLS_A_WORD) & np.uint64(1)).astype(np.bool_)
+        words = self.words[state.heading, :, state.ix // CELLS_A_WORD, state.iy].tolist()
+        return np.array([word >> state.ix % CELLS_A_WORD & 1 for word in words], np.bool_)
 
     def among(self, states: np.ndarray, others: "Ways") -> "Ways":
         """These of some states, and `others` of all other states."""
@@ -79,9 +79,15 @@ def packed(flags: np.ndarray) -> np.ndarray:
     return words
 
 
+@njit(cache=True)
 def places(mask: np.ndarray) -> np.ndarray:
     """Places `(words, cells)` of a mask `[iy, ix]` `(cells, cells)` bool."""
-    return packed(mask[:, :, None])[0]
+    rows, columns = mask.shape
+    words = np.zeros(((columns - 1) // CELLS_A_WORD + 1, rows), np.uint64)
+    for iy in range(rows):
+        for ix in range(columns):
+            words[ix // CELLS_A_WORD, iy] |= np.uint64(mask[iy, ix]) << np.uint64(ix % CELLS_A_WORD)
+    return words
 
 
 def holds(states: np.ndarray, state: LatticeState) -> bool:
