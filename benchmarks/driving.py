@@ -38,7 +38,6 @@ ENTRANTS = {
         "shuffled-vision",
         "oracle-depth",
         "oracle-high",
-        "oracle-low",
         "oracle-levels",
         "oracle-motion",
     )

@@ -97,7 +97,7 @@ class AgentConfig(Section):
     influence_m: Positive = 1.5  # d_o0 of Eq. (15)
     trail: NonNegative = 0.5  # repulsion from where the car has been
     high_policy: Literal["learned", "planner", "goal"] = "learned"  # goal: it is the only subgoal, a flat DQN
-    low_policy: Literal["learned", "planner", "field", "mixed"] = "learned"  # mixed: guided where the car comes back
+    low_policy: Literal["learned", "planner", "field"] = "learned"
     explored_share: Share = 0.5  # of a block's cells seen, from where it counts as explored
 
 

@@ -155,7 +155,7 @@ class HierarchicalAgent:
 
         # Lines 8 to 12: the global policy, potential field or advice, is what exploration follows.
         guided = None
-        if self._learning or self._config.agent.low_policy in ("planner", "mixed"):
+        if self._learning or self._config.agent.low_policy == "planner":
             guided = self._low_guide.action(situation, option.subgoal, self._shield_mask)
         instead = self._instead_of_low(guided)
         choice = self._choose(q[Level.LOW], self._state(Level.LOW), self._low_mask, guided, instead)
@@ -284,12 +284,12 @@ class HierarchicalAgent:
         return None
 
     def _instead_of_low(self, guided: Action | None) -> Action | None:
-        policy, situation = self._config.agent.low_policy, self._situation
-        if policy == "field":
-            return self._low_guide.descend(situation, self._option.subgoal, self._shield_mask)
-        if policy == "learned" or (policy == "mixed" and situation.visits[_index(situation)] <= 1):
-            return None
-        return self._shortest_way(self._option, otherwise=guided) if policy == "planner" else guided
+        match self._config.agent.low_policy:
+            case "planner":
+                return self._shortest_way(self._option, otherwise=guided)
+            case "field":
+                return self._low_guide.descend(self._situation, self._option.subgoal, self._shield_mask)
+        return None
 
     def _shortest_way(self, option: Option, otherwise: Action | None) -> Action | None:
         """The first action of the shortest believed way to the option's subgoal; `otherwise` where there is none."""

@@ -39,10 +39,7 @@ _PLANNED_HIGH, _PLANNED_LOW = {"high_policy": "planner"}, {"low_policy": "planne
 
 VARIANTS: dict[str, Variant] = {
     FULL: Variant("the learned networks under the shield, as the policy's configuration has it"),
-    "hybrid": Variant(
-        "the planner over blocks above, the learned low level below, its guide where the car comes back",
-        {**_PLANNED_HIGH, "low_policy": "mixed"},
-    ),
+    "hybrid": Variant("the learned high level, and A* to its subgoal on the believed map below", _PLANNED_LOW),
     "untrained-high": Variant("the high level's network as before training", untrained=(Level.HIGH,)),
     "untrained-low": Variant("the low level's network as before training", untrained=(Level.LOW,)),
     "untrained": Variant("both networks as before training", untrained=tuple(Level)),
@@ -53,8 +50,7 @@ VARIANTS: dict[str, Variant] = {
     ),
     "oracle-depth": Variant("vision replaced by true distances in view", sees=Sees.RANGES),
     "oracle-high": Variant("the high level replaced by the planner over blocks on the believed map", _PLANNED_HIGH),
-    "oracle-low": Variant("the low level replaced by A* to the subgoal on the believed map", _PLANNED_LOW),
-    "oracle-levels": Variant("both levels replaced so", _PLANNED_HIGH | _PLANNED_LOW),
+    "oracle-levels": Variant("both levels replaced: the planner over blocks, and A*", _PLANNED_HIGH | _PLANNED_LOW),
     "oracle-motion": Variant("the controller replaced by exact motion from cell to cell", exact=True),
 }
 

@@ -30,7 +30,8 @@ PAPER_CONVERGENCE = (  # Sec. 4.4: method, final value, episodes to converge
     ("paper: proposed", "297", "480"),
 )
 RATES = ("success", "collision")
-DRIVEN = (FULL, "hybrid")  # variants that would be deployed
+HYBRID = "hybrid"
+DRIVEN = (FULL, HYBRID)  # variants that would be deployed
 ORACLE = "oracle-"
 
 
@@ -83,7 +84,7 @@ def every_policy(evaluations: Sequence[Evaluation], reference: str | None) -> li
 
 
 def oracles(evaluations: Sequence[Evaluation], reference: str | None) -> list[str]:
-    """What limits a policy: the same with one part at a time replaced by its oracle."""
+    """What limits a policy: the same with one part replaced by its oracle; `hybrid` has that of the low level."""
     splits = dict.fromkeys(evaluation.scenes for evaluation in evaluations if evaluation.variant.startswith(ORACLE))
     if not splits:
         return missing("oracles, as no evaluation with an --variant oracle-... was given")
@@ -92,7 +93,7 @@ def oracles(evaluations: Sequence[Evaluation], reference: str | None) -> list[st
         shown = [
             evaluation
             for evaluation in _of(evaluations, split)
-            if evaluation.variant.startswith(ORACLE) or evaluation.label == reference
+            if evaluation.variant.startswith(ORACLE) or evaluation.variant == HYBRID or evaluation.label == reference
         ]
         lines += [f"### `{split}`", "", *_compared(by_label(shown, split), reference)]
     return lines

@@ -234,11 +234,3 @@ def test_planners_in_both_networks_places_arrive_whatever_the_weights():
 def test_with_the_goal_as_the_only_subgoal_no_block_is_ever_sought():
     drive = greedy(SCENES[0], high_policy="goal")
     assert {decision.subgoal for decision in drive.decisions} == {SCENES[0].goal}
-
-
-def test_the_mixed_low_level_is_the_learned_one_until_the_car_comes_back():
-    learned, mixed = greedy(SCENES[0]), greedy(SCENES[0], low_policy="mixed")
-    behaviours = [decision.behaviour for decision in mixed.decisions]
-    first = behaviours.index(Behaviour.GUIDE)
-    assert set(behaviours[:first]) == {Behaviour.GREEDY} and first > 0
-    assert [d.action for d in mixed.decisions[:first]] == [d.action for d in learned.decisions[:first]]

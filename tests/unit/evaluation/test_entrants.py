@@ -65,7 +65,7 @@ def test_with_planners_on_both_levels_the_weights_do_not_matter():
 
 def test_variants_leave_the_policys_own_configuration_alone():
     entrant = Entrant(CONFIG, TRAINED, variant="hybrid")
-    assert (entrant.settings.agent.high_policy, entrant.settings.agent.low_policy) == ("planner", "mixed")
+    assert (entrant.settings.agent.high_policy, entrant.settings.agent.low_policy) == ("learned", "planner")
     assert entrant.config is CONFIG and Entrant(CONFIG, TRAINED).settings == CONFIG
 
 

@@ -108,12 +108,13 @@ def test_oracles_stand_beside_the_policy_that_they_are_of_and_nowhere_else():
     drove = [
         evaluation("iid"),
         evaluation("iid", "full, oracle-depth", variant="oracle-depth"),
+        evaluation("iid", "full, hybrid", variant="hybrid"),
         evaluation("iid", "astar", learned=False),
         evaluation("ood-all"),
     ]
     lines = tables.oracles(drove, "full")
     assert [line for line in lines if line.startswith("###")] == ["### `iid`"]
-    assert {row[0] for row in rows_of(lines)} == {"policy", "full", "full, oracle-depth"}
+    assert {row[0] for row in rows_of(lines)} == {"policy", "full", "full, hybrid", "full, oracle-depth"}
     assert "full, oracle-depth" not in "".join(tables.every_policy(drove, "full"))
     assert tables.oracles(drove[:1], "full")[0].startswith("Left out: oracles")
 
