@@ -1,6 +1,6 @@
 """One option of the high level: towards a neighbouring block or the goal, until it ends."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from zsdist.agent.blocks import GOAL_CHOICE, Choices
@@ -68,7 +68,7 @@ class Option:
             ix, iy = situation.grid.cell_at(*subgoal)
             if not situation.reachable[iy, ix]:
                 subgoal = _point(options, choice)
-        return replace(self, subgoal=subgoal, steps=self.steps + 1)
+        return Option(self.block, subgoal, self.behaviour, self.steps + 1)
 
 
 def _point(options: Choices, choice: int) -> tuple[float, float]:

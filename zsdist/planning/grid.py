@@ -117,10 +117,9 @@ class Grid:
 
     def lattice_state(self, pose: Pose) -> LatticeState:
         """The lattice state nearest to a pose; a pose off the grid gives a cell at its edge."""
-        half = self.side_m / 2
-        ix, iy = (
-            min(max(math.floor((value + half) / self.cell_size_m), 0), self.cells - 1) for value in (pose.x_m, pose.y_m)
-        )
+        half, side, last = self.side_m / 2, self.cell_size_m, self.cells - 1
+        ix = min(max(math.floor((pose.x_m + half) / side), 0), last)
+        iy = min(max(math.floor((pose.y_m + half) / side), 0), last)
         return LatticeState(ix, iy, round(pose.heading_rad / (math.tau / HEADINGS)) % HEADINGS)
 
     def pose(self, state: LatticeState) -> Pose:

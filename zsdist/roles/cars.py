@@ -86,11 +86,11 @@ class Car:
     @property
     def pose(self) -> Pose:
         """The true pose."""
-        return Pose(*(float(value) for value in self._observation["pose"]))
+        return Pose(*self._observation["pose"].tolist())
 
     def goal_seen_from_here(self) -> tuple[float, float]:
         """Bearing of the goal from the car's axis in radians, left positive, and its distance in metres."""
-        return self.pose.towards(*(float(value) for value in self._observation["goal"]))
+        return self.pose.towards(*self._observation["goal"].tolist())
 
     def begin(self, errand: Errand, versions: dict[Level, int], candidate_q: QFunctions | None = None) -> None:
         """Puts the car at the start of its errand's scene; a candidate's networks stay the same to the end."""
