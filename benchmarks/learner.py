@@ -21,7 +21,7 @@ import torch
 from _replay import RUN, Actors, ReplayService
 
 from zsdist.config import Config, LevelConfig, parse
-from zsdist.dqn import losses, network
+from zsdist.dqn import network
 from zsdist.dqn.learner import DqnLearner
 from zsdist.roles.base import Context
 from zsdist.roles.learner import Learner
@@ -182,13 +182,9 @@ def plain_torch(state_size: int, config: LevelConfig, device: str) -> Update:
             name: torch.from_numpy(column).to(device) for name, column in vars(batch).items() if column is not None
         }
         with torch.no_grad():
-            targets = losses.td_targets(
-                columns["rewards"],
-                columns["discounts"],
-                target(columns["next_states"]),
-                columns["next_masks"],
-                online(columns["next_states"]),
-            )
+            chosen = online(columns["next_states"]).masked_fill(~columns["next_masks"], -torch.inf).argmax(1)
+            following = target(columns["next_states"]).gather(1, chosen[:, None])[:, 0]
+            targets = columns["rewards"] + columns["discounts"] * following
         columns |= {"q": online(columns["states"])}
         values = columns["q"].gather(1, columns["actions"][:, None])[:, 0]
         loss = torch.nn.functional.smooth_l1_loss(values, targets)

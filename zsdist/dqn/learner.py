@@ -6,7 +6,6 @@ copy into the target network are one operation each, whatever the number of laye
 
 import copy
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -90,7 +89,7 @@ class DqnLearner:
     def figures(self) -> dict[str, float]:
         """Of the last update: `loss` before weighting, `q_mean` of all actions, `gradient_norm` before clipping.
 
-        Before any update: nothing. Asked for apart, since they take a while, and on a GPU have to be waited for.
+        Before any update: nothing. Asked for apart, since they take a while.
         """
         if self._last is None:
             return {}
@@ -99,7 +98,7 @@ class DqnLearner:
         if config.guide_margin_weight:
             margin = losses.margin_loss(last.q, last.masks, last.guides, config.guide_margin)
             loss += config.guide_margin_weight * margin
-        return {"loss": float(loss), "q_mean": float(last.q.mean()), "gradient_norm": float(last.gradient_norm)}
+        return {"loss": loss, "q_mean": float(last.q.mean()), "gradient_norm": last.gradient_norm}
 
     def errors(self) -> np.ndarray:
         """Absolute temporal-difference errors of the rows of the last update's batch, `(B,)` float32.
@@ -111,7 +110,7 @@ class DqnLearner:
         """
         if self._last is None:
             raise RunError("errors of the last update were asked for; there has been none")
-        return self._last.errors.abs().cpu().numpy()
+        return np.abs(self._last.errors)
 
     def distilled(self, batches: Iterable[Batch]) -> Parameters:
         """Parameters of a copy that took one step on each of `batches` with the large-margin loss on guide actions.
@@ -174,41 +173,39 @@ class DqnLearner:
 
     @torch.no_grad()
     def _step(self, batch: Batch, margin_weight: float) -> "_Step":
-        config = self._config
+        config, size = self._config, len(batch)
+        columns = joined(batch)
         if self._mirror is not None:
-            batch = reflected(batch, self._mirror, self._rng.random(len(batch)) < 0.5)
-        size = len(batch)
-        states, actions, rewards, discounts, next_masks, masks, guides = (
-            torch.from_numpy(column).to(self._device)
-            for column in (
-                np.concatenate((batch.states, batch.next_states)),
-                batch.actions,
-                batch.rewards,
-                batch.discounts,
-                batch.next_masks,
-                batch.masks,
-                batch.guides,
-            )
-        )
+            reflect(columns, self._mirror, self._rng.random(size) < 0.5)
+        states = torch.from_numpy(columns.states).to(self._device)
         # Double Q-learning asks the policy network of the next states too: one pass for both.
         values, trace = self._online.traced(states if config.double else states[:size])
+        target_q = self._target(states[size:]).cpu().numpy()
+        values = values.cpu().numpy()
         q = values[:size]
-        targets = losses.td_targets(
-            rewards * config.reward_scale,
-            discounts,
-            self._target(states[size:]),
-            next_masks,
-            values[size:] if config.double else None,
+        errors, gradient = _gradient(
+            q,
+            columns.actions,
+            columns.masks[:size],
+            columns.guides,
+            losses.td_targets(
+                batch.rewards * np.float32(config.reward_scale),
+                batch.discounts,
+                target_q,
+                columns.masks[size:],
+                values[size:] if config.double else None,
+            ),
+            config.huber,
+            config.guide_margin,
+            margin_weight,
         )
-        errors = losses.td_error(q, actions, targets)
-        gradient = losses.td_gradient(q, actions, errors, config.huber)
-        if margin_weight:
-            gradient.add_(losses.margin_gradient(q, masks, guides, config.guide_margin), alpha=margin_weight)
         if batch.weights is not None:  # drawn by priority: each row counts as much as its importance weight
-            gradient.mul_(torch.from_numpy(batch.weights).to(self._device).unsqueeze(1))
-        self._online.backward(gradient, trace)
-        norm = torch.linalg.vector_norm(self._gradient)
-        self._gradient.mul_((config.max_gradient_norm / (norm + 1e-6)).clamp_(max=1.0))
+            gradient *= batch.weights[:, None]
+        self._online.backward(torch.from_numpy(gradient).to(self._device), trace)
+        norm = torch.linalg.vector_norm(self._gradient).item()
+        shrink = np.float32(config.max_gradient_norm) * (1 / (np.float32(norm) + np.float32(1e-6)))
+        if shrink < 1:
+            self._gradient.mul_(float(shrink))
         self._adam["step"] += 1
         torch._fused_adam_(  # without the class and the function around it, which take three times as long
             [self._weights],
@@ -225,7 +222,7 @@ class DqnLearner:
             amsgrad=False,
             maximize=False,
         )
-        return _Step(q, errors, masks, guides, norm)
+        return _Step(q, errors, columns.masks[:size], columns.guides, norm)
 
     def _load(self, module: network.QNetwork, parameters: Parameters) -> None:
         network.check(parameters, self._state_size, self._actions)
@@ -246,39 +243,76 @@ class DqnLearner:
 class _Step(NamedTuple):
     """What is left of a gradient step, for those who ask."""
 
-    q: torch.Tensor
-    errors: torch.Tensor
-    masks: torch.Tensor
-    guides: torch.Tensor
-    gradient_norm: torch.Tensor
+    q: np.ndarray
+    errors: np.ndarray
+    masks: np.ndarray
+    guides: np.ndarray
+    gradient_norm: float
 
 
-def reflected(batch: Batch, mirror: Mirror, rows: np.ndarray) -> Batch:
-    """`batch` with the given rows (`(B,)` bool) reflected left to right."""
-    size, swap, chosen = len(batch), mirror.action_index, np.flatnonzero(rows)
-    both = np.concatenate((chosen, chosen + size))  # their states, and the next ones
-    states = np.concatenate((batch.states, batch.next_states))
-    _turn(states, both, mirror.state_index, mirror.state_sign)
-    masks = np.concatenate((batch.masks, batch.next_masks))
-    masks[both] = masks[both].take(swap, axis=1)
-    return replace(
-        batch,
-        states=states[:size],
-        actions=np.where(rows, swap[batch.actions], batch.actions),
-        next_states=states[size:],
-        next_masks=masks[size:],
-        masks=masks[:size],
-        guides=np.where(rows & (batch.guides >= 0), swap[batch.guides], batch.guides),
+class Columns(NamedTuple):
+    """What of a batch of `B` rows a reflection changes; an array's first `B` rows are of `t`, the others of `t + 1`.
+
+    Attributes:
+        states: `(2 B, D)` float32.
+        masks: `(2 B, A)` bool.
+        actions: `(B,)` int64.
+        guides: `(B,)` int64.
+    """
+
+    states: np.ndarray
+    masks: np.ndarray
+    actions: np.ndarray
+    guides: np.ndarray
+
+
+def joined(batch: Batch) -> Columns:
+    """A copy of these columns."""
+    return Columns(
+        np.concatenate((batch.states, batch.next_states)),
+        np.concatenate((batch.masks, batch.next_masks)),
+        batch.actions.copy(),
+        batch.guides.copy(),
     )
 
 
+def reflect(columns: Columns, mirror: Mirror, rows: np.ndarray) -> None:
+    """Reflects the given rows (`(B,)` bool) left to right where they are."""
+    _reflect(*columns, rows, mirror.state_index, mirror.state_sign, mirror.action_index)
+
+
 @njit(cache=True)
-def _turn(states: np.ndarray, rows: np.ndarray, index: np.ndarray, sign: np.ndarray) -> None:
-    """Reflects rows of `states` `(B, D)` where they are."""
-    for row in rows:
-        before = states[row].copy()
-        for feature in range(len(index)):
-            states[row, feature] = before[index[feature]] * sign[feature]
+def _reflect(states, masks, actions, guides, rows, index, sign, swap):  # noqa: ANN001, ANN202
+    for row in np.flatnonzero(rows):
+        actions[row] = swap[actions[row]]
+        if guides[row] >= 0:
+            guides[row] = swap[guides[row]]
+        for at in (row, row + len(rows)):
+            before, allowed = states[at].copy(), masks[at].copy()
+            for feature in range(len(index)):
+                states[at, feature] = before[index[feature]] * sign[feature]
+            for action in range(len(swap)):
+                masks[at, action] = allowed[swap[action]]
+
+
+@njit(cache=True)
+def _gradient(  # noqa: ANN202
+    q: np.ndarray,
+    actions: np.ndarray,
+    masks: np.ndarray,
+    guides: np.ndarray,
+    targets: np.ndarray,
+    huber: bool,
+    margin: float,
+    margin_weight: float,
+):
+    """Errors `(B,)`, and the gradient `(B, A)` of the losses with respect to `q`; without the mean's weights."""
+    errors = losses.td_error(q, actions, targets)
+    gradient = losses.td_gradient(q, actions, errors, huber)
+    if margin_weight:
+        weight = np.float64(np.float32(margin_weight))  # the sum is rounded once
+        gradient = (gradient + weight * losses.margin_gradient(q, masks, guides, margin)).astype(np.float32)
+    return errors, gradient
 
 
 def _flatten(module: network.QNetwork) -> tuple[torch.Tensor, torch.Tensor]:

@@ -1,18 +1,20 @@
-"""Losses of deep Q-learning and their gradients as pure functions of tensors.
+"""Losses of deep Q-learning and their gradients as pure functions of arrays, compiled: a batch's values are few.
 
 `_t` is the time of the state acted in, `_tp1` the time of its successor. Shapes: `B` transitions, `A` actions.
 """
 
-import torch
+import numpy as np
+from numba import njit
 
 
+@njit(cache=True)
 def td_targets(
-    reward_t: torch.Tensor,
-    discount_t: torch.Tensor,
-    target_q_tp1: torch.Tensor,
-    mask_tp1: torch.Tensor,
-    online_q_tp1: torch.Tensor | None = None,
-) -> torch.Tensor:
+    reward_t: np.ndarray,
+    discount_t: np.ndarray,
+    target_q_tp1: np.ndarray,
+    mask_tp1: np.ndarray,
+    online_q_tp1: np.ndarray | None = None,
+) -> np.ndarray:
     """What Q(s_t, a_t) should be, `(B,)` float32: Eq. (10).
 
     `r_t + discount_t * max_a' Q'(s_{t+1}, a')` over the actions allowed in `s_{t+1}`; where `discount_t` is 0 (goal,
@@ -28,18 +30,16 @@ def td_targets(
         mask_tp1: `(B, A)` bool, allowed actions; each row with a positive discount must allow one.
         online_q_tp1: `(B, A)` float32, values of the policy network, for double Q-learning.
     """
-    _check(reward_t, 1, torch.float32)
-    _check(discount_t, 1, torch.float32)
-    _check(target_q_tp1, 2, torch.float32)
-    _check(mask_tp1, 2, torch.bool)
     chooser = target_q_tp1 if online_q_tp1 is None else online_q_tp1
-    _check(chooser, 2, torch.float32)
-    action_tp1 = chooser.masked_fill(~mask_tp1, -torch.inf).argmax(dim=1, keepdim=True)
-    value_tp1 = target_q_tp1.gather(1, action_tp1).squeeze(1)
-    return reward_t + discount_t * value_tp1
+    targets = np.empty_like(reward_t)
+    for row in range(len(targets)):
+        best = _best(chooser[row], mask_tp1[row])
+        targets[row] = reward_t[row] + discount_t[row] * target_q_tp1[row, best]
+    return targets
 
 
-def td_error(q_t: torch.Tensor, action_t: torch.Tensor, target_t: torch.Tensor) -> torch.Tensor:
+@njit(cache=True)
+def td_error(q_t: np.ndarray, action_t: np.ndarray, target_t: np.ndarray) -> np.ndarray:
     """`Q(s_t, a_t) - target_t`, `(B,)`.
 
     Args:
@@ -47,25 +47,31 @@ def td_error(q_t: torch.Tensor, action_t: torch.Tensor, target_t: torch.Tensor) 
         action_t: `(B,)` int64.
         target_t: `(B,)` float32, taken as constant.
     """
-    _check(q_t, 2, torch.float32)
-    _check(action_t, 1, torch.int64)
-    _check(target_t, 1, torch.float32)
-    return q_t.gather(1, action_t.unsqueeze(1)).squeeze(1) - target_t
+    errors = np.empty_like(target_t)
+    for row in range(len(errors)):
+        errors[row] = q_t[row, action_t[row]] - target_t[row]
+    return errors
 
 
-def td_loss(error_t: torch.Tensor, huber: bool) -> torch.Tensor:
+def td_loss(error_t: np.ndarray, huber: bool) -> float:
     """Mean loss of `td_error`: Huber with its bend at 1, or half the square."""
-    bounded = _bounded(error_t, huber)
-    return (bounded * (error_t - 0.5 * bounded)).mean()
+    bounded = error_t.clip(-1, 1) if huber else error_t
+    return float((bounded * (error_t - bounded / 2)).mean())
 
 
-def td_gradient(q_t: torch.Tensor, action_t: torch.Tensor, error_t: torch.Tensor, huber: bool) -> torch.Tensor:
+@njit(cache=True)
+def td_gradient(q_t: np.ndarray, action_t: np.ndarray, error_t: np.ndarray, huber: bool) -> np.ndarray:
     """Gradient of `td_loss` with respect to `q_t`, `(B, A)`; both kinds have the same for errors below 1."""
-    rows = _bounded(error_t, huber) / len(error_t)
-    return torch.zeros_like(q_t).scatter_(1, action_t.unsqueeze(1), rows.unsqueeze(1))
+    gradient, rows = np.zeros_like(q_t), np.float32(len(error_t))
+    for row in range(len(error_t)):
+        error = error_t[row]
+        if huber:
+            error = min(max(error, np.float32(-1.0)), np.float32(1.0))
+        gradient[row, action_t[row]] = error / rows
+    return gradient
 
 
-def margin_loss(q_t: torch.Tensor, mask_t: torch.Tensor, guide_t: torch.Tensor, margin: float) -> torch.Tensor:
+def margin_loss(q_t: np.ndarray, mask_t: np.ndarray, guide_t: np.ndarray, margin: float) -> float:
     """How far guide actions are from being best by `margin`, averaged over the batch.
 
     `max_a [Q(s, a) + margin * (a != guide)] - Q(s, guide)` over allowed actions: the large-margin loss of deep
@@ -77,36 +83,42 @@ def margin_loss(q_t: torch.Tensor, mask_t: torch.Tensor, guide_t: torch.Tensor, 
         guide_t: `(B,)` int64, negative where the guide has nothing to say.
         margin: in units of value.
     """
-    guide, counts, lifted = _lifted(q_t, mask_t, guide_t, margin)
-    return torch.where(counts, lifted.amax(dim=1, keepdim=True) - q_t.gather(1, guide), 0.0).mean()
+    rivals = _rivals(q_t, mask_t, guide_t, np.float32(margin))
+    rows = np.flatnonzero(rivals >= 0)
+    rivals, guides = rivals[rows], guide_t[rows]
+    return float((q_t[rows, rivals] + margin * (rivals != guides) - q_t[rows, guides]).sum() / len(q_t))
 
 
-def margin_gradient(q_t: torch.Tensor, mask_t: torch.Tensor, guide_t: torch.Tensor, margin: float) -> torch.Tensor:
+@njit(cache=True)
+def margin_gradient(q_t: np.ndarray, mask_t: np.ndarray, guide_t: np.ndarray, margin: float) -> np.ndarray:
     """Gradient of `margin_loss` with respect to `q_t`, `(B, A)`."""
-    guide, counts, lifted = _lifted(q_t, mask_t, guide_t, margin)
-    share = counts * (1.0 / len(q_t))
-    return (
-        torch.zeros_like(q_t).scatter_add_(1, lifted.argmax(dim=1, keepdim=True), share).scatter_add_(1, guide, -share)
-    )
+    gradient, share = np.zeros_like(q_t), np.float32(1.0 / len(q_t))
+    rivals = _rivals(q_t, mask_t, guide_t, np.float32(margin))
+    for row in range(len(q_t)):
+        if rivals[row] >= 0:
+            gradient[row, rivals[row]] += share
+            gradient[row, guide_t[row]] -= share
+    return gradient
 
 
-def _bounded(error_t: torch.Tensor, huber: bool) -> torch.Tensor:
-    _check(error_t, 1, torch.float32)
-    return error_t.clamp(-1.0, 1.0) if huber else error_t
+@njit(cache=True)
+def _rivals(q_t: np.ndarray, mask_t: np.ndarray, guide_t: np.ndarray, margin: np.float32) -> np.ndarray:
+    """The best allowed action where all but the guide's are lifted by `margin`; -1 where the row counts nothing."""
+    rivals, lifted = np.full(len(q_t), -1), np.empty_like(q_t[0])
+    for row in range(len(q_t)):
+        guide = guide_t[row]
+        if guide >= 0 and mask_t[row, guide]:
+            for action in range(len(lifted)):
+                lifted[action] = q_t[row, action] + margin if action != guide else q_t[row, action]
+            rivals[row] = _best(lifted, mask_t[row])
+    return rivals
 
 
-def _lifted(
-    q_t: torch.Tensor, mask_t: torch.Tensor, guide_t: torch.Tensor, margin: float
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Guide actions `(B, 1)`, whether each counts, and the values of all allowed actions, others than it lifted."""
-    _check(q_t, 2, torch.float32)
-    _check(mask_t, 2, torch.bool)
-    _check(guide_t, 1, torch.int64)
-    guide = guide_t.clamp_min(0).unsqueeze(1)
-    counts = (guide_t.unsqueeze(1) >= 0) & mask_t.gather(1, guide)
-    lifted = (q_t + margin).scatter_(1, guide, q_t.gather(1, guide)).masked_fill_(~mask_t, -torch.inf)
-    return guide, counts, lifted
-
-
-def _check(tensor: torch.Tensor, rank: int, dtype: torch.dtype) -> None:
-    assert tensor.ndim == rank and tensor.dtype == dtype, (tensor.shape, tensor.dtype, rank, dtype)
+@njit(cache=True)
+def _best(values: np.ndarray, mask: np.ndarray) -> int:
+    """The allowed action of the highest value, the first of several; 0 where none is allowed."""
+    best, most = 0, -np.inf
+    for action in range(len(values)):
+        if mask[action] and values[action] > most:
+            best, most = action, values[action]
+    return best

@@ -7,7 +7,7 @@ import torch
 
 from zsdist.config import LevelConfig
 from zsdist.dqn import network
-from zsdist.dqn.learner import DqnLearner, reflected
+from zsdist.dqn.learner import DqnLearner, joined, reflect
 from zsdist.errors import RunError, WeightsError
 from zsdist.types import Batch
 
@@ -134,12 +134,6 @@ def test_errors_are_those_of_the_last_update_before_it():
     best = network.apply(dqn.parameters(), data.next_states).max(axis=1)
     dqn.update(data)
     np.testing.assert_allclose(dqn.errors(), np.abs(data.rewards + data.discounts * best - q), rtol=1e-4, atol=1e-5)
-
-
-def test_a_reflected_batch_keeps_its_weights_and_serials():
-    data = replace(batch(0), weights=np.full(32, 0.5, np.float32), serials=np.arange(32))
-    turned = reflected(data, MIRROR, np.arange(32) < 16)
-    assert turned.weights is data.weights and turned.serials is data.serials
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
@@ -310,16 +304,31 @@ def test_weights_of_another_network_are_not_promoted():
         learner().promote(stranger, reset_online=True)
 
 
+def turned(data, rows):
+    columns = joined(data)
+    reflect(columns, MIRROR, rows)
+    return columns
+
+
 def test_reflecting_twice_changes_nothing_and_once_changes_only_the_chosen_rows():
     data, rows = batch(2), np.arange(32) % 2 == 0
-    once = reflected(data, MIRROR, rows)
-    assert equal(reflected(once, MIRROR, rows).__dict__, data.__dict__)
-    assert equal(reflected(data, MIRROR, ~rows & rows).__dict__, data.__dict__)
-    assert np.array_equal(once.states[~rows], data.states[~rows])
-    np.testing.assert_array_equal(once.states[0], data.states[0][[1, 0, 2, 3, 5, 4]] * [1, 1, -1, 1, 1, 1])
-    assert once.masks[rows, once.actions[rows]].all()
+    once, twice = turned(data, rows), turned(data, rows)
+    reflect(twice, MIRROR, rows)
+    for columns in (twice, turned(data, ~rows & rows)):
+        assert all(np.array_equal(one, other) for one, other in zip(columns, joined(data), strict=True))
+    both = np.tile(rows, 2)
+    assert np.array_equal(once.states[~both], np.concatenate((data.states, data.next_states))[~both])
+    for before, after in ((data.states[0], once.states[0]), (data.next_states[0], once.states[32])):
+        np.testing.assert_array_equal(after, before[[1, 0, 2, 3, 5, 4]] * [1, 1, -1, 1, 1, 1])
+    assert once.masks[:32][rows, once.actions[rows]].all()
     assert (once.guides[data.guides < 0] == -1).all()
     assert np.array_equal(once.masks[0], data.masks[0][[0, 2, 1, 4, 3]])
+
+
+def test_reflecting_leaves_the_batch_as_it_is():
+    data, same = batch(2), batch(2)
+    turned(data, np.ones(32, bool))
+    assert equal(data.__dict__, same.__dict__)
 
 
 def test_with_a_mirror_left_is_learned_from_right():
