@@ -171,7 +171,7 @@ class DqnLearner:
         self.updates = int(state["updates"])
         _set_generator(self._rng, state["generator"])
 
-    @torch.no_grad()
+    @torch.inference_mode()
     def _step(self, batch: Batch, margin_weight: float) -> "_Step":
         config, size = self._config, len(batch)
         columns = joined(batch)
