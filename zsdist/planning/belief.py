@@ -17,7 +17,7 @@ HIT = 1.6  # log-odds a certain hit adds
 PASS = 0.4  # log-odds a certain passage takes away; a hit of one look in five holds its ground
 TINY = 1e-6  # keeps odds finite
 CEILING = 2.4  # belief stays correctable: six certain passages undo whatever was believed
-FLOOR = -1.2  # and one certain hit
+FLOOR = -0.6  # and half a certain hit: who walks onto ground that was free is believed at the first look
 THICKNESS_M = 0.4  # what is behind a surface is occupied so far; deeper is unknown
 
 

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from zsdist.agent import shield
 from zsdist.planning.belief import CEILING, FLOOR, PASS, BeliefMap
 from zsdist.planning.grid import Grid
 from zsdist.types import Pose, View
@@ -77,6 +78,14 @@ def test_one_miss_in_five_looks_does_not_clear_an_obstacle():
     for look in range(20):
         belief.update(ORIGIN, view_of(5.0) if look % 5 == 4 else wall_ahead(2.0), CAMERA_M)
     assert at(belief.occupied(), 3.05, 0.0)
+
+
+def test_who_steps_onto_ground_that_was_long_free_is_believed_at_the_first_look():
+    belief = BeliefMap(GRID)
+    for _ in range(20):
+        belief.update(ORIGIN, view_of(5.0), CAMERA_M)
+    belief.update(ORIGIN, wall_ahead(2.0), CAMERA_M)
+    assert at(belief.occupied(shield.DOUBTFUL.above), CAMERA_M + 2.05, 0.0)
 
 
 def test_an_uncertain_ray_claims_free_ground_less_surely_than_a_certain_one():
