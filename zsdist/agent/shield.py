@@ -4,7 +4,7 @@ from functools import cache
 from itertools import product
 from typing import NamedTuple
 
-import numba
+import cv2
 import numpy as np
 
 from zsdist.planning import ways
@@ -151,38 +151,10 @@ def _hits(belief: BeliefMap, reading: Reading) -> Ways:
 
 def _hides(seen: np.ndarray, deep: bool) -> np.ndarray:
     """Unseen squares in which an obstacle may be: within `HIDING_SQUARES` of unseen ground that seen ground is not."""
-    rows, columns = seen.shape
-    squares = np.ones((rows + 2, columns + 2), np.uint8)  # what is outside the frame counts for nothing
-    np.logical_not(seen, out=squares[1:-1, 1:-1].view(np.bool_))
-    other = squares.copy()
-    for _ in range(HIDING_SQUARES):
-        _shrink(squares, other)
-        squares, other = other, squares
-    if not deep:
-        for border in (squares, other):
-            border[0] = border[-1] = border[:, 0] = border[:, -1] = 0
-        for _ in range(HIDING_SQUARES):
-            _grow(squares, other)
-            squares, other = other, squares
-    return squares.view(np.bool_)[1:-1, 1:-1]
-
-
-@numba.njit(cache=True)
-def _shrink(squares: np.ndarray, out: np.ndarray) -> None:
-    """Squares of which and of whose four neighbours all are 1; of all but the outermost."""
-    for row in range(1, squares.shape[0] - 1):
-        south, here, north, shrunk = squares[row - 1], squares[row], squares[row + 1], out[row]
-        for x in range(1, squares.shape[1] - 1):
-            shrunk[x] = south[x] & here[x - 1] & here[x] & here[x + 1] & north[x]
-
-
-@numba.njit(cache=True)
-def _grow(squares: np.ndarray, out: np.ndarray) -> None:
-    """Squares of which or of whose four neighbours one is 1; of all but the outermost."""
-    for row in range(1, squares.shape[0] - 1):
-        south, here, north, grown = squares[row - 1], squares[row], squares[row + 1], out[row]
-        for x in range(1, squares.shape[1] - 1):
-            grown[x] = south[x] | here[x - 1] | here[x] | here[x + 1] | north[x]
+    steps = np.abs(np.arange(-HIDING_SQUARES, HIDING_SQUARES + 1))
+    diamond = (steps[:, None] + steps <= HIDING_SQUARES).astype(np.uint8)
+    operation = cv2.MORPH_ERODE if deep else cv2.MORPH_OPEN
+    return cv2.morphologyEx((~seen).astype(np.uint8), operation, diamond).astype(bool)
 
 
 def _returning(hits: Ways, goals: np.ndarray) -> Ways:

@@ -79,15 +79,9 @@ def packed(flags: np.ndarray) -> np.ndarray:
     return words
 
 
-@njit(cache=True)
 def places(mask: np.ndarray) -> np.ndarray:
     """Places `(words, cells)` of a mask `[iy, ix]` `(cells, cells)` bool."""
-    rows, columns = mask.shape
-    words = np.zeros(((columns - 1) // CELLS_A_WORD + 1, rows), np.uint64)
-    for iy in range(rows):
-        for ix in range(columns):
-            words[ix // CELLS_A_WORD, iy] |= np.uint64(mask[iy, ix]) << np.uint64(ix % CELLS_A_WORD)
-    return words
+    return packed(mask[:, :, None])[0]
 
 
 def holds(states: np.ndarray, state: LatticeState) -> bool:
