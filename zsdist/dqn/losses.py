@@ -7,7 +7,6 @@ import numpy as np
 from numba import njit
 
 
-@njit(cache=True)
 def td_targets(
     reward_t: np.ndarray,
     discount_t: np.ndarray,
@@ -31,11 +30,10 @@ def td_targets(
         online_q_tp1: `(B, A)` float32, values of the policy network, for double Q-learning.
     """
     chooser = target_q_tp1 if online_q_tp1 is None else online_q_tp1
-    targets = np.empty_like(reward_t)
-    for row in range(len(targets)):
-        best = _best(chooser[row], mask_tp1[row])
-        targets[row] = reward_t[row] + discount_t[row] * target_q_tp1[row, best]
-    return targets
+    for array, rank in ((reward_t, 1), (discount_t, 1), (target_q_tp1, 2), (chooser, 2)):
+        _check(array, rank, np.float32)
+    _check(mask_tp1, 2, np.bool_)
+    return _targets(reward_t, discount_t, target_q_tp1, mask_tp1, chooser)
 
 
 @njit(cache=True)
@@ -102,6 +100,21 @@ def margin_gradient(q_t: np.ndarray, mask_t: np.ndarray, guide_t: np.ndarray, ma
 
 
 @njit(cache=True)
+def _targets(
+    reward_t: np.ndarray,
+    discount_t: np.ndarray,
+    target_q_tp1: np.ndarray,
+    mask_tp1: np.ndarray,
+    chooser_q_tp1: np.ndarray,
+) -> np.ndarray:
+    targets = np.empty_like(reward_t)
+    for row in range(len(targets)):
+        best = _best(chooser_q_tp1[row], mask_tp1[row])
+        targets[row] = reward_t[row] + discount_t[row] * target_q_tp1[row, best]
+    return targets
+
+
+@njit(cache=True)
 def _rivals(q_t: np.ndarray, mask_t: np.ndarray, guide_t: np.ndarray, margin: np.float32) -> np.ndarray:
     """The best allowed action where all but the guide's are lifted by `margin`; -1 where the row counts nothing."""
     rivals, lifted = np.full(len(q_t), -1), np.empty_like(q_t[0])
@@ -122,3 +135,7 @@ def _best(values: np.ndarray, mask: np.ndarray) -> int:
         if mask[action] and values[action] > most:
             best, most = action, values[action]
     return best
+
+
+def _check(array: np.ndarray, rank: int, dtype: type) -> None:
+    assert array.ndim == rank and array.dtype == dtype, (array.shape, array.dtype, rank, dtype)

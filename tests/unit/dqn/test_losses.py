@@ -94,3 +94,17 @@ def test_rows_without_an_allowed_guide_action_count_nothing_but_keep_their_share
     loss, gradient = losses.margin_loss(*given), losses.margin_gradient(*given)
     assert loss == pytest.approx(1.5 / 4)
     assert not gradient[1:].any() and np.isfinite(gradient).all()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (REWARD[:, None], DISCOUNT, TARGET_Q, ALL),
+        (REWARD.astype(float), DISCOUNT, TARGET_Q, ALL),
+        (REWARD, DISCOUNT, TARGET_Q[0], ALL),
+        (REWARD, DISCOUNT, TARGET_Q, ALL.astype(np.float32)),
+    ],
+)
+def test_wrong_ranks_and_dtypes_are_caught_instead_of_broadcast(arguments):
+    with pytest.raises(AssertionError):
+        losses.td_targets(*arguments)
