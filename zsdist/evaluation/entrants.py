@@ -11,7 +11,7 @@ from zsdist.evaluation.drivers import Driver, LearnedDriver, Sees, VisualAct
 from zsdist.evaluation.sight import by_camera, by_truth
 from zsdist.types import Level, Parameters
 
-FULL = "full"
+FULL, HYBRID = "full", "hybrid"
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ _PLANNED_HIGH, _PLANNED_LOW = {"high_policy": "planner"}, {"low_policy": "planne
 
 VARIANTS: dict[str, Variant] = {
     FULL: Variant("the learned networks under the shield, as the policy's configuration has it"),
-    "hybrid": Variant("the learned high level, and A* to its subgoal on the believed map below", _PLANNED_LOW),
+    HYBRID: Variant("the learned high level, and A* to its subgoal on the believed map below", _PLANNED_LOW),
     "untrained-high": Variant("the high level's network as before training", untrained=(Level.HIGH,)),
     "untrained-low": Variant("the low level's network as before training", untrained=(Level.LOW,)),
     "untrained": Variant("both networks as before training", untrained=tuple(Level)),

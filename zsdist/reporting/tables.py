@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zsdist.evaluation.entrants import FULL
+from zsdist.evaluation.entrants import FULL, HYBRID
 from zsdist.evaluation.statistics import bootstrap_95, runs_95, wilson_95
 from zsdist.reporting.convergence import converged, fluctuation, per_action, per_episode
 from zsdist.reporting.markdown import missing, table
@@ -30,7 +30,6 @@ PAPER_CONVERGENCE = (  # Sec. 4.4: method, final value, episodes to converge
     ("paper: proposed", "297", "480"),
 )
 RATES = ("success", "collision")
-HYBRID = "hybrid"
 DRIVEN = (FULL, HYBRID)  # variants that would be deployed
 ORACLE = "oracle-"
 
