@@ -69,8 +69,10 @@ def draw_paths(panels: Sequence[tuple[Scene, Sequence[Track]]], arena_m: float, 
         draw_scene(axes, scene, arena_m)
         for track in tracks:
             draw_track(axes, track)
-        axes.legend(loc="lower right", frameon=True, framealpha=0.85, edgecolor="none", fontsize=7)
     style.blank(grid[len(panels) :])
+    labelled = [pair for axes in grid[: len(panels)] for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
+    handles = {label: handle for handle, label in labelled}  # one of each: panels share most of theirs
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=len(handles))
     return style.save(figure, folder, name)
 
 
