@@ -128,7 +128,8 @@ def _agreements(indices: range) -> list[tuple[float, float]]:
         same = segment == their_segment
         seen = same & np.isfinite(depth) & np.isfinite(their_depth)
         near = np.abs(depth[seen] - their_depth[seen]) <= DEPTH_TOLERANCE_M
-        shares.append((float(np.mean(same)), float(np.mean(near))))
+        # No pixel is left where something fills the picture nearer than PyBullet's near plane: then nothing agrees.
+        shares.append((float(np.mean(same)), float(np.mean(near)) if len(near) else 0.0))
     return shares
 
 
