@@ -67,9 +67,10 @@ def each(
     except BrokenProcessPool as error:
         raise RunError("a worker died; with --workers 1 its own message is seen") from error
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
         for child in set(multiprocessing.active_children()) - others:
             child.terminate()
+        # Waited for: where the pool's own thread still ends as the interpreter does, Python prints a traceback.
+        pool.shutdown(wait=True, cancel_futures=True)
         for name, value in environment.items():
             os.environ.pop(name) if value is None else os.environ.update({name: value})
 
