@@ -30,8 +30,8 @@ class TinyCamera:
     """The same pictures as `CasterCamera` (see there for arguments and results), drawn by PyBullet.
 
     The shapes of one scene at a time stand in the client; another scene replaces them. What PyBullet never gives back,
-    not even when it disconnects, are the Python objects of the meshes that it was handed: about 30 MiB a scene. So a
-    process that draws many scenes is ended from time to time.
+    not even when it disconnects, are the Python objects of the meshes that it was handed: about 30 MiB a scene. Draw
+    many scenes in processes that end from time to time.
     """
 
     def __init__(self, config: CameraConfig, look: Look = of_scene) -> None:
