@@ -1,8 +1,9 @@
 """How well the shipped policy drives beside everything that it is held against, on the test scenes.
 
-`python benchmarks/driving.py [--quick] [--episodes N] [--seed S] [--out DIR]` evaluates each entrant of `ENTRANTS` on
-each split of `SPLITS` by `zsdist.evaluate`, one after the other, and prints a table and one JSON line. It goes on where
-it was broken off: episodes stay in DIR with the hashes of the code and the weights that they were driven with.
+`python benchmarks/driving.py [--quick] [--episodes N] [--seed S] [--runs RUN...] [--out DIR]` evaluates each entrant of
+`ENTRANTS`, and what the runs have trained, on each split of `SPLITS` by `zsdist.evaluate`, one after the other, and
+prints a table and one JSON line. Runs of one name are training seeds of one entrant. It goes on where it was broken
+off: episodes stay in DIR with the hashes of the code and the weights that they were driven with.
 `python -m zsdist.report DIR` makes the page with paired differences and figures of them.
 """
 
@@ -14,6 +15,9 @@ import tempfile
 from pathlib import Path
 
 from _common import report
+
+from zsdist import config
+from zsdist.errors import ConfigError
 
 SPLITS = ("iid", "ood-start-goal", "ood-layout", "ood-clusters", "ood-dynamic")
 # By the name in the table: what `zsdist.evaluate` is called with. The first are what is claimed, then the ceilings, the
@@ -59,30 +63,48 @@ def main() -> None:
     add("--seed", type=int, default=1, metavar="S", help="which test scenes (default: 1)")
     add("--entrants", nargs="+", choices=ENTRANTS, default=list(ENTRANTS), metavar="NAME", help=", ".join(ENTRANTS))
     add("--splits", nargs="+", choices=SPLITS, default=list(SPLITS), metavar="SPLIT", help=", ".join(SPLITS))
+    add("--runs", nargs="+", type=Path, default=[], metavar="RUN", help="run directories, trained by zsdist.launch")
     add("--out", type=Path, metavar="DIR", help="of the episodes (default: a temporary folder)")
     options = parser.parse_args()
     if options.quick:
         options.entrants, options.episodes = options.entrants[:3], 2
+    try:
+        called = {name: ENTRANTS[name] for name in options.entrants} | _trained(options.runs)
+    except ConfigError as error:
+        parser.error(str(error))
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.out or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         figures = {}
-        for entrant in options.entrants:
+        for entrant, arguments in called.items():
             for split in options.splits:
-                result = _evaluated(entrant, split, options.episodes, options.seed, folder)
+                result = _evaluated(entrant, arguments, split, options.episodes, options.seed, folder)
                 figures |= {f"{entrant}, {split}: {key}": result[key] for key in ("success", "collision", "spl")}
     report("driving", {name: value for name, value in figures.items() if value is not None}, {})
 
 
-def _evaluated(entrant: str, split: str, episodes: int, seed: int, folder: Path) -> dict[str, float | None]:
-    """The result of one entrant on one split, of which what is on file is not driven again."""
-    command = [sys.executable, "-m", "zsdist.evaluate", *ENTRANTS[entrant], "--scenes", split, "--seed", str(seed)]
+def _trained(runs: list[Path]) -> dict[str, tuple[str, ...]]:
+    """Entrants by the names of their runs; raises `ConfigError` where a folder holds no run."""
+    entrants: dict[str, tuple[str, ...]] = {}
+    for run in runs:
+        name = config.load(run / "config.yaml").run.name
+        entrants[name] = (*entrants.get(name, ()), str(run))
+    return entrants
+
+
+def _evaluated(
+    entrant: str, arguments: tuple[str, ...], split: str, episodes: int, seed: int, folder: Path
+) -> dict[str, float | None]:
+    """The result of one entrant on one split (over training seeds the interquartile mean); what is on file stays."""
+    command = [sys.executable, "-m", "zsdist.evaluate", *arguments, "--scenes", split, "--seed", str(seed)]
     file = "full" if entrant == NO_SHIELD else entrant  # which is driven with the shield as well
     command += ["--episodes", str(episodes), "--out", str(folder / f"{file}.jsonl"), "--resume"]
     with tempfile.NamedTemporaryFile(suffix=".json") as told:
         subprocess.run([*command, "--json", told.name], check=True)
         result = json.loads(Path(told.name).read_text())
-    return result["without_shield"] if entrant == NO_SHIELD else result
+    if entrant == NO_SHIELD:
+        return result["without_shield"]
+    return result.get("interquartile_mean", result)
 
 
 if __name__ == "__main__":
