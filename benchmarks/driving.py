@@ -79,7 +79,7 @@ def main() -> None:
         for entrant, arguments in called.items():
             for split in options.splits:
                 result = _evaluated(entrant, arguments, split, options.episodes, options.seed, folder)
-                figures |= {f"{entrant}, {split}: {key}": result[key] for key in ("success", "collision", "spl")}
+                figures |= {f"{entrant}, {split}: {key}": result.get(key) for key in ("success", "collision", "spl")}
     report("driving", {name: value for name, value in figures.items() if value is not None}, {})
 
 

@@ -1,7 +1,7 @@
 """Two policies on the same scenes: paired differences with their intervals."""
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,7 +51,8 @@ class Comparison:
 def compare(first: Path, second: Path, seed: int = 0) -> Comparison:
     """Paired differences over the episodes that both files have: the same scene, seed and place.
 
-    Where a file has several policies (training seeds of one method), a scene counts with their mean. The intervals are
+    Where a file has several policies (training seeds of one method), a scene counts with their mean. Lines of older code,
+    weights or settings, and those without the shield beside others under it, do not count. The intervals are
     bootstraps over the pairs. SPL is of scenes in which nothing moves.
 
     Args:
@@ -89,7 +90,11 @@ def compare(first: Path, second: Path, seed: int = 0) -> Comparison:
 
 
 def _episodes(file: Path) -> tuple[dict[_Drive, list[EpisodeRecord]], str, list[str]]:
-    """The newest line of each entrant and drive, of the newest code only; that code; and what there is to say."""
+    """The records of each drive, one a policy; the newest code, of which alone they are; and what there is to say.
+
+    Several policies are training seeds of one method. Of each only what it was last driven with counts, and only under
+    the shield where some of it was.
+    """
     lines = ledger.read(file)
     if not lines:
         raise RunError(f"{file} holds no episode; allowed are files that --out wrote")
@@ -98,11 +103,32 @@ def _episodes(file: Path) -> tuple[dict[_Drive, list[EpisodeRecord]], str, list[
     notes = []
     if left := len(lines) - len(current):
         notes.append(f"{file}: {left} lines of other code than {newest} are left out")
-    latest = {(line.about["entrant"], *_drive(line)): line for line in current}
+    if any(line.about["shielded"] for line in current):
+        bare = [line for line in current if not line.about["shielded"]]
+        current = [line for line in current if line.about["shielded"]]
+        if bare:
+            notes.append(f"{file}: {len(bare)} lines without the shield are left out")
+    methods = sorted({_method(line) for line in current})
+    if len(methods) > 1:
+        raise RunError(f"{file} holds episodes of {', '.join(methods)}; allowed is one of them, in one or more seeds")
+    entrants = {line.about["policy"]: line.about["entrant"] for line in current}
+    latest = {(line.about["entrant"], *_drive(line)): line for line in current if _is_of(line, entrants)}
+    if older := sum(not _is_of(line, entrants) for line in current):
+        notes.append(f"{file}: {older} lines of older weights or settings are left out")
     drives = defaultdict(list)
     for line in latest.values():
         drives[_drive(line)].append(line.record)
     return dict(drives), newest, notes
+
+
+def _method(line: Line) -> str:
+    """A baseline by its name, a learned policy, of whatever weights, by its variant."""
+    about = line.about
+    return f"the variant {about['variant']}" if about["weights_sha256"] else str(about["policy"])
+
+
+def _is_of(line: Line, entrants: Mapping[str, str]) -> bool:
+    return line.about["entrant"] == entrants[line.about["policy"]]
 
 
 def _drive(line: Line) -> _Drive:

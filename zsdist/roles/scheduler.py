@@ -67,7 +67,7 @@ class Scheduler(Role):
         self._reports = self.mailbox("records")
         self._learners = self.mailbox("weights")
         self._watch = self.mailbox("stats")
-        self._answers = self.mailbox("checkpoint")
+        self._answers = self.mailbox("checkpoint")  # of what is asked for in this stage
         self._commands = self.mailbox("commands")
         self.transport.subscribe(keys.episodes(run, keys.ANY, keys.ANY), self._reports)
         self.transport.subscribe(keys.evaluation(run, keys.ANY), self._reports)
@@ -184,8 +184,8 @@ class Scheduler(Role):
         finished = len(self.leases.finished)
         promoting = self.merge is not None and self.merge.phase in (Phase.PROMOTE, Phase.DONE)
         if self._interrupted and self.stage in (Stage.TRAIN, Stage.MERGE) and not promoting:
-            self.merge, self.stage = None, Stage.CLOSING
-            self._next_orders_s = 0.0
+            self.merge = None
+            self._enter(Stage.CLOSING)
         if self.stage is Stage.MERGE:
             self._conduct_merge(now)
         elif self.stage is Stage.TRAIN:
@@ -193,7 +193,7 @@ class Scheduler(Role):
             if due:
                 self._begin_merge()
             elif finished >= self.target:
-                self.stage, self._next_orders_s = Stage.CLOSING, 0.0
+                self._enter(Stage.CLOSING)
             else:
                 for actor in self._epochs:
                     self.leases.grant(actor, self.config.run.cars_per_actor, min(self._merge_barrier(), self.target))
@@ -221,7 +221,7 @@ class Scheduler(Role):
         self.merge = Merge(
             index, len(self.leases.finished), names, settings.validation_scenes, settings.drop_after_scenes
         )
-        self.stage, self._next_orders_s = Stage.MERGE, 0.0
+        self._enter(Stage.MERGE)
 
     def _conduct_merge(self, now: float) -> None:
         merge = self.merge
@@ -238,8 +238,13 @@ class Scheduler(Role):
             self.merges.append(merge.summary())
             self.event(now, "merge", merge=merge.index, chosen=merge.chosen, score=merge.score(merge.chosen))
             over = len(self.leases.finished) >= self.target
-            self.merge, self.stage = None, Stage.CLOSING if over else Stage.TRAIN
-            self._next_orders_s = 0.0
+            self.merge = None
+            self._enter(Stage.CLOSING if over else Stage.TRAIN)
+
+    def _enter(self, stage: Stage) -> None:
+        """Says at once what is different now; states asked for before, on their way too, are in no later checkpoint."""
+        self.stage, self._next_orders_s = stage, 0.0
+        self._answers, self._states, self._ask_again_s = self.mailbox("checkpoint"), {}, 0.0
 
     def _conduct_end(self, now: float) -> None:
         """Actors close their epochs, the replay confirms that all is stored, then checkpoint and summary."""

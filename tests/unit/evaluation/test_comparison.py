@@ -4,10 +4,12 @@ import pytest
 from fakes import RECORD
 
 from zsdist.config import Config
+from zsdist.dqn import network
 from zsdist.errors import RunError
 from zsdist.evaluation import ledger
 from zsdist.evaluation.comparison import compare
 from zsdist.evaluation.entrants import Entrant
+from zsdist.roles.shapes import SHAPES
 from zsdist.sim import families
 from zsdist.types import Outcome
 
@@ -16,7 +18,20 @@ FAILED = dataclasses.replace(RECORD, outcome=Outcome.COLLISION)
 
 
 def write(file, records, baseline="astar", seed=0):
-    book = ledger.Ledger(file, Entrant(Config(), baseline=baseline), baseline, None, "iid", seed, SCENES)
+    return put(file, records, Entrant(Config(), baseline=baseline), baseline, None, seed)
+
+
+def write_learned(file, records, policy, weights=0, **kind):
+    """Episodes of a learned policy, whose networks are those of the seed `weights`."""
+    networks = {
+        level: network.initial_parameters(shape.state_size, shape.actions, (8,), weights)
+        for level, shape in SHAPES.items()
+    }
+    return put(file, records, Entrant(Config(), networks, **kind), policy, f"{weights:064d}", 0)
+
+
+def put(file, records, entrant, policy, weights_sha256, seed):
+    book = ledger.Ledger(file, entrant, policy, weights_sha256, "iid", seed, SCENES)
     for index, record in enumerate(records):
         book.add(index, record)
     return file
@@ -39,11 +54,40 @@ def test_pairing_takes_what_is_common_to_all_scenes_out_of_the_interval(tmp_path
     assert compare(a, b).result["figures"]["success"]["confidence_95"] == [0.0, 0.0]
 
 
-def test_of_several_policies_in_a_file_a_scene_counts_with_their_mean(tmp_path):
-    a = write(tmp_path / "a", [RECORD] * 6)
-    write(a, [FAILED] * 6, "potential-field-no-trail")
+def test_of_several_training_seeds_in_a_file_a_scene_counts_with_their_mean(tmp_path):
+    a = write_learned(tmp_path / "a", [RECORD] * 6, "runs/1", weights=1)
+    write_learned(a, [FAILED] * 6, "runs/2", weights=2)
     b = write(tmp_path / "b", [FAILED] * 6, "random")
-    assert compare(a, b).result["figures"]["success"]["a"] == 0.5
+    comparison = compare(a, b)
+    assert (comparison.result["figures"]["success"]["a"], comparison.notes) == (0.5, [])
+
+
+def test_what_a_policy_was_driven_with_before_it_was_trained_on_does_not_count_and_is_said(tmp_path):
+    a = write_learned(tmp_path / "a", [FAILED] * 6, "runs/1", weights=1)
+    write_learned(a, [RECORD] * 4, "runs/1", weights=2)
+    comparison = compare(a, write(tmp_path / "b", [RECORD] * 6, "random"))
+    assert (comparison.result["figures"]["success"]["a"], comparison.result["episodes"]) == (1.0, 4)
+    assert f"{a}: 6 lines of older weights or settings are left out" in comparison.notes
+
+
+def test_drives_without_the_shield_do_not_count_beside_those_under_it_and_count_alone(tmp_path):
+    bare = write_learned(tmp_path / "bare", [FAILED] * 6, "runs/1", shielded=False)
+    both = write_learned(tmp_path / "both", [RECORD] * 6, "runs/1")
+    write_learned(both, [FAILED] * 6, "runs/1", shielded=False)
+    comparison = compare(both, bare)
+    success = comparison.result["figures"]["success"]
+    assert (success["a"], success["b"]) == (1.0, 0.0)
+    assert comparison.notes == [f"{both}: 6 lines without the shield are left out"]
+
+
+def test_a_file_of_different_methods_is_refused(tmp_path):
+    variants = write_learned(tmp_path / "a", [RECORD] * 6, "runs/1")
+    write_learned(variants, [RECORD] * 6, "runs/1", variant="hybrid")
+    baselines = write(tmp_path / "b", [RECORD] * 6)
+    write(baselines, [RECORD] * 6, "random")
+    for file, names in ((variants, "the variant full, the variant hybrid"), (baselines, "astar, random")):
+        with pytest.raises(RunError, match=f"holds episodes of {names}; allowed is one of them"):
+            compare(file, write(tmp_path / "c", [RECORD] * 6))
 
 
 def test_scenes_in_which_something_moves_have_no_spl(tmp_path):
