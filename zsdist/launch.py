@@ -92,7 +92,9 @@ def _resume(options: argparse.Namespace, console: Console) -> Setting:
     settings, states = directory.reopen(options.resume, _overrides(options))
     program.check_shards(settings, states)
     finished = len(states["scheduler"].meta["finished"])
-    if settings.run.episodes <= finished:
+    # All episodes may be finished, and what follows them not: the last merge, the evaluation.
+    over = settings.run.episodes == finished and directory.ended(options.resume) == "complete"
+    if settings.run.episodes < finished or over:
         raise RunError(
             f"the run in {options.resume} has finished {finished} episodes and --episodes is {settings.run.episodes}; "
             f"allowed is more than {finished}"

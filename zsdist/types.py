@@ -109,7 +109,7 @@ class Trajectory:
         masks: `(n + 1, A)` bool, actions that may be taken in each state.
         guides: `(n,)` int8, the guide policy's action (`NO_GUIDE`: none).
         behaviours: `(n,)` uint8, `Behaviour`.
-        weight_version: version of the weights that acted.
+        weight_version: version of the weights when the episode began; newer ones act as soon as they come.
     """
 
     level: Level

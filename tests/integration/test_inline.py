@@ -174,6 +174,22 @@ def test_an_interruption_saves_everything_and_counts_no_cut_episode(tmp_path):
     assert len(numbers) == len(set(numbers)) == summary["episodes"] + 2
 
 
+def test_a_run_that_was_interrupted_in_its_last_merge_is_gone_on_with_and_has_it(tmp_path):
+    tap = Tap()
+
+    def merging():
+        return any(one.content["drives"] for one in tap.by_kind()["evaluation"] if isinstance(one, Jobs))
+
+    many = ("run.episodes=4", "merge.validation_scenes=20", "merge.drop_after_scenes=20")
+    first = rehearse(start(tmp_path / "run", *many), watch=tap, interrupted=merging)
+    assert (first["episodes"], first["ended"], first["merges"]) == (4, "interrupted", [])
+    setting, before = resume(tmp_path / "run"), episodes(tmp_path / "run")
+    second = rehearse(setting)
+    assert (second["episodes"], second["ended"]) == (4, "complete")
+    assert [merge["episode"] for merge in second["merges"]] == [4]
+    assert episodes(tmp_path / "run") == before
+
+
 def test_a_run_ends_with_the_policy_that_the_last_merge_chose_although_updates_are_owed(tmp_path):
     tap, pace = Tap(), 30
     paces = (f"low.updates_per_insert={pace}", f"high.updates_per_insert={pace}")

@@ -1,7 +1,13 @@
+import json
+
 import pytest
+from rich.console import Console
 
 from zsdist import cli, config, launch
+from zsdist.errors import RunError
 from zsdist.run import directory
+from zsdist.vision.identity import VisionIdentity
+from zsdist.wire.messages import State
 
 
 def refusal(capsys, *arguments):
@@ -67,6 +73,28 @@ def test_a_run_without_a_checkpoint_cannot_be_gone_on_with(capsys, tmp_path):
     before = (folder / "config.yaml").read_bytes()
     assert "no checkpoint" in refusal(capsys, "--resume", folder)
     assert (folder / "config.yaml").read_bytes() == before
+
+
+@pytest.mark.parametrize(("ended", "wanted"), [("complete", 3), ("interrupted", 2), (None, 2)])
+def test_a_run_is_gone_on_with_unless_it_had_all_its_episodes_and_what_follows_them(
+    capsys, tmp_path, monkeypatch, ended, wanted
+):
+    folder = directory.create(tmp_path / "run", config.Config())
+    seen = VisionIdentity("clip/b", "a" * 64, "head", "b" * 64)
+    state = State("scheduler", {"finished": [1, 2], "wall_s": 0.0}, {})
+    directory.RunDirectory(folder, seen).checkpoint(2, {"scheduler": state})
+    if ended:
+        (folder / "summary.json").write_text(json.dumps({"ended": ended}))
+    monkeypatch.setattr(launch.program, "check_shards", lambda settings, states: None)
+    monkeypatch.setattr(launch, "_check_parts", lambda settings, console: seen)
+
+    def resumed(episodes):
+        options = launch.parser().parse_args(["--resume", str(folder), "--episodes", str(episodes)])
+        return launch._resume(options, Console(quiet=True)).config.run.episodes
+
+    with pytest.raises(RunError, match="has finished 2 episodes"):
+        resumed(wanted - 1)
+    assert resumed(wanted) == wanted
 
 
 def test_a_folder_that_holds_a_run_is_not_written_over(capsys, tmp_path):

@@ -93,7 +93,7 @@ class HierarchicalAgent:
             epsilon: share of exploratory decisions.
             shielded: whether the shield masks actions.
             rng: of the exploration.
-            weight_versions: of the networks that will act.
+            weight_versions: of the networks that act now.
             learning: whether there will be trajectories to drain; without, no guide and no planner is asked, unless
                 `agent.high_policy` or `agent.low_policy` puts one in a network's place.
         """

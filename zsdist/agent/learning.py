@@ -86,7 +86,7 @@ class Track:
     Attributes:
         level: which DQN it is for.
         discount: gamma.
-        weight_version: version of the weights that act.
+        weight_version: version of the weights when the episode began; newer ones act as soon as they come.
     """
 
     level: Level

@@ -51,8 +51,8 @@ class Comparison:
 def compare(first: Path, second: Path, seed: int = 0) -> Comparison:
     """Paired differences over the episodes that both files have: the same scene, seed and place.
 
-    Where a file has several policies (training seeds of one method), a scene counts with their mean. Lines of older code,
-    weights or settings, and those without the shield beside others under it, do not count. The intervals are
+    Where a file has several policies (training seeds of one method), a scene counts with their mean. Lines of older
+    code, weights or settings do not count, nor do those without the shield beside others under it. The intervals are
     bootstraps over the pairs. SPL is of scenes in which nothing moves.
 
     Args:

@@ -22,7 +22,7 @@ HEARTBEAT_S = 0.25
 class _Stream:
     """What is known of one actor's current epoch.
 
-    `granted` is the highest credit ever announced, None once it was unlimited.
+    `granted` is the highest credit announced, None while it is unlimited.
     """
 
     epoch: int
@@ -47,8 +47,8 @@ class Inbox:
         refused: frames not accepted, counted by reason.
         abandoned_at_most: transitions (or records) that may have been produced in epochs that were cut off, and never
             arrived: granted minus delivered.
-        abandoned_unlimited: epochs cut off whose credit was unlimited at some time, so that of what they may have
-            produced only what their frames declared is in `abandoned_at_most`.
+        abandoned_unlimited: epochs cut off while their credit was unlimited, so that of what they may have produced
+            only what their frames declared is in `abandoned_at_most`.
     """
 
     def __init__(self, stream: Level | str, *, sender_epoch: int = 0, hold_frames: int = HOLD_FRAMES) -> None:
@@ -126,8 +126,7 @@ class Inbox:
             if now < _due(stream, now):
                 continue
             allowed = credit(actor, stream.epoch) if stream.state == "open" else stream.produced
-            if stream.granted is not None:
-                stream.granted = None if allowed is None else max(stream.granted, allowed)
+            stream.granted = None if allowed is None else max(stream.granted or 0, allowed)
             acks.append(Ack(self.sender_epoch, actor, stream.epoch, str(self.stream), stream.received, allowed))
             stream.unacknowledged, stream.receipt_s, stream.heartbeat_s = 0, None, now + HEARTBEAT_S
         return acks

@@ -144,8 +144,10 @@ class AdaptiveSizing:
         return {"size": self.size, "batch_size": self.batch_size, "adjustments": self._adjustments}
 
     def restore(self, state: dict[str, int]) -> None:
-        """Takes over a `state()`."""
-        self.size, self.batch_size = int(state["size"]), int(state["batch_size"])
+        """Takes over a `state()`, of other bounds too: sizes outside the present ones move to the nearest allowed."""
+        config = self._config
+        self.size = min(max(int(state["size"]), config.size_min), config.size_max)
+        self.batch_size = min(max(int(state["batch_size"]), config.batch_min), config.batch_max)
         self._adjustments = int(state["adjustments"])
 
     def _towards(self, size: int, wanted: int) -> int:

@@ -208,6 +208,8 @@ class Learner(Role):
         index = content.merge
         if content.phase == Phase.COLLECT and index > self._offered:
             self._offered = index
+            if DISTILLED in content.candidates and not self._recent_batches:  # just resumed: they are in no checkpoint
+                self.event(now, "distilled_is_recent", level=self.level.value, merge=index)
             self._candidates = self._make_candidates(content.candidates)
             self._publish_candidates(now)
         if content.phase == Phase.PROMOTE and index > self.merge and content.chosen in self._candidates:

@@ -102,7 +102,7 @@ class Merge:
         return [name for name in self.candidates if name not in self.dropped]
 
     def _drop_losers(self) -> None:
-        """Drops a candidate that could not catch up even if it won, and the leader lost, half of what is left."""
+        """Drops a candidate whose score so far is behind the leader's by more than the share of scenes it has left."""
         alive = self._alive()
         if min(len(self.results[name]) for name in alive) < self.drop_after:
             return

@@ -102,6 +102,7 @@ class Scheduler(Role):
             "stage": self.stage.value,
             "episodes": finished,
             "episodes_target": self.target,
+            "env_steps": self.env_steps,
             "epsilon": round(epsilon(finished, self.config.agent.epsilon_decay, self.config.agent.epsilon_min), 4),
             "merges": len(self.merges),
             "restarts": sum(self._restarts().values()),

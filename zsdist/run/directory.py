@@ -7,6 +7,7 @@ import re
 import secrets
 import shutil
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from zsdist import __version__, config
@@ -56,17 +57,35 @@ def reopen(folder: Path, overrides: tuple[str, ...] = ()) -> tuple[Config, dict[
         settings = config.load(folder / "config.yaml", overrides)
     except ConfigError as error:
         raise RunError(f"resume folder {folder}: {error}") from error
-    return settings, read_checkpoint(newest_checkpoint(folder))
+    newest = newest_checkpoint(folder)
+    try:
+        return settings, read_checkpoint(newest)
+    except RunError as error:
+        older = sorted(path.name for path in newest.parent.glob("[0-9]*") if path.name < newest.name)
+        way_on = f"; without {newest} the run goes on from {older[-1]}" if older else ""
+        raise RunError(f"{error}{way_on}") from error
+
+
+def ended(folder: Path) -> str | None:
+    """How the last sitting of a run ended, by its summary; None where it ended without one."""
+    try:
+        return json.loads((folder / "summary.json").read_text())["ended"]
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RunError(f"{folder / 'summary.json'} is not a run's summary: {error!r}") from error
 
 
 def rewind(folder: Path, settings: Config, states: dict[str, State]) -> None:
-    """Makes the folder of a run that is gone on with agree with its checkpoint: later episodes are struck out.
+    """Makes the folder of a run that is gone on with agree with its checkpoint: what came later is struck out.
 
     Journals go too: each belongs to one start of the run, and what they hold beyond the checkpoint is driven again.
     """
     rewrite_config(folder, settings)
     shutil.rmtree(folder / "journal", ignore_errors=True)
-    _strike_out(folder / "episodes.jsonl", set(states["scheduler"].meta["finished"]))
+    finished = set(states["scheduler"].meta["finished"])
+    _strike_out(folder / "episodes.jsonl", lambda record: record["episode"] not in finished)
+    _strike_out(folder / "metrics.jsonl", lambda row: row.get("episodes", 0) > len(finished))
 
 
 def key_name(folder: Path) -> str:
@@ -161,22 +180,25 @@ class RunDirectory:
             self._board.add_scalar(f"episode/{name}", record[name], record["finished_as"])
 
     def metrics(self, row: dict) -> None:
-        """Appends one line to `metrics.jsonl`, and TensorBoard events over env steps."""
+        """Appends one line to `metrics.jsonl`, and TensorBoard events over the env steps of finished episodes."""
         self._metrics.write(json.dumps(row, allow_nan=False) + "\n")
-        step = int(row.get("actors_env_steps", 0))
+        step = int(row.get("env_steps", 0))
         for name, value in row.items():
             if isinstance(value, int | float) and name != "time_s":
                 self._board.add_scalar(f"run/{name}", value, step)
 
     def checkpoint(self, episodes: int, states: dict[str, State]) -> None:
-        """Writes `checkpoints/{episodes}`, complete or not at all, and removes the oldest beyond those kept."""
+        """Writes `checkpoints/{episodes}`, complete or not at all, and removes the oldest beyond those kept.
+
+        Once this returns it outlives a failure of power too, as far as the disk keeps its word.
+        """
         payloads = {name: codec.encode(state) for name, state in states.items()}
         final = self.folder / "checkpoints" / f"{episodes:08d}"
         partial = final.with_name(f".{final.name}.partial")
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir(parents=True)
         for name, payload in payloads.items():
-            (partial / f"{name}.state").write_bytes(payload)
+            _write(partial / f"{name}.state", payload)
         hashes = {name: hashlib.sha256(payload).hexdigest() for name, payload in payloads.items()}
         manifest = {
             "zsdist": __version__,
@@ -184,9 +206,13 @@ class RunDirectory:
             "vision": self._vision.written(),
             "sha256": hashes,
         }
-        (partial / "manifest.json").write_text(json.dumps(manifest, indent=1))
-        shutil.rmtree(final, ignore_errors=True)
+        _write(partial / "manifest.json", json.dumps(manifest, indent=1).encode())
+        _settle(partial)
+        if final.exists():  # of as many episodes; aside in one step, so that a kill leaves no part of one
+            final.rename(final.with_name(f".{final.name}.old"))
         partial.rename(final)
+        _settle(final.parent)
+        shutil.rmtree(final.with_name(f".{final.name}.old"), ignore_errors=True)
         for old in sorted(final.parent.glob("[0-9]*"))[:-CHECKPOINTS_KEPT]:
             shutil.rmtree(old)
 
@@ -202,21 +228,39 @@ class RunDirectory:
         self._board.flush()
 
 
-def _strike_out(path: Path, finished: set[int]) -> None:
+def _strike_out(path: Path, is_later: Callable[[dict], bool]) -> None:
     if not path.exists():
         return
     kept = []
     for line in path.read_text().splitlines():
         try:
-            if json.loads(line)["episode"] in finished:
+            if not is_later(json.loads(line)):
                 kept.append(line)
         except (ValueError, KeyError):
-            continue  # the line a killed process did not finish; its episode is driven again
+            continue  # the line a killed process did not finish
     _replace(path, "".join(line + "\n" for line in kept).encode())
 
 
 def _replace(path: Path, payload: bytes) -> None:
     """Writes a file whole or not at all."""
     partial = path.with_name(f".{path.name}.partial")
-    partial.write_bytes(payload)
+    _write(partial, payload)
     partial.replace(path)
+    _settle(path.parent)
+
+
+def _write(path: Path, payload: bytes) -> None:
+    """Writes a file, and returns once the disk has it."""
+    with path.open("wb") as file:
+        file.write(payload)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _settle(folder: Path) -> None:
+    """Returns once the disk has the names in a folder."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -87,7 +87,7 @@ class Display:
             "success collision timeout": counts,
             "return": number("mean_return", 1),
             "epsilon": number("epsilon"),
-            "env steps": f"{row['actors_env_steps']:.0f} ({row['env_steps_per_s']:.0f}/s)",
+            "env steps": f"{row.get('env_steps', 0):.0f} ({row['env_steps_per_s']:.0f}/s)",
             **{f"loss {level}": number(f"{level}_loss", 4) for level in levels},
             "updates": " ".join(f"{level} {row.get(f'{level}_learner_updates', 0)}" for level in levels),
             "updates/s": " ".join(f"{level} {row.get(f'{level}_updates_per_s', 0):.0f}" for level in levels),

@@ -135,6 +135,11 @@ def test_what_a_dead_actor_may_have_lost_is_what_it_was_granted_minus_what_arriv
     inbox.acks(0.0, unlimited)
     inbox.close("a1", 2)
     assert (inbox.abandoned_at_most, inbox.abandoned_unlimited) == (50, 1)
+    inbox.issue("a2", 3)
+    inbox.acks(0.0, unlimited)
+    inbox.acks(9.0, lambda actor, epoch: 30)
+    inbox.close("a2", 3)
+    assert (inbox.abandoned_at_most, inbox.abandoned_unlimited) == (80, 1), "what counts is its credit at the end"
     assert inbox.closed
 
 

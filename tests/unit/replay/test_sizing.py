@@ -118,6 +118,14 @@ def test_what_is_restored_goes_on_the_same_through_json():
     assert sizing.state() == restored.state()
 
 
+def test_sizes_of_other_bounds_come_back_within_the_present_ones():
+    sizing = AdaptiveSizing(CONFIG)
+    for size, batch in ((CONFIG.size_max + 1, CONFIG.batch_max + 1), (CONFIG.size_min - 1, CONFIG.batch_min - 1)):
+        sizing.restore({"size": size, "batch_size": batch, "adjustments": 0})
+        assert CONFIG.size_min <= sizing.size <= CONFIG.size_max, "a replay refuses all orders with any other"
+        assert CONFIG.batch_min <= sizing.batch_size <= CONFIG.batch_max
+
+
 @pytest.mark.parametrize(("paper_return", "actions"), [(float("nan"), 3), (float("inf"), 3), (1.0, -1)])
 def test_returns_that_are_no_numbers_are_refused(paper_return, actions):
     with pytest.raises(ValueError, match="allowed are finite"):

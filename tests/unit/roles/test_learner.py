@@ -1,4 +1,5 @@
 import dataclasses
+import json
 import threading
 
 import numpy as np
@@ -156,6 +157,22 @@ def test_batches_come_from_each_shard_in_proportion_to_what_it_holds():
     assert bench.learner.updates == 50 * UPDATES_A_STEP
     assert learned.count(0) / learned.count(1) == pytest.approx(3.0, rel=0.05)
     assert given[0] - learned.count(0) <= PREFETCH and given[1] - learned.count(1) <= PREFETCH
+
+
+@pytest.mark.parametrize("learned", [False, True])
+def test_a_candidate_without_batches_to_be_distilled_from_is_said_to_be_the_recent_one(learned):
+    bench, said = Bench(), Mailbox(2**20)
+    bench.others.subscribe(keys.events(RUN), said)
+    bench.step()
+    if learned:
+        bench.answer(bench.requests.drain())
+        bench.step()
+    content = {"learning": False, "merge": 1, "phase": "collect", "candidates": ["recent", "distilled"]}
+    orders = Orders(1, "learner", content | {"chosen": "", "stop": False})
+    bench.others.publish(keys.control(RUN, "learner"), codec.encode(orders))
+    bench.step()
+    told = [json.loads(message.payload)["event"] for message in said.drain()]
+    assert told == ([] if learned else ["distilled_is_recent"])
 
 
 def test_a_shard_that_is_away_does_not_keep_the_others_from_being_learned_from():

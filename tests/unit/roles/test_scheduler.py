@@ -79,9 +79,7 @@ class Bench:
     def _push(self, stream, key, about):
         count = self._frames[stream]
         self._frames[stream] += 1
-        self.others.publish(
-            key, codec.encode(Records(stream, ACTOR, EPOCH, count, count + 1, False, (DRIVE | about,)))
-        )
+        self.others.publish(key, codec.encode(Records(stream, ACTOR, EPOCH, count, count + 1, False, (DRIVE | about,))))
 
     def offer(self):
         for level in Level:

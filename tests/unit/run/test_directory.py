@@ -104,6 +104,48 @@ def test_going_on_strikes_out_episodes_that_the_checkpoint_does_not_know(folder,
     assert [json.loads(line)["episode"] for line in lines] == META["finished"]
 
 
+def test_going_on_strikes_out_figures_of_later_and_the_line_that_was_not_finished(folder, ledger):
+    rows = [{"time_s": 0.0}, *({"time_s": 1.0, "episodes": count, "env_steps": count} for count in (1, 3, 4, 6))]
+    for row in rows:
+        ledger.metrics(row)
+    with (folder / "metrics.jsonl").open("a") as file:
+        file.write('{"time_s": 2.0, "epi')
+    ledger.checkpoint(3, states())
+    directory.rewind(folder, *directory.reopen(folder))
+    lines = (folder / "metrics.jsonl").read_text().splitlines()
+    assert [json.loads(line) for line in lines] == rows[:3]
+
+
+def test_where_the_newest_checkpoint_is_damaged_the_refusal_says_what_there_is_instead(folder, ledger):
+    for count in (1, 2, 3):
+        ledger.checkpoint(count, states())
+    newest = folder / "checkpoints" / "00000003"
+    (newest / "replay.state").write_bytes(b"")
+    with pytest.raises(RunError, match=rf"is damaged.*; without {newest} the run goes on from 00000002"):
+        directory.reopen(folder)
+
+
+def test_a_checkpoint_of_as_many_episodes_takes_the_place_of_the_one_before(folder, ledger):
+    for value in (1.0, 2.0):
+        ledger.checkpoint(3, states(value))
+    (only,) = (folder / "checkpoints").iterdir()
+    np.testing.assert_array_equal(directory.read_checkpoint(only)["replay"].arrays["ring"], np.full(3, 2.0))
+
+
+@pytest.mark.parametrize(("summary", "ended"), [('{"ended": "complete"}', "complete"), (None, None)])
+def test_how_a_run_ended_is_in_its_summary(folder, summary, ended):
+    if summary:
+        (folder / "summary.json").write_text(summary)
+    assert directory.ended(folder) == ended
+
+
+@pytest.mark.parametrize("summary", ["", "[]", "{}"])
+def test_a_summary_that_is_none_is_refused(folder, summary):
+    (folder / "summary.json").write_text(summary)
+    with pytest.raises(RunError, match="is not a run's summary"):
+        directory.ended(folder)
+
+
 def test_the_configuration_comes_back_with_overrides_and_nothing_else_changed(folder, ledger):
     ledger.checkpoint(3, states())
     settings, _ = directory.reopen(folder, ("run.episodes=7",))
