@@ -21,10 +21,19 @@ Count = Annotated[int, Field(ge=1)]
 Folder = Annotated[str, Field(min_length=1), AfterValidator(lambda path: str(Path(path).absolute()))]
 
 
-class Section(BaseModel):
-    """A group of settings; frozen, and strict about unknown keys."""
+def _lasting(name: str) -> str:
+    """A path as one that holds from everywhere, since a run keeps it; a plain name, of something known, as it is."""
+    return str(Path(name).absolute()) if "/" in name or name in (".", "..") else name
 
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
+
+NameOrFolder = Annotated[str, Field(min_length=1), AfterValidator(_lasting)]
+Sources = Annotated[tuple[NameOrFolder, ...], Field(min_length=1)]  # families, or folders of scene files
+
+
+class Section(BaseModel):
+    """A group of settings; frozen, strict about unknown keys, and without NaN and infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
 
 
 class GridConfig(Section):
@@ -39,9 +48,9 @@ class GridConfig(Section):
 class ScenesConfig(Section):
     """Which scenes a run drives. Validation scenes come from the same families under seeds of their own."""
 
-    train: tuple[str, ...] = ("singleton",)  # families, or folders of scene files
+    train: Sources = ("singleton",)
     train_scenes: Count = 1000  # distinct scenes per family
-    test: tuple[str, ...] = ("ood-start-goal", "ood-layout", "ood-clusters")
+    test: Sources = ("ood-start-goal", "ood-layout", "ood-clusters")
 
 
 class CameraConfig(Section):
@@ -52,7 +61,7 @@ class CameraConfig(Section):
     field_of_view_deg: Annotated[float, Field(ge=30, le=120)] = 90.0
     range_m: Positive = 5.0
     height_m: Positive = 1.0
-    forward_m: float = 1.0  # mount, ahead of the car's centre
+    forward_m: Annotated[float, Field(ge=-100, le=100)] = 1.0  # mount, ahead of the car's centre
 
 
 class SimConfig(Section):
@@ -66,8 +75,10 @@ class SimConfig(Section):
 class VisionConfig(Section):
     """Visual-act inference in the actor."""
 
-    weights: str = "pretrained"  # shipped in the package, or a folder made by `zsdist.pretrain`
-    encoder: str = "efficientnet-lite0"  # or a folder with a CLIP model, in the layout of open_clip or Hugging Face
+    weights: NameOrFolder = "pretrained"  # shipped in the package, or a folder made by `zsdist.pretrain`
+    encoder: NameOrFolder = (
+        "efficientnet-lite0"  # or a folder with a CLIP model, in the layout of open_clip or Hugging Face
+    )
     network: Literal["head", "student"] = "head"  # the head on the encoder's tokens, or the small network without it
     rays: Literal["all", "three", "none"] = "all"  # that reach the agent: three: one a direction; none: it sees nothing
     ray_quantile: Annotated[float, Field(gt=0, lt=1)] = 0.1
@@ -241,6 +252,12 @@ class Config(Section):
         ):
             if not low <= value <= high:
                 raise ValueError(f"{name}_initial is {value}; allowed is {name}_min to {name}_max, {low} to {high}")
+        for name, level in (("high", self.high), ("low", self.low)):
+            if level.min_size > self.replay.size_min:
+                raise ValueError(
+                    f"{name}.min_size is {level.min_size}; allowed is at most replay.size_min, {self.replay.size_min}, "
+                    "to which the replay may shrink"
+                )
         if self.replay.shards > self.run.actors:
             raise ValueError(
                 f"replay.shards is {self.replay.shards}; allowed are at most as many as actors, {self.run.actors}"
@@ -319,7 +336,7 @@ def _read(path: Path) -> dict[str, Any]:
         tree = yaml.safe_load(path.read_text()) or {}
     except OSError as error:
         raise ConfigError(f"configuration file {path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: no UTF-8, no such date or number
         raise ConfigError(f"configuration file {path} is not valid YAML: {' '.join(str(error).split())}") from error
     if not isinstance(tree, dict):
         raise ConfigError(f"configuration file {path} holds a {type(tree).__name__}; allowed is a mapping of settings")
@@ -339,8 +356,8 @@ def _apply(tree: dict[str, Any], override: str) -> None:
         raise ConfigError(f"--set {override!r} is not of the form key.path=value")
     try:
         value = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ConfigError(f"--set {path}: value {text!r} is not valid YAML") from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise ConfigError(f"--set {path}: value {text[:200]!r} is not valid YAML") from error
     *sections, leaf = path.split(".")
     node = tree
     for section in sections:

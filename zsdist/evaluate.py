@@ -62,8 +62,7 @@ def main(options: argparse.Namespace) -> int:
         for name, variant in VARIANTS.items():
             print(f"{name:24} {variant.line}")
         return 0
-    if options.json is not None and (options.json.is_dir() or not options.json.resolve().parent.is_dir()):
-        raise RunError(f"--json is {str(options.json)!r}; allowed is a file in a folder that exists")
+    _check_json(options.json)
     if options.compare:
         comparison = compare(*options.compare, options.seed)
         _write(options.json, comparison.result)
@@ -75,6 +74,7 @@ def main(options: argparse.Namespace) -> int:
     if options.video is not None and options.video.is_file():
         raise RunError(f"--video {options.video} is a file; allowed is a folder, which is made where it is not there")
     found = [(name, *find_policy(name, options.config, options.variant)) for name in options.policy]
+    _check_together(found, options.no_shield)
     reports = []
     for name, entrant, sha256 in found:
         reports.append(_drive(options, name, entrant, sha256))
@@ -118,8 +118,6 @@ def find_policy(name: str, config_file: Path | None = None, variant: str = FULL)
 
 def _drive(options: argparse.Namespace, name: str, entrant: Entrant, sha256: str | None) -> Report:
     """The evaluation that was asked for, and beside it, where asked for, the one without the shield."""
-    if options.no_shield and entrant.baseline:
-        raise RunError(f"--no-shield: baseline {name!r} drives one way only; allowed is a learned policy")
     reports = [
         evaluate(
             who,
@@ -144,6 +142,28 @@ def _film(options: argparse.Namespace, entrant: Entrant, folder: Path) -> None:
     film(entrant, scenes, options.seed, folder, lambda file: print(f"film: {file}", flush=True))
 
 
+def _check_together(found: list[tuple[str, Entrant, str | None]], no_shield: bool) -> None:
+    """Holds that those named can be evaluated as they were asked for, before the first of them drives."""
+    for index, (name, entrant, sha256) in enumerate(found):
+        if no_shield and entrant.baseline:
+            raise RunError(f"--no-shield: baseline {name!r} drives one way only; allowed is a learned policy")
+        if entrant.baseline and len(found) > 1:
+            raise RunError(f"several policies are training seeds of one method; baseline {name!r} is allowed alone")
+        for other, _, same in found[:index]:
+            if same == sha256:
+                raise RunError(f"{name} has the weights of {other}; allowed are different training seeds")
+
+
+def _check_json(file: Path | None) -> None:
+    if file is None:
+        return
+    folder = file.resolve().parent
+    if file.is_dir() or not folder.is_dir():
+        raise RunError(f"--json is {str(file)!r}; allowed is a file in a folder that exists")
+    if not os.access(file if file.exists() else folder, os.W_OK):
+        raise RunError(f"--json is {str(file)!r}, which cannot be written; allowed is a file that can")
+
+
 def _check_out(out: Path | None, resume: bool) -> None:
     if out is None:
         if resume:
@@ -156,8 +176,12 @@ def _check_out(out: Path | None, resume: bool) -> None:
 
 
 def _write(file: Path | None, result: dict[str, Any]) -> None:
-    if file is not None:
+    if file is None:
+        return
+    try:
         file.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")
+    except OSError as error:
+        raise RunError(f"the result cannot be written to --json {file}: {error.strerror or error}") from error
 
 
 if __name__ == "__main__":

@@ -39,7 +39,16 @@ def main(options: argparse.Namespace) -> int:
         )
         return cli.INTERRUPTED
     closing.draw_training(setting.folder)
-    closing.compare(setting.folder, setting.config, console)
+    try:
+        closing.compare(setting.folder, setting.config, console)
+    except KeyboardInterrupt:
+        console.print(
+            f"the training is complete and saved; only its evaluation was interrupted. To have one:\n"
+            f"  python -m zsdist.evaluate {setting.folder}",
+            highlight=False,
+            soft_wrap=True,
+        )
+        return cli.INTERRUPTED
     return 0
 
 

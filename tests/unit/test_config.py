@@ -1,4 +1,4 @@
-"""What a configuration says of who may reach the hub."""
+"""What a configuration says of who may reach the hub, and of where things lie."""
 
 from pathlib import Path
 
@@ -49,3 +49,14 @@ def test_the_folder_of_certificates_is_kept_as_an_absolute_path(tmp_path, monkey
     assert Path(config.transport.tls) == tmp_path / "made"
     (tmp_path / "again.yaml").write_text(dump(config))
     assert load(tmp_path / "again.yaml") == config == parse(config.model_dump())
+
+
+def test_places_are_kept_as_absolute_paths_and_names_as_they_are(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    settings = load(overrides=("scenes.train=[iid, sc/good]", "scenes.test=[./iid]", "vision.weights=runs/eyes"))
+    assert settings.scenes.train == ("iid", str(tmp_path / "sc" / "good"))
+    assert settings.scenes.test == (str(tmp_path / "iid"),)
+    assert (settings.vision.weights, settings.vision.encoder) == (
+        str(tmp_path / "runs" / "eyes"),
+        "efficientnet-lite0",
+    )

@@ -72,6 +72,12 @@ def test_a_folder_is_driven_once_and_the_json_is_the_documented_one(folder, tmp_
         (("astar", "--variant", "hybrid"), "baseline 'astar' has no variants"),
         (("astar", "--variant", "better"), "--variant is 'better'; allowed are full, hybrid"),
         (("astar", "--no-shield"), "baseline 'astar' drives one way only"),
+        (("pretrained", "astar", "--no-shield"), "baseline 'astar' drives one way only"),
+        (("pretrained", "astar"), "baseline 'astar' is allowed alone"),
+        (
+            ("pretrained", "pretrained"),
+            "pretrained has the weights of pretrained; allowed are different training seeds",
+        ),
         (("astar", "--resume"), "allowed is with --out FILE.jsonl"),
         (("astar", "--out", "/nowhere/e.jsonl"), "allowed is a file in a folder that exists"),
         (("--compare", "/nowhere/a.jsonl", "/nowhere/b.jsonl"), "episodes cannot be read from /nowhere/a.jsonl"),
@@ -81,6 +87,12 @@ def test_what_is_wrong_is_one_line_and_status_2(arguments, words, capsys):
     assert run(*arguments) == 2
     complaint = capsys.readouterr().err
     assert complaint.count("\n") == 1 and words in complaint
+
+
+def test_a_result_that_cannot_be_written_is_said_in_one_line(folder, capsys):
+    assert run("astar", "--scenes", str(folder), "--episodes", "1", "--workers", "1", "--json", "/sys/result.json") == 2
+    complaint = capsys.readouterr().err.splitlines()[-1]
+    assert "/sys/result.json" in complaint and "cannot be written" in complaint
 
 
 def test_a_folder_without_weights_is_refused(tmp_path, capsys):
@@ -130,7 +142,8 @@ def test_a_file_of_episodes_is_gone_on_with_only_when_asked(folder, tmp_path, ca
     assert one.read_text() == two.read_text() and len(out.read_text().splitlines()) == 3
 
 
-def test_several_policies_are_taken_together(folder, tmp_path, capsys):
+def test_several_policies_are_taken_together(folder, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(evaluate, "_check_together", lambda found, no_shield: None)  # baselines, which drive quickly
     file = tmp_path / "result.json"
     asked = ("--scenes", str(folder), "--episodes", "2", "--workers", "1", "--json", str(file))
     assert run("astar", "goal-greedy", *asked) == 0

@@ -18,8 +18,8 @@ def select(name: str, config: Config, episodes: int | None, seed: int) -> list[S
     """The scenes of an evaluation, in the order in which they are reported.
 
     Args:
-        name: a folder of scene files; a family, of which the test scenes are taken; or a split of the configuration:
-            `train` and `validation` (of `scenes.train`) or `test` (of `scenes.test`), the families in turn.
+        name: a family, of which the test scenes are taken; a split of the configuration, `train` and `validation` (of
+            `scenes.train`) or `test` (of `scenes.test`), the families in turn; or else a folder of scene files.
         config: whose families, and whose grid scene files are held against.
         episodes: how many; None: all files of a folder, else 50. More than a folder has go through it again.
         seed: which scenes of a family, the same for every policy; a folder's are always its files in order.
@@ -27,9 +27,6 @@ def select(name: str, config: Config, episodes: int | None, seed: int) -> list[S
     Raises:
         SceneError: the name is none of these, or a scene file is wrong.
     """
-    if Path(name).is_dir():
-        files = scene.read_folder(name, Grid.from_config(config.grid))
-        return [files[index % len(files)] for index in range(episodes or len(files))]
     if name in families.FAMILIES:
         return [_draw(name, "test", index, seed) for index in range(episodes or DEFAULT_EPISODES)]
     if name in SPLITS:
@@ -37,11 +34,14 @@ def select(name: str, config: Config, episodes: int | None, seed: int) -> list[S
         drawn = []
         for index in range(episodes or DEFAULT_EPISODES):
             source = sources[index % len(sources)]
-            if Path(source).is_dir():
-                drawn += select(source, config, index // len(sources) + 1, seed)[-1:]
-            else:
+            if source in families.FAMILIES:
                 drawn.append(_draw(source, name, index // len(sources), seed))
+            else:
+                drawn += select(source, config, index // len(sources) + 1, seed)[-1:]
         return drawn
+    if Path(name).is_dir():
+        files = scene.read_folder(name, Grid.from_config(config.grid))
+        return [files[index % len(files)] for index in range(episodes or len(files))]
     allowed = ", ".join((*SPLITS, *families.FAMILIES))
     raise SceneError(f"scenes is {name!r}; allowed are {allowed} and a folder of scene files")
 

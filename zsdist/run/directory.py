@@ -8,6 +8,7 @@ import secrets
 import shutil
 import time
 from collections.abc import Callable
+from operator import attrgetter
 from pathlib import Path
 
 from zsdist import __version__, config
@@ -18,6 +19,15 @@ from zsdist.wire import codec
 from zsdist.wire.messages import State
 
 CHECKPOINTS_KEPT = 3
+OWN = (  # settings that make a run what it is, and its states what they are
+    "seed",
+    "grid.cells",
+    "grid.blocks",
+    "grid.cell_size_m",
+    "grid.arena_m",
+    "high.hidden",
+    "low.hidden",
+)
 
 
 def create(path: Path | None, settings: Config, root: Path = Path("runs")) -> Path:
@@ -49,14 +59,18 @@ def reopen(folder: Path, overrides: tuple[str, ...] = ()) -> tuple[Config, dict[
     """Configuration (with overrides) and newest checkpoint of an earlier run. Nothing is changed yet.
 
     Raises:
-        RunError: there is no run, or no whole checkpoint in it.
+        RunError: there is no run, or no whole checkpoint in it, or it would become another run.
     """
     if not (folder / "config.yaml").is_file():
         raise RunError(f"resume folder {folder} holds no run: there is no config.yaml in it")
     try:
-        settings = config.load(folder / "config.yaml", overrides)
+        own, settings = (config.load(folder / "config.yaml", changes) for changes in ((), overrides))
     except ConfigError as error:
         raise RunError(f"resume folder {folder}: {error}") from error
+    for key in OWN:
+        was, asked = (attrgetter(key)(one) for one in (own, settings))
+        if was != asked:
+            raise RunError(f"resume folder {folder}: {key} is {asked}; allowed is what the run was begun with, {was}")
     newest = newest_checkpoint(folder)
     try:
         return settings, read_checkpoint(newest)

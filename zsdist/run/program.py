@@ -13,7 +13,7 @@ from zsdist.agent import features
 from zsdist.agent.hierarchy import HierarchicalAgent, q_functions
 from zsdist.config import Config
 from zsdist.dqn.learner import DqnLearner
-from zsdist.errors import ConfigError, WeightsError
+from zsdist.errors import ConfigError, SceneError, WeightsError
 from zsdist.planning.grid import Grid
 from zsdist.replay.buffer import row_bytes
 from zsdist.roles import access, shards
@@ -105,6 +105,9 @@ def _source(name: str) -> Callable[[str, int], Scene]:
     """Scenes of a family, or of a folder of scene files (which has no split: its files serve every purpose)."""
     if name in families.FAMILIES:
         return lru_cache(maxsize=64)(lambda split, index: families.draw(name, split, index))
+    if not Path(name).is_dir():
+        allowed = ", ".join(families.FAMILIES)
+        raise SceneError(f"source of scenes {name!r} is no folder; allowed are {allowed} and a folder of scene files")
     scenes = scene.read_folder(Path(name))
     return lambda split, index: scenes[index % len(scenes)]
 
@@ -172,6 +175,8 @@ def warm_up(config: Config) -> VisionIdentity:
     Raises:
         ZsdistError: scenes or vision weights are not there, or do not fit the configuration.
     """
+    for name in config.scenes.test:
+        _source(name)
     parts = simulation(config)
     try_out(parts, config)
     return VisionIdentity.of(parts.visual_act, config.vision.network)

@@ -1,4 +1,5 @@
 import dataclasses
+import json
 
 import pytest
 from fakes import RECORD
@@ -61,6 +62,34 @@ def test_a_line_that_was_cut_off_as_it_was_written_is_taken_out(file):
     assert len(opened(file).known) == 2
     opened(file).add(1, RECORD)
     assert len(opened(file).known) == 3
+
+
+def test_reading_leaves_the_file_as_it_is_even_where_its_last_line_is_being_written(file):
+    with file.open("a") as out:
+        out.write('{"code": "abc')
+    before = file.read_bytes()
+    assert len(ledger.read(file)) == 2
+    assert file.read_bytes() == before
+
+
+@pytest.mark.parametrize("content", ["seed: 1", '{"ended": "complete"\n}', "line 1\nlast line", '{"code": 7'])
+def test_a_file_of_something_else_without_a_last_newline_is_refused_and_left_as_it_is(tmp_path, content):
+    file = tmp_path / "other"
+    file.write_text(content)
+    with pytest.raises(RunError, match="no episode of an evaluation"):
+        opened(file)
+    assert file.read_text() == content
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("index", "1"), ("index", -1), ("steps", "many"), ("poses", [["a", 0, 0]]), ("path_m", float("nan"))],
+)
+def test_a_line_with_a_value_that_none_has_is_refused(file, name, value):
+    line = json.loads(file.read_text().splitlines()[0])
+    file.write_text(json.dumps(line | {name: value}) + "\n")
+    with pytest.raises(RunError, match="line 1 is no episode"):
+        ledger.read(file)
 
 
 @pytest.mark.parametrize("line", ["{}", "nonsense", "[1, 2]", '{"outcome": "victory"}'])

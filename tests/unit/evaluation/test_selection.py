@@ -1,3 +1,5 @@
+import shutil
+
 import pytest
 
 from zsdist.config import Config, load
@@ -54,6 +56,15 @@ def test_a_configured_folder_serves_as_a_training_family(folder):
     chosen = hashes("train", config, 4, 0)
     assert chosen[0::2] == hashes(str(folder), config, 2, 0)
     assert chosen[1::2] == [families.draw("iid", "train", index).hash() for index in range(2)]
+
+
+def test_a_folder_of_the_working_directory_does_not_take_the_place_of_a_family_or_a_split(folder, monkeypatch):
+    before = [hashes(name, CONFIG, 3, 7) for name in ("iid", "test")]
+    for name in ("iid", "test"):
+        shutil.copytree(folder, folder / "elsewhere" / name, ignore=shutil.ignore_patterns("elsewhere"))
+    monkeypatch.chdir(folder / "elsewhere")
+    assert [hashes(name, CONFIG, 3, 7) for name in ("iid", "test")] == before
+    assert hashes("./iid", CONFIG, None, 7) == hashes(str(folder), CONFIG, None, 7)
 
 
 def test_singleton_has_ten_scenes():

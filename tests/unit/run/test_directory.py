@@ -116,6 +116,15 @@ def test_going_on_strikes_out_figures_of_later_and_the_line_that_was_not_finishe
     assert [json.loads(line) for line in lines] == rows[:3]
 
 
+@pytest.mark.parametrize("change", ["seed=4", "grid.blocks=8", "high.hidden=[64]", "low.hidden=[64]"])
+def test_what_would_make_another_run_of_it_is_refused_by_name_and_nothing_changes(folder, ledger, change):
+    ledger.checkpoint(3, states())
+    before = (folder / "config.yaml").read_bytes()
+    with pytest.raises(RunError, match=rf"{change.partition('=')[0]} is .*; allowed is what the run was begun with"):
+        directory.reopen(folder, (change,))
+    assert (folder / "config.yaml").read_bytes() == before
+
+
 def test_where_the_newest_checkpoint_is_damaged_the_refusal_says_what_there_is_instead(folder, ledger):
     for count in (1, 2, 3):
         ledger.checkpoint(count, states())
