@@ -105,6 +105,20 @@ def test_a_run_is_gone_on_with_unless_it_had_all_its_episodes_and_what_follows_t
     assert resumed(wanted) == wanted
 
 
+def test_ctrl_c_in_the_evaluation_says_that_the_training_is_saved_and_how_to_have_one(capsys, tmp_path, monkeypatch):
+    def interrupted(folder, settings, console):
+        raise KeyboardInterrupt
+
+    setting = launch.Setting(config.Config(), "run", tmp_path, {}, None)
+    monkeypatch.setattr(launch, "_start", lambda options, console: setting)
+    monkeypatch.setattr(launch, "_train", lambda *_, **__: {"ended": "complete", "transitions": {}})
+    monkeypatch.setattr(launch.closing, "draw_training", lambda folder: None)
+    monkeypatch.setattr(launch.closing, "compare", interrupted)
+    assert launch.main(launch.parser().parse_args([])) == cli.INTERRUPTED
+    said = capsys.readouterr().out
+    assert "training is complete and saved" in said and f"python -m zsdist.evaluate {tmp_path}" in said
+
+
 def test_a_folder_that_holds_a_run_is_not_written_over(capsys, tmp_path):
     folder = directory.create(tmp_path / "run", config.Config())
     before = (folder / "config.yaml").read_bytes()

@@ -20,6 +20,7 @@ from zsdist.types import Level
 Row = dict[str, Any]
 _EVALUATED = {"policy", "weights_sha256", "scenes", "episodes", "success", "collision", "timeout", "confidence_95"}
 _FINISHED = {"finished_as", "outcome", "return", "steps"}
+_SUMMARY = {"ended", "env_steps", "merges", "wall_s", "weights"}
 _NOT_EVALUATIONS = {"checkpoints", "tensorboard", "logs", "figures"}  # folders that are not searched
 _OF_THE_RUN = {"summary.json", "metrics.jsonl", "episodes.jsonl"}
 _ASKED = ("policy", "variant", "shielded", "scenes", "seed", "weights_sha256")  # what makes episodes one evaluation
@@ -149,6 +150,8 @@ def read_run(folder: Path) -> Run:
     if any(not set(episode) >= _FINISHED for episode in episodes):
         raise RunError(f"{folder / 'episodes.jsonl'} has a line without one of {', '.join(sorted(_FINISHED))}")
     summary = _json(folder / "summary.json") if (folder / "summary.json").exists() else None
+    if summary is not None and not (isinstance(summary, dict) and set(summary) >= _SUMMARY):
+        raise RunError(f"{folder / 'summary.json'} is no summary of a run, with {', '.join(sorted(_SUMMARY))}")
     in_order = sorted(episodes, key=lambda episode: episode["finished_as"])
     return Run(folder, settings, in_order, _lines(folder / "metrics.jsonl"), summary)
 
@@ -199,8 +202,9 @@ def _results(place: Path) -> Iterator[Row]:
             continue
         told = _json(file) if file.suffix == ".json" else _summed_up(file)
         for one in told if isinstance(told, list) else [told]:
-            for result in one.get("runs", [one]) if isinstance(one, dict) else []:
-                if set(result) >= _EVALUATED:
+            several = one.get("runs", [one]) if isinstance(one, dict) else []
+            for result in several if isinstance(several, list) else []:
+                if isinstance(result, dict) and set(result) >= _EVALUATED:
                     yield from _with_and_without_shield(result)
 
 
@@ -214,7 +218,7 @@ def _with_and_without_shield(result: Row) -> Iterator[Row]:
 
 def _summed_up(file: Path) -> list[Row]:
     """What the episodes in a file of `zsdist.evaluate --out` come to, those of the newest code of each evaluation."""
-    if not any('"scene_hash"' in line for line in file.read_text().splitlines()[:1]):
+    if not any('"scene_hash"' in line for line in _text(file).splitlines()[:1]):
         return []
     lines = ledger.read(file)
     groups: dict[tuple, dict[int, ledger.Line]] = {}
@@ -233,10 +237,17 @@ def _summed_up(file: Path) -> list[Row]:
     return results
 
 
+def _text(file: Path) -> str:
+    try:
+        return file.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise RunError(f"{file} cannot be read: {error}") from error
+
+
 def _json(file: Path) -> Any:
     try:
-        return json.loads(file.read_text())
-    except (OSError, ValueError) as error:
+        return json.loads(_text(file))
+    except (ValueError, RecursionError) as error:
         raise RunError(f"{file} cannot be read as JSON: {error}") from error
 
 
@@ -244,9 +255,12 @@ def _lines(file: Path) -> list[Row]:
     """Objects of a JSON Lines file; a last line that was not finished is left out, any other is an error."""
     if not file.exists():
         return []
-    text = file.read_text()
+    text = _text(file)
     whole = text[: text.rfind("\n") + 1].splitlines()
     try:
-        return [json.loads(line) for line in whole]
-    except ValueError as error:
+        rows = [json.loads(line) for line in whole]
+    except (ValueError, RecursionError) as error:
         raise RunError(f"{file} has a line that is no JSON: {error}") from error
+    if not all(isinstance(row, dict) for row in rows):
+        raise RunError(f"{file} has a line that is no JSON object; allowed is one object a line")
+    return rows

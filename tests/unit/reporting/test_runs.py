@@ -47,13 +47,34 @@ def test_a_line_that_is_still_being_written_is_left_out(tmp_path):
 
 @pytest.mark.parametrize(
     ("file", "content"),
-    [("metrics.jsonl", "{}\nnonsense\n"), ("episodes.jsonl", '{"steps": 3}\n'), ("config.yaml", "nothing: known\n")],
+    [
+        ("metrics.jsonl", b"{}\nnonsense\n"),
+        ("metrics.jsonl", b"[1]\n"),
+        ("metrics.jsonl", b"\xff\xfe\n"),
+        ("episodes.jsonl", b'{"steps": 3}\n'),
+        ("config.yaml", b"nothing: known\n"),
+        ("summary.json", b'{"a": 1}'),
+        ("summary.json", b"[]"),
+    ],
 )
 def test_a_damaged_file_of_a_run_is_refused_with_its_place(tmp_path, file, content):
     folder = make_run(tmp_path / "a")
-    (folder / file).write_text(content)
+    (folder / file).write_bytes(content)
     with pytest.raises(RunError, match=str(folder)):
         runs.read_run(folder)
+
+
+@pytest.mark.parametrize("content", ['{"runs": 5}', '{"runs": [5]}', "[[1]]"])
+def test_other_json_beside_evaluations_is_none_of_them(tmp_path, content):
+    (tmp_path / "other.json").write_text(content)
+    (tmp_path / "one.json").write_text(json.dumps(RESULT))
+    assert len(runs.read([tmp_path]).evaluations) == 1
+
+
+def test_a_file_beside_evaluations_that_is_no_text_is_refused_by_name(tmp_path):
+    (tmp_path / "other.jsonl").write_bytes(b"\xff\xfe")
+    with pytest.raises(RunError, match=r"other\.jsonl cannot be read"):
+        runs.read([tmp_path])
 
 
 def test_evaluations_in_a_runs_folder_bear_the_name_of_its_method(tmp_path):
