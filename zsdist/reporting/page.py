@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from zsdist.errors import RunError, WeightsError
+from zsdist.errors import RunError, SceneError, WeightsError
 from zsdist.evaluation.workers import Simulation
 from zsdist.planning.grid import Grid
 from zsdist.reporting import comparison, convergence, curves, drives, guidance, maps, tables
@@ -195,9 +195,21 @@ def _driven(material: Material, out: Path, on_step: Callable[[str], None], simul
         "## Paths in unseen environments (Fig. 12)",
     )
     found, reason = _policy(material.runs)
+    if found is not None:
+        try:
+            captions, files = _drives_of(*found, out, on_step, simulation)
+        except (SceneError, WeightsError) as error:  # scenes of its configuration, or what it sees by
+            found, reason = None, str(error)
     if found is None:
         return [line for heading in headings for line in (heading, "", *missing(reason))]
-    run, policy = found
+    drawn = zip(headings, files, captions, strict=True)
+    return [line for heading, file, caption in drawn for line in (heading, "", *figure(file, caption))]
+
+
+def _drives_of(
+    run: Run, policy: Policy, out: Path, on_step: Callable[[str], None], simulation: Simulation | None
+) -> tuple[tuple[str, ...], tuple[Path, ...]]:
+    """Captions and files of the figures of a policy's drives, in their order."""
     label = f"{run.method}, seed {run.settings.seed}"
     driven = drives.drive(policy, run.method, lambda name: on_step(f"driving {name}"), simulation)
     grid, arena_m = Grid.from_config(policy.config.grid), policy.config.grid.arena_m
@@ -219,8 +231,7 @@ def _driven(material: Material, out: Path, on_step: Callable[[str], None], simul
         maps.draw_grid_maps(unseen, grid, out, "fig11-unseen"),
         maps.draw_paths(driven.paths, arena_m, out, "fig12-paths"),
     )
-    drawn = zip(headings, files, captions, strict=True)
-    return [line for heading, file, caption in drawn for line in (heading, "", *figure(file, caption))]
+    return captions, files
 
 
 def _policy(runs: Sequence[Run]) -> tuple[tuple[Run, Policy] | None, str]:

@@ -1,4 +1,5 @@
 import re
+import shutil
 
 import pytest
 from fakes import FakeVisualAct, LatticeEnv
@@ -8,6 +9,7 @@ from rehearsal import rehearse, start
 from zsdist.errors import RunError
 from zsdist.evaluation.workers import Simulation
 from zsdist.reporting import page, runs
+from zsdist.sim import families, scene
 
 FAKE = Simulation(lambda config, **_: LatticeEnv(config=config), lambda config: FakeVisualAct())
 
@@ -56,6 +58,17 @@ def test_what_a_run_does_not_give_is_said_and_not_filled_in(tmp_path):
     assert "fewer than two policies" in found["Baselines and ablations"]
     assert "no run with a merge was given" in found["The global policy's merges"]
     assert "fewer than 20 episodes" in found["The singleton case (Sec. 4.4)"]
+
+
+def test_scenes_that_are_gone_cost_the_page_no_more_than_what_is_driven_in_them(tmp_path):
+    (tmp_path / "scenes").mkdir()
+    scene.write(families.draw("iid", "test", 0), tmp_path / "scenes" / "one.yaml")
+    rehearse(start(tmp_path / "run", f"scenes.train=[{tmp_path / 'scenes'}]"))
+    shutil.rmtree(tmp_path / "scenes")
+    text, _ = written([tmp_path / "run"], tmp_path / "page")
+    found = sections(text)
+    assert f"{tmp_path / 'scenes'}" in found["Paths in unseen environments (Fig. 12)"]
+    assert "(training-outcomes.png)" in text and "(merges.png)" in text
 
 
 def test_runs_with_and_without_vision_are_told_apart(tmp_path):
