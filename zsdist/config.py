@@ -76,9 +76,7 @@ class VisionConfig(Section):
     """Visual-act inference in the actor."""
 
     weights: NameOrFolder = "pretrained"  # shipped in the package, or a folder made by `zsdist.pretrain`
-    encoder: NameOrFolder = (
-        "efficientnet-lite0"  # or a folder with a CLIP model, in the layout of open_clip or Hugging Face
-    )
+    encoder: NameOrFolder = "efficientnet-lite0"  # or a folder with a CLIP model, as open_clip or Hugging Face have it
     network: Literal["head", "student"] = "head"  # the head on the encoder's tokens, or the small network without it
     rays: Literal["all", "three", "none"] = "all"  # that reach the agent: three: one a direction; none: it sees nothing
     ray_quantile: Annotated[float, Field(gt=0, lt=1)] = 0.1

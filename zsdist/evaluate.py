@@ -157,10 +157,8 @@ def _check_together(found: list[tuple[str, Entrant, str | None]], no_shield: boo
 def _check_json(file: Path | None) -> None:
     if file is None:
         return
-    folder = file.resolve().parent
-    if file.is_dir() or not folder.is_dir():
-        raise RunError(f"--json is {str(file)!r}; allowed is a file in a folder that exists")
-    if not os.access(file if file.exists() else folder, os.W_OK):
+    _check_place("--json", file)
+    if not os.access(file if file.exists() else file.resolve().parent, os.W_OK):
         raise RunError(f"--json is {str(file)!r}, which cannot be written; allowed is a file that can")
 
 
@@ -169,10 +167,14 @@ def _check_out(out: Path | None, resume: bool) -> None:
         if resume:
             raise RunError("--resume goes on with a file of episodes; allowed is with --out FILE.jsonl")
         return
-    if out.is_dir() or not out.resolve().parent.is_dir():
-        raise RunError(f"--out is {str(out)!r}; allowed is a file in a folder that exists")
+    _check_place("--out", out)
     if out.exists() and out.stat().st_size and not resume:
         raise RunError(f"--out {out} is there already; allowed are a new file, and --resume to go on with this one")
+
+
+def _check_place(option: str, file: Path) -> None:
+    if file.is_dir() or not file.resolve().parent.is_dir():
+        raise RunError(f"{option} is {str(file)!r}; allowed is a file in a folder that exists")
 
 
 def _write(file: Path | None, result: dict[str, Any]) -> None:

@@ -43,7 +43,7 @@ def main(options: argparse.Namespace) -> int:
         closing.compare(setting.folder, setting.config, console)
     except KeyboardInterrupt:
         console.print(
-            f"the training is complete and saved; only its evaluation was interrupted. To have one:\n"
+            "the training is complete and saved; only its evaluation was interrupted. To have one:\n"
             f"  python -m zsdist.evaluate {setting.folder}",
             highlight=False,
             soft_wrap=True,

@@ -1,7 +1,7 @@
 """Two policies on the same scenes: paired differences with their intervals."""
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -98,23 +98,26 @@ def _episodes(file: Path) -> tuple[dict[_Drive, list[EpisodeRecord]], str, list[
     lines = ledger.read(file)
     if not lines:
         raise RunError(f"{file} holds no episode; allowed are files that --out wrote")
-    newest = lines[-1].about["code"]
-    current = [line for line in lines if line.about["code"] == newest]
     notes = []
-    if left := len(lines) - len(current):
-        notes.append(f"{file}: {left} lines of other code than {newest} are left out")
-    if any(line.about["shielded"] for line in current):
-        bare = [line for line in current if not line.about["shielded"]]
-        current = [line for line in current if line.about["shielded"]]
-        if bare:
-            notes.append(f"{file}: {len(bare)} lines without the shield are left out")
-    methods = sorted({_method(line) for line in current})
+
+    def only(lines: list[Line], counts: Callable[[Line], bool], others: str) -> list[Line]:
+        kept = [line for line in lines if counts(line)]
+        if left := len(lines) - len(kept):
+            notes.append(f"{file}: {left} lines {others} are left out")
+        return kept
+
+    newest = lines[-1].about["code"]
+    lines = only(lines, lambda line: line.about["code"] == newest, f"of other code than {newest}")
+    if any(line.about["shielded"] for line in lines):
+        lines = only(lines, lambda line: line.about["shielded"], "without the shield")
+    methods = sorted({_method(line) for line in lines})
     if len(methods) > 1:
         raise RunError(f"{file} holds episodes of {', '.join(methods)}; allowed is one of them, in one or more seeds")
-    entrants = {line.about["policy"]: line.about["entrant"] for line in current}
-    latest = {(line.about["entrant"], *_drive(line)): line for line in current if _is_of(line, entrants)}
-    if older := sum(not _is_of(line, entrants) for line in current):
-        notes.append(f"{file}: {older} lines of older weights or settings are left out")
+    last = {line.about["policy"]: line.about["entrant"] for line in lines}
+    lines = only(
+        lines, lambda line: line.about["entrant"] == last[line.about["policy"]], "of older weights or settings"
+    )
+    latest = {(line.about["entrant"], *_drive(line)): line for line in lines}
     drives = defaultdict(list)
     for line in latest.values():
         drives[_drive(line)].append(line.record)
@@ -125,10 +128,6 @@ def _method(line: Line) -> str:
     """A baseline by its name, a learned policy, of whatever weights, by its variant."""
     about = line.about
     return f"the variant {about['variant']}" if about["weights_sha256"] else str(about["policy"])
-
-
-def _is_of(line: Line, entrants: Mapping[str, str]) -> bool:
-    return line.about["entrant"] == entrants[line.about["policy"]]
 
 
 def _drive(line: Line) -> _Drive:

@@ -31,13 +31,13 @@ def select(name: str, config: Config, episodes: int | None, seed: int) -> list[S
         return [_draw(name, "test", index, seed) for index in range(episodes or DEFAULT_EPISODES)]
     if name in SPLITS:
         sources = config.scenes.test if name == "test" else config.scenes.train
-        drawn = []
+        grid, drawn = Grid.from_config(config.grid), []
+        folders = {source: scene.read_folder(source, grid) for source in sources if source not in families.FAMILIES}
         for index in range(episodes or DEFAULT_EPISODES):
             source = sources[index % len(sources)]
-            if source in families.FAMILIES:
-                drawn.append(_draw(source, name, index // len(sources), seed))
-            else:
-                drawn += select(source, config, index // len(sources) + 1, seed)[-1:]
+            turn = index // len(sources)
+            files = folders.get(source)
+            drawn.append(files[turn % len(files)] if files else _draw(source, name, turn, seed))
         return drawn
     if Path(name).is_dir():
         files = scene.read_folder(name, Grid.from_config(config.grid))

@@ -208,8 +208,9 @@ class RunDirectory:
         """
         payloads = {name: codec.encode(state) for name, state in states.items()}
         final = self.folder / "checkpoints" / f"{episodes:08d}"
-        partial = final.with_name(f".{final.name}.partial")
-        shutil.rmtree(partial, ignore_errors=True)
+        partial, aside = (final.with_name(f".{final.name}.{suffix}") for suffix in ("partial", "old"))
+        for left_over in (partial, aside):  # by a kill
+            shutil.rmtree(left_over, ignore_errors=True)
         partial.mkdir(parents=True)
         for name, payload in payloads.items():
             _write(partial / f"{name}.state", payload)
@@ -223,10 +224,10 @@ class RunDirectory:
         _write(partial / "manifest.json", json.dumps(manifest, indent=1).encode())
         _settle(partial)
         if final.exists():  # of as many episodes; aside in one step, so that a kill leaves no part of one
-            final.rename(final.with_name(f".{final.name}.old"))
+            final.rename(aside)
         partial.rename(final)
         _settle(final.parent)
-        shutil.rmtree(final.with_name(f".{final.name}.old"), ignore_errors=True)
+        shutil.rmtree(aside, ignore_errors=True)
         for old in sorted(final.parent.glob("[0-9]*"))[:-CHECKPOINTS_KEPT]:
             shutil.rmtree(old)
 

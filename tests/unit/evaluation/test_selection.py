@@ -67,6 +67,12 @@ def test_a_folder_of_the_working_directory_does_not_take_the_place_of_a_family_o
     assert hashes("./iid", CONFIG, None, 7) == hashes(str(folder), CONFIG, None, 7)
 
 
+def test_a_configured_folder_may_be_called_as_a_split_is(folder, tmp_path, monkeypatch):
+    shutil.copytree(folder, tmp_path / "elsewhere" / "test", ignore=shutil.ignore_patterns("elsewhere"))
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert hashes("train", load(overrides=("scenes.train=[test]",)), 3, 0) == hashes(str(folder), CONFIG, None, 0)
+
+
 def test_singleton_has_ten_scenes():
     assert len(set(hashes("singleton", CONFIG, 12, 0))) == 10
 

@@ -135,6 +135,9 @@ def test_where_the_newest_checkpoint_is_damaged_the_refusal_says_what_there_is_i
 
 
 def test_a_checkpoint_of_as_many_episodes_takes_the_place_of_the_one_before(folder, ledger):
+    left_over = folder / "checkpoints" / ".00000003.old"  # by a kill at the same place
+    left_over.mkdir()
+    (left_over / "replay.state").touch()
     for value in (1.0, 2.0):
         ledger.checkpoint(3, states(value))
     (only,) = (folder / "checkpoints").iterdir()
