@@ -3,9 +3,10 @@
 `python benchmarks/sim.py [--quick]` prints a table, then one JSON line. Every design drives the same car through the
 same scenes with the same actions, and the designs take turns, so that what else the machine does meets all of them
 alike. All times are CPU time of the process, resets aside. The obvious design is PyBullet's renderer at 512 px with the
-trunk run eagerly by torch at each step. `actor_...` are whole steps of an actor, agent included: cold without its
-memory of readings; learning with what that memory holds after the episodes driven before; warm when the same episodes
-are driven again, so that all of it is remembered. The student is left out where the weights hold none.
+trunk run eagerly by torch at each step. `warm` is the default vision in training where all that is seen is remembered.
+None of these designs has an agent. `actor_...` are whole steps of an actor, agent included: cold without its memory of
+readings; learning with what that memory holds after the episodes driven before; warm when the same episodes are driven
+again, so that all of it is remembered. The student is left out where the weights hold none.
 """
 
 import argparse
@@ -13,6 +14,7 @@ import dataclasses
 import os
 import statistics
 import time
+import types
 import uuid
 from collections.abc import Callable
 
@@ -31,7 +33,7 @@ from zsdist.roles.sight import Sight
 from zsdist.run import program
 from zsdist.sim.env import CarNavigation
 from zsdist.sim.families import draw
-from zsdist.types import Level
+from zsdist.types import Level, Pose
 from zsdist.vision import folder
 from zsdist.vision.encoders import lite0
 from zsdist.vision.encoders.base import resample
@@ -46,11 +48,32 @@ EPSILON = 0.5  # of the actor's episodes: the middle of a run's decay
 Read = Callable[[np.ndarray], object]
 
 
+class Onlooker:
+    """What `Sight` asks of a car in a training episode, of one that has no agent."""
+
+    errand = types.SimpleNamespace(trains=True)
+
+    def __init__(self, env: CarNavigation, scene_hash: str) -> None:
+        self.scene_hash = scene_hash
+        self.picture = env.picture
+        self._world = env.world
+
+    @property
+    def pose(self) -> Pose:
+        """The true pose."""
+        return self._world.pose
+
+    def goal_seen_from_here(self) -> tuple[float, float]:
+        """Bearing and distance of the goal."""
+        return self.pose.towards(*self._world.scene.goal)
+
+
 @dataclasses.dataclass
 class Design:
     """A car, perhaps with a camera, perhaps with a network that reads its pictures `(1, px, px, 3)`.
 
     Attributes:
+        sight: in place of both: the camera and the network with a memory of readings.
         parts_ms: CPU time of each action's physics, camera and network.
         rates: RL steps a CPU-second, one a round.
     """
@@ -59,6 +82,7 @@ class Design:
     env: CarNavigation
     camera: bool = True
     read: Read | None = None
+    sight: Sight | None = None
     parts_ms: list[tuple[float, float, float]] = dataclasses.field(default_factory=list)
     rates: list[float] = dataclasses.field(default_factory=list)
 
@@ -66,6 +90,7 @@ class Design:
         """One round: random actions that hit nothing on the true map; a new episode where there is none left."""
         rng, grid = np.random.default_rng(seed), self.env.grid
         blocked = FootprintTable(grid).blocked(scene.occupancy(grid))
+        onlooker = Onlooker(self.env, scene.hash())
         self._begin(scene)
         spent_s = 0.0
         for _ in range(actions):
@@ -79,12 +104,18 @@ class Design:
             marks.append(time.process_time())
             if self.read is not None:
                 self.read(picture[None])
+            elif self.sight is not None:
+                self.sight.views([onlooker])
             marks.append(time.process_time())
             self.parts_ms.append(tuple(1e3 * np.diff(marks)))
             spent_s += marks[-1] - marks[0]
             if terminated or truncated:
                 self._begin(scene)
         self.rates.append(actions / spent_s)
+
+    def rehearse(self, scene: object, seed: int, actions: int) -> None:
+        """The same round, not counted."""
+        dataclasses.replace(self, parts_ms=[], rates=[]).drive(scene, seed, actions)
 
     def _begin(self, scene: object) -> None:
         self.env.reset(options={"scene": scene})
@@ -103,12 +134,16 @@ def main() -> None:
     designs, head = _designs(options.weights)
     for index in range(-1, rounds):  # the first does not count
         for design in designs:
-            design.drive(draw("singleton", "train", max(index, 0)), index + 1, actions)
+            scene = draw("singleton", "train", max(index, 0))
+            if design.sight is not None:
+                design.rehearse(scene, index + 1, actions)
+            design.drive(scene, index + 1, actions)
     figures = _figures(designs, actions)
     figures |= _actors(options.weights, warm_episodes, measured)
     figures |= _floor(figures, head)
     slow = figures["tiny_512px_eager_steps_per_cpu_s"]
     ratios = {
+        "warm_vs_tiny512": figures["warm_steps_per_cpu_s"] / slow,
         "default_vs_tiny512": figures["actor_warm_steps_per_cpu_s"] / slow,
         "learning_vs_tiny512": figures["actor_learning_steps_per_cpu_s"] / slow,
         "cold_vs_tiny512": figures["actor_cold_4_cars_steps_per_cpu_s"] / slow,
@@ -140,12 +175,17 @@ def _designs(weights: str) -> tuple[list[Design], Read]:
         Design("caster_224px_trunk", env(), read=encoder.tokens),
         Design("caster_224px_trunk_head", env(), read=model.read),
         Design("tiny_512px_eager", env(512, "pybullet"), read=read_eagerly),
+        Design("warm", env(), camera=False, sight=Sight(model, Grid.from_config(Config().grid), _memory())),
     ]
     if folder.read(folder.locate(weights)).has(folder.STUDENT_FILE):
         student = VisualAct.load(VisionConfig(weights=weights, network="student"), CameraConfig(size_px=STUDENT_PX))
         designs.append(Design("caster_128px_student", env(STUDENT_PX), read=student.read))
     tokens = np.zeros((1, encoder.side, encoder.side, encoder.features), np.float32)
     return designs, lambda: model.read_tokens(tokens)
+
+
+def _memory() -> ReadingCache:
+    return ReadingCache(f"bench-{uuid.uuid4().hex}", Config().vision.cache_bytes, "bench")
 
 
 def _figures(designs: list[Design], actions: int) -> dict[str, float]:
@@ -157,7 +197,10 @@ def _figures(designs: list[Design], actions: int) -> dict[str, float]:
         print(f"{design.name:26}{parts[0]:9.3f}{parts[1]:9.3f}{parts[2]:9.3f}{1e3 / rate:9.3f}{rate:13.0f}")
         figures[f"{design.name}_steps_per_cpu_s"] = rate
         for part, value, there in zip(
-            ("physics", "camera", "network"), parts, (True, design.camera, design.read is not None), strict=True
+            ("physics", "camera", "network"),
+            parts,
+            (True, design.camera, design.read is not None or design.sight is not None),
+            strict=True,
         ):
             if there:
                 figures[f"{design.name}_{part}_ms"] = float(value)
@@ -204,7 +247,7 @@ def _actors(weights: str, warm_episodes: int, measured: int) -> dict[str, float]
     for cars in CARS:
         ms = statistics.median(times[cars][1:])
         figures |= {f"actor_cold_{cars}_cars_ms": ms, f"actor_cold_{cars}_cars_steps_per_cpu_s": 1e3 / ms}
-    sight = Sight(parts.visual_act, grid, ReadingCache(f"bench-{uuid.uuid4().hex}", config.vision.cache_bytes, "bench"))
+    sight = Sight(parts.visual_act, grid, _memory())
     learning = _Crew(config, parts, config.run.cars_per_actor, sight, q)
     while learning.episodes < warm_episodes:
         learning.drive(config.run.cars_per_actor)

@@ -28,6 +28,7 @@ from _common import report
 
 import zsdist
 from zsdist import launch
+from zsdist.config import load
 from zsdist.run import directory
 from zsdist.transport.base import Mailbox
 from zsdist.transport.zenoh import ZenohTransport
@@ -49,9 +50,10 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="fewer episodes; ends within 50 s on two cores")
     parser.add_argument("--weights", default="pretrained", help="as vision.weights (default: pretrained)")
     parser.add_argument("--episodes", type=int, metavar="N", help="of the run in processes; another quarter in one")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the run")
     options = parser.parse_args()
     episodes = options.episodes or (20 if options.quick else 300)
-    settings = [*QUIET, f"vision.weights={options.weights}"]
+    settings = [*QUIET, f"vision.weights={options.weights}", *options.set]
     with tempfile.TemporaryDirectory() as folder:
         figures, ratios = _distributed(Path(folder) / "system", episodes, settings)
         figures |= _profile(Path(folder) / "inline", max(1, episodes // 4), settings)
@@ -114,13 +116,13 @@ def _distributed(folder: Path, episodes: int, settings: list[str]) -> tuple[dict
             f"{level}_mean_lag_versions": sum(lags) / max(1, len(lags)),
         }
         served = last["replay-0"][f"{level}_updates_served"] / last["replay-0"][f"{level}_stored"]
-        ratios[f"{level}_updates_per_insert_vs_setting"] = served  # the setting is 1
-    hits, others = (
-        sum(_spread(first, last, name, field) for name in actors for field in fields if field in first[name])
-        for fields in (("cache_hits",), ("cache_misses", "cache_bypasses"))
-    )
-    if hits + others:
-        figures["remembered_share"] = hits / (hits + others)
+        setting = getattr(load(folder / "config.yaml"), level).updates_per_insert
+        ratios[f"{level}_updates_per_insert_vs_setting"] = served / setting
+    kinds = ("cache_hits", "cache_misses", "cache_bypasses")
+    readings = {kind: sum(_spread(first, last, name, kind) for name in actors if kind in first[name]) for kind in kinds}
+    if total := sum(readings.values()):
+        figures["remembered_share"] = readings["cache_hits"] / total
+        figures["off_the_lattice_share"] = readings["cache_bypasses"] / total
     figures["env_steps_per_actor_cpu_s"] = sum(_spread(first, last, name, "env_steps") for name in actors) / sum(
         _spread(first, last, name, "cpu_s") for name in actors
     )
