@@ -250,12 +250,6 @@ class Config(Section):
         ):
             if not low <= value <= high:
                 raise ValueError(f"{name}_initial is {value}; allowed is {name}_min to {name}_max, {low} to {high}")
-        for name, level in (("high", self.high), ("low", self.low)):
-            if level.min_size > self.replay.size_min:
-                raise ValueError(
-                    f"{name}.min_size is {level.min_size}; allowed is at most replay.size_min, {self.replay.size_min}, "
-                    "to which the replay may shrink"
-                )
         if self.replay.shards > self.run.actors:
             raise ValueError(
                 f"replay.shards is {self.replay.shards}; allowed are at most as many as actors, {self.run.actors}"

@@ -89,6 +89,7 @@ def examine(address: str | None, endpoint: str | None, tls: Path | None = None) 
         yield guarded(name, check)
     if address is not None:
         yield check_address(address)
+    if address is not None or endpoint is not None:
         yield check_endpoint(Config().transport.endpoint if endpoint is None else endpoint)
     if tls is not None:
         yield from check_certificates(tls, endpoint)

@@ -29,6 +29,7 @@ def main(options: argparse.Namespace) -> int:
     with _interruptible() as interruption:
         summary = _train(setting, interruption, console, prefer_lines=options.plain)
     _check_books(summary)
+    _tell_unlearned(summary, setting.config, console)
     if summary["ended"] == "interrupted":
         closing.draw_training(setting.folder)
         console.print(
@@ -147,6 +148,18 @@ def _check_books(summary: dict) -> None:
             raise RunError(
                 f"the books of level {level} do not balance: {books['produced']} transitions produced, "
                 f"{books['stored']} stored, {books['rejected']} rejected"
+            )
+
+
+def _tell_unlearned(summary: dict, settings: Config, console: Console) -> None:
+    for level, updates in summary["learner_updates"].items():
+        if not updates:
+            stored, least = summary["transitions"][level]["stored"], getattr(settings, level).min_size
+            console.print(
+                f"the {level} level has learned nothing: it stored {stored} transitions, and learning starts from "
+                f"{least} ({level}.min_size)",
+                highlight=False,
+                soft_wrap=True,
             )
 
 

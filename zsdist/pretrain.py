@@ -96,7 +96,7 @@ def pretrain(options: argparse.Namespace) -> int:
     if "head" in job.stages:
         vision = job.config.vision.model_copy(update={"weights": str(folder)})
         check(job.config.model_copy(update={"vision": vision}), CHECK_IMAGES, job.seed, options.json, object_count=0)
-    print(f"weights are in {folder}; use them by --set vision.weights={folder}")
+    print(f"weights are in {folder}; use them by --set vision.weights={folder.resolve()}")
     return 0
 
 

@@ -29,7 +29,9 @@ def test_a_second_time_adds_actors_and_says_that_the_hubs_host_stays(capsys, tmp
     assert "made actor-1 " in printed.out and "delete hub.pem" in printed.out
 
 
-def test_a_count_that_is_none_is_refused_in_one_line(capsys, tmp_path):
-    status, printed = run(capsys, tmp_path, "--actors", "0")
+@pytest.mark.parametrize(("option", "value"), [("--actors", "0"), ("--days", "9999999")])
+def test_a_count_that_cannot_be_is_refused_in_one_line(capsys, tmp_path, option, value):
+    status, printed = run(capsys, tmp_path / "made", option, value)
     assert status == cli.REFUSED
-    assert "'0'" in printed.err and printed.err.count("\n") == 1
+    assert value in printed.err and printed.err.count("\n") == 1
+    assert not (tmp_path / "made").exists()

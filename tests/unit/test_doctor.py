@@ -140,3 +140,4 @@ def test_without_an_address_no_cluster_is_checked(monkeypatch):
     assert not any(check.startswith(("cluster", "endpoint")) for check in alone)
     both = [finding.check for finding in doctor.examine("127.0.0.1:1", None)]
     assert both[-2:] == ["cluster 127.0.0.1:1", "endpoint tcp/127.0.0.1:7447"]
+    assert [finding.check for finding in doctor.examine(None, "rubbish")] == [*alone, "endpoint rubbish"]

@@ -1,3 +1,4 @@
+import io
 import json
 
 import pytest
@@ -45,7 +46,6 @@ def test_an_unknown_key_is_refused_with_the_nearest_known_one(capsys, tmp_path):
         (["--set", "camera.forward_m=.nan"], "camera.forward_m is nan"),
         (["--set", "replay.target_return=.nan"], "replay.target_return is nan"),
         (["--set", "reward.step=.inf"], "reward.step is inf"),
-        (["--set", "low.min_size=21000"], "low.min_size is 21000; allowed is at most replay.size_min"),
         (["--set", "seed=2024-13-45"], "not valid YAML"),
         (["--config", "no/such.yaml"], "no/such.yaml"),
         (["--frobnicate"], "--frobnicate"),
@@ -111,7 +111,9 @@ def test_ctrl_c_in_the_evaluation_says_that_the_training_is_saved_and_how_to_hav
 
     setting = launch.Setting(config.Config(), "run", tmp_path, {}, None)
     monkeypatch.setattr(launch, "_start", lambda options, console: setting)
-    monkeypatch.setattr(launch, "_train", lambda *_, **__: {"ended": "complete", "transitions": {}})
+    monkeypatch.setattr(
+        launch, "_train", lambda *_, **__: {"ended": "complete", "transitions": {}, "learner_updates": {}}
+    )
     monkeypatch.setattr(launch.closing, "draw_training", lambda folder: None)
     monkeypatch.setattr(launch.closing, "compare", interrupted)
     assert launch.main(launch.parser().parse_args([])) == cli.INTERRUPTED
@@ -139,3 +141,17 @@ def test_a_cluster_that_the_roles_could_not_reach_is_refused(capsys, tmp_path, a
     arguments = ("--address", address, "--set", f"transport.endpoint={endpoint}", "--run-dir", tmp_path / "run")
     assert telling in refusal(capsys, *arguments)
     assert not (tmp_path / "run").exists()
+
+
+def test_a_folder_that_cannot_be_is_refused_in_one_line(tmp_path):
+    with pytest.raises(RunError, match="File name too long"):
+        directory.create(tmp_path / ("x" * 300), config.Config())
+
+
+def test_a_level_that_never_learned_is_said_at_the_end():
+    console = Console(record=True, file=io.StringIO())
+    settings = config.parse({"low": {"min_size": 21_000}})
+    summary = {"learner_updates": {"high": 7, "low": 0}, "transitions": {"low": {"stored": 900}}}
+    launch._tell_unlearned(summary, settings, console)
+    said = console.export_text()
+    assert "900" in said and "21000 (low.min_size)" in said and "high" not in said

@@ -42,11 +42,11 @@ def create(path: Path | None, settings: Config, root: Path = Path("runs")) -> Pa
         RunError: `path` holds a run already, or cannot be made.
     """
     folder = path or root / f"{settings.run.name}-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
-    if (folder / "config.yaml").exists():
-        raise RunError(f"run directory {folder} already holds a run; allowed are a new folder, or --resume {folder}")
-    if folder.exists() and not folder.is_dir():
-        raise RunError(f"run directory {folder} is a file; allowed is a folder")
     try:
+        if (folder / "config.yaml").exists():
+            raise RunError(f"run directory {folder} holds a run already; allowed are a new folder or --resume {folder}")
+        if folder.exists() and not folder.is_dir():
+            raise RunError(f"run directory {folder} is a file; allowed is a folder")
         for name in ("checkpoints", "figures", "logs"):
             (folder / name).mkdir(parents=True, exist_ok=True)
         rewrite_config(folder, settings)

@@ -20,6 +20,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from zsdist.errors import TransportError
 
 AUTHORITY = "ca"
+MOST_DAYS = 36_500
 _BEFORE = datetime.timedelta(minutes=10)  # clocks of machines differ
 _HASH = hashes.SHA256()
 _SERVES, _CALLS = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
@@ -83,14 +84,16 @@ def make(folder: Path, server: str, clients: Iterable[str], hosts: Sequence[str]
         server: name of the one that may be connected to; it may connect too.
         clients: names that may only connect.
         hosts: names and addresses under which the server is reached.
-        days: how long they are valid.
+        days: how long they are valid, at most `MOST_DAYS`.
 
     Returns:
         The names of the certificates made; those that were there are left as they are.
 
     Raises:
-        TransportError: the folder cannot be written, or its authority cannot be used.
+        TransportError: that is too long, the folder cannot be written, or its authority cannot be used.
     """
+    if days > MOST_DAYS:
+        raise TransportError(f"certificates are to be valid for {days} days; allowed are at most {MOST_DAYS}")
     made = []
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
