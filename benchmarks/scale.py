@@ -46,7 +46,7 @@ CASES = (  # transport, actors, updates an insert
     ("zenoh", 16, 1 / 32),
     ("zenoh", 64, 1 / 32),
     ("zenoh", 256, 1 / 32),
-    ("zenoh", 4, 1.0),
+    ("zenoh", 4, Config().low.updates_per_insert),
 )
 TRAJECTORIES = 64  # different ones, of which all actors push
 

@@ -16,7 +16,7 @@ from zsdist.wire import codec, keys
 from zsdist.wire.messages import Ack, Orders, Priorities, Push, SampleReply, SampleRequest, State
 
 FEATURES, ACTIONS, RUN = 3, 2, "test"
-CONFIG = parse({"low": {"min_size": 4}, "replay": {"batch_initial": 16}})
+CONFIG = parse({"low": {"min_size": 4, "updates_per_insert": 1.0}, "replay": {"batch_initial": 16}})
 SHAPES = {Level.LOW: Shape(FEATURES, ACTIONS)}
 
 
