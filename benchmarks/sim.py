@@ -138,6 +138,9 @@ def main() -> None:
             if design.sight is not None:
                 design.rehearse(scene, index + 1, actions)
             design.drive(scene, index + 1, actions)
+    for design in designs:
+        if design.sight is not None:
+            design.sight.close()
     figures = _figures(designs, actions)
     figures |= _actors(options.weights, warm_episodes, measured)
     figures |= _floor(figures, head)

@@ -104,7 +104,7 @@ def _distributed(folder: Path, episodes: int, settings: list[str]) -> tuple[dict
         key = name.replace("-", "_")
         figures[f"share_cpu_{key}"] = rate(name, "cpu_s") / figures["cpu_cores_used"]
         figures |= {f"{key}_{field}_per_s": value for field, value in waiting.items()}
-    ratios = {}
+    ratios, config = {}, load(folder / "config.yaml")
     for level in LEVELS:
         updates = rate(f"learner-{level}", "learner_updates")
         inserts, samples = (rate("replay-0", f"{level}_{name}") for name in ("stored", "sampled"))
@@ -116,8 +116,7 @@ def _distributed(folder: Path, episodes: int, settings: list[str]) -> tuple[dict
             f"{level}_mean_lag_versions": sum(lags) / max(1, len(lags)),
         }
         served = last["replay-0"][f"{level}_updates_served"] / last["replay-0"][f"{level}_stored"]
-        setting = getattr(load(folder / "config.yaml"), level).updates_per_insert
-        ratios[f"{level}_updates_per_insert_vs_setting"] = served / setting
+        ratios[f"{level}_updates_per_insert_vs_setting"] = served / getattr(config, level).updates_per_insert
     kinds = ("cache_hits", "cache_misses", "cache_bypasses")
     readings = {kind: sum(_spread(first, last, name, kind) for name in actors if kind in first[name]) for kind in kinds}
     if total := sum(readings.values()):

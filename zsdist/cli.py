@@ -1,6 +1,7 @@
 """What all commands share: one-line errors, exit statuses, Ctrl-C and what means the same, whole numbers."""
 
 import argparse
+import errno
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -29,8 +30,8 @@ def execute(
     """Run a command and leave with its status; a `--debug` option is added to the parser.
 
     A `ZsdistError` is one line on the standard error stream and status 2 (`--debug`: the traceback, status 1); Ctrl-C
-    is status 130, and so is SIGTERM, by which a service manager asks for the same. Any other exception is a defect and
-    keeps its traceback.
+    is status 130, and so is SIGTERM, by which a service manager asks for the same. A name of a file too long for the
+    system is one line too. Any other exception is a defect and keeps its traceback.
 
     Args:
         main: the command; returns its exit status.
@@ -46,6 +47,11 @@ def execute(
         if options.debug:
             raise
         print(f"{parser.prog}: error: {' '.join(str(error).split())}", file=sys.stderr)
+        status = REFUSED
+    except OSError as error:
+        if options.debug or error.errno != errno.ENAMETOOLONG:  # such a name can only have been given by a person
+            raise
+        print(f"{parser.prog}: error: {error.filename}: {error.strerror}", file=sys.stderr)
         status = REFUSED
     except KeyboardInterrupt:
         print(f"{parser.prog}: interrupted", file=sys.stderr)

@@ -30,8 +30,8 @@ def main(options: argparse.Namespace) -> int:
         summary = _train(setting, interruption, console, prefer_lines=options.plain)
     _check_books(summary)
     _tell_unlearned(summary, setting.config, console)
+    closing.draw_training(setting.folder)
     if summary["ended"] == "interrupted":
-        closing.draw_training(setting.folder)
         console.print(
             f"interrupted after {summary['episodes']} episodes; everything is saved, go on with\n"
             f"  python -m zsdist.launch --resume {setting.folder}",
@@ -39,7 +39,6 @@ def main(options: argparse.Namespace) -> int:
             soft_wrap=True,
         )
         return cli.INTERRUPTED
-    closing.draw_training(setting.folder)
     try:
         closing.compare(setting.folder, setting.config, console)
     except KeyboardInterrupt:

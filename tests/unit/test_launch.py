@@ -148,6 +148,10 @@ def test_a_folder_that_cannot_be_is_refused_in_one_line(tmp_path):
         directory.create(tmp_path / ("x" * 300), config.Config())
 
 
+def test_a_run_to_go_on_with_whose_name_cannot_be_is_refused_in_one_line(capsys):
+    assert "File name too long" in refusal(capsys, "--resume", "x" * 300)
+
+
 def test_a_level_that_never_learned_is_said_at_the_end():
     console = Console(record=True, file=io.StringIO())
     settings = config.parse({"low": {"min_size": 21_000}})
