@@ -188,7 +188,8 @@ def _designs(weights: str) -> tuple[list[Design], Read]:
 
 
 def _memory() -> ReadingCache:
-    return ReadingCache(f"bench-{uuid.uuid4().hex}", Config().vision.cache_bytes, "bench")
+    """Empty at first: nobody else sees by a name like this."""
+    return ReadingCache(Config().vision.cache_bytes, f"benchmark {uuid.uuid4().hex}")
 
 
 def _figures(designs: list[Design], actions: int) -> dict[str, float]:

@@ -3,7 +3,8 @@
 `python benchmarks/system.py [--quick]` prints tables, then one JSON line. First a training run by `zsdist.launch` with
 two actor processes in a temporary folder, without merges and evaluation, watched over zenoh as any monitor does:
 figures come from the statistics that roles publish, and the CPU time of each role's process from the kernel, between
-the first training step seen and the last. Then a run in one process, sampled by CPU time: `share_run_...` are shares of
+the first training step seen and the last. Then the same again, which finds what the first one read from its pictures
+(`again_...`). Then a run in one process, which finds nothing, sampled by CPU time: `share_run_...` are shares of
 the whole run's second by package, `share_actor_...` of the actor's; a sample belongs to the innermost package of ours
 on the stack, so that numpy's or torch's time is its caller's.
 """
@@ -39,6 +40,7 @@ MAILBOX_BYTES = 1 << 24
 SAMPLE_EVERY_S = 0.01  # of CPU time; longer than any call that does not look at signals
 ACTORS = 2
 LEVELS = ("high", "low")
+AGAIN = ("env_steps_per_s", "remembered_share", "cpu_cores_used", "env_steps_per_actor_cpu_s")
 QUIET = ("run.final_evaluation_episodes=0", "merge.every_episodes=100000")
 
 Told = dict[str, dict]  # the last statistics of each role, by its name, with the CPU seconds of its process
@@ -47,17 +49,28 @@ Told = dict[str, dict]  # the last statistics of each role, by its name, with th
 def main() -> None:
     """Measure, print the tables and the JSON line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="fewer episodes; ends within 50 s on two cores")
+    parser.add_argument("--quick", action="store_true", help="fewer episodes; ends within 80 s on two cores")
     parser.add_argument("--weights", default="pretrained", help="as vision.weights (default: pretrained)")
     parser.add_argument("--episodes", type=int, metavar="N", help="of the run in processes; another quarter in one")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the run")
     options = parser.parse_args()
     episodes = options.episodes or (20 if options.quick else 300)
     settings = [*QUIET, f"vision.weights={options.weights}", *options.set]
-    with tempfile.TemporaryDirectory() as folder:
-        figures, ratios = _distributed(Path(folder) / "system", episodes, settings)
-        figures |= _profile(Path(folder) / "inline", max(1, episodes // 4), settings)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        _forget(folder / "machine")
+        figures, ratios = _distributed(folder / "system", episodes, settings)
+        again, _ = _distributed(folder / "again", episodes, settings)
+        figures |= {f"again_{name}": again[name] for name in AGAIN if name in again}
+        _forget(folder / "another machine")
+        figures |= _profile(folder / "inline", max(1, episodes // 4), settings)
     report("system", figures, ratios)
+
+
+def _forget(folder: Path) -> None:
+    """Runs from here on find nothing of what was read before: that lies in the folder for temporary files."""
+    folder.mkdir()
+    os.environ["TMPDIR"] = tempfile.tempdir = str(folder)
 
 
 def _arguments(folder: Path, episodes: int, settings: list[str]) -> list[str]:

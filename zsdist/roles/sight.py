@@ -28,7 +28,7 @@ class VisualAct(Sighted, Protocol):
 
 
 class Sight:
-    """One visual-act model for several cars, in one batch, and the memory of what it read.
+    """One visual-act model for several cars, and the memory of what it read.
 
     A reading is remembered for training episodes in scenes where nobody walks, and for cars that stand on the lattice
     within `NEAR_M` and `NEAR_RAD`. It is made from a picture at the lattice state itself, of a level car. So it is the
@@ -58,12 +58,12 @@ class Sight:
             for car, state in zip(cars, states, strict=True)
         ]
         unread = [index for index, reading in enumerate(readings) if reading is None]
-        if unread:
-            poses = [None if states[index] is None else self._grid.pose(states[index]) for index in unread]
-            pictures = [cars[index].picture(pose) for index, pose in zip(unread, poses, strict=True)]
-            for index, *parts in zip(unread, *self._visual_act.read(np.stack(pictures)), strict=True):
-                car, state, reading = cars[index], states[index], Reading(*parts)
-                readings[index] = reading if state is None else self._cache.keep(car.scene_hash, state, reading)
+        for index in unread:
+            car, state = cars[index], states[index]
+            picture = car.picture(None if state is None else self._grid.pose(state))
+            # One at a time: read together with others, the last bits of a reading depend on how many there are.
+            reading = Reading(*(part[0] for part in self._visual_act.read(picture[None])))
+            readings[index] = reading if state is None else self._cache.keep(car.scene_hash, state, reading)
         self._count(cars, states, unread)
         goals = np.array([car.goal_seen_from_here() for car in cars], dtype=np.float32)
         together = Reading(*(np.stack(parts) for parts in zip(*readings, strict=True)))

@@ -5,10 +5,12 @@ import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
+from zsdist import source
 from zsdist.agent import features
 from zsdist.agent.hierarchy import HierarchicalAgent, q_functions
 from zsdist.config import Config
@@ -204,7 +206,7 @@ class Setting:
         states: of the checkpoint that is gone on from, by role name; empty for a new run.
         vision: by what every car sees.
         make_parts: what actors are made of; tests put a kinematic car in the place of the simulation.
-        start: a word of its own for each start of a run, which names what its actors share on a machine.
+        start: a word of its own for each start of a run, which names the journals of its replays.
     """
 
     config: Config
@@ -265,11 +267,17 @@ class Setting:
         raise ValueError(f"no role is called {place.role!r}")
 
     def _sight(self, visual_act: VisualAct) -> Sight:
-        size, cache = self.config.vision.cache_bytes, None
-        if size:
-            vision = f"{visual_act.encoder_sha256}/{visual_act.weights_sha256}"
-            cache = ReadingCache(self.start, size, vision)
+        size = self.config.vision.cache_bytes
+        cache = ReadingCache(size, _seen_by(self.config, visual_act)) if size else None
         return Sight(visual_act, Grid.from_config(self.config.grid), cache)
+
+
+def _seen_by(config: Config, visual_act: VisualAct) -> str:
+    """All that a reading depends on besides scene and lattice state, as far as runs of a machine may differ in it."""
+    settings = config.model_dump_json(include={"grid", "camera"})
+    code = source.sha256("zsdist.sim.env", "zsdist.vision.visual_act")
+    libraries = (f"{name} {version(name)}" for name in ("numpy", "numba", "onnxruntime", "pybullet", "torch"))
+    return "/".join((visual_act.encoder_sha256, visual_act.weights_sha256, settings, code, *libraries))
 
 
 def make_learner(config: Config, level: Level) -> DqnLearner:

@@ -1,4 +1,4 @@
-"""What was read from pictures, remembered by where they were taken and shared by the processes of a machine.
+"""What was read from pictures, remembered by where they were taken, for all runs of a user on a machine.
 
 One file of fixed size, mapped into memory, in sets of a few slots. Nobody locks a slot: each carries a checksum, and
 one that was torn, by two writers at once or by a death in the middle of a write, is a reading that is not there.
@@ -32,27 +32,28 @@ PREFIX = f"zsdist-readings-{os.getuid()}-"
 class ReadingCache:
     """Readings by (vision, scene, cell, heading), in float16, the file never larger than `size_bytes`.
 
-    The file lies in the machine's folder for temporary files: a run's folder may be shared by several machines, whose
-    mapped pages do not agree. It is reserved when it is made, since a mapped file on a full disk kills its writer. Each
-    process that uses it holds a shared lock that dies with it, so that files which nobody uses are known and removed.
+    The file lies in the machine's folder for temporary files, since several machines may share any other, and their
+    mapped pages do not agree. It stays there: the next run, or one beside this, in the same scenes finds what was
+    read. It is reserved when it is made, since a mapped file on a full disk kills its writer. One of another size that
+    nobody uses is removed, so that a user has one file, unless runs of several sizes go on at once: each process holds
+    a shared lock on its file, which dies with it.
 
     Args:
-        name: of the file; processes that give the same one share their readings.
         size_bytes: of the file.
-        vision: by what is seen, such as the hashes of encoder and head; readings of another vision are never found.
+        vision: all that a reading depends on besides scene and place; readings of another vision are never found.
 
     Raises:
         ConfigError: there is no room for even one set of slots.
         RunError: the file cannot be made.
     """
 
-    def __init__(self, name: str, size_bytes: int, vision: str) -> None:
+    def __init__(self, size_bytes: int, vision: str) -> None:
         self._sets = size_bytes // SET_BYTES
         if self._sets < 1:
             raise ConfigError(f"vision.cache_bytes is {size_bytes}; allowed are 0 (no cache) and {SET_BYTES} or more")
-        remove_unused()
-        path = Path(tempfile.gettempdir(), PREFIX + name)
         size = self._sets * SET_BYTES
+        path = Path(tempfile.gettempdir(), f"{PREFIX}{size}")
+        _remove_others(path)
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
             fcntl.flock(self._file, fcntl.LOCK_SH)
@@ -63,8 +64,7 @@ class ReadingCache:
                 f"vision.cache_bytes is {size_bytes}: {path} cannot be made ({error.strerror or error}); "
                 "allowed is what there is room for, or 0 (no cache)"
             ) from error
-        self.path = path
-        self._vision = vision
+        self._vision = blake2b(vision.encode(), digest_size=KEY_BYTES).digest()
         self._kept = 0
 
     def find(self, scene: str, state: LatticeState) -> Reading | None:
@@ -89,24 +89,25 @@ class ReadingCache:
         return _unpacked(content)
 
     def close(self) -> None:
-        """Lets go of the file, and removes it where no other process uses it; closing again does nothing."""
+        """Lets go of the file, which stays; closing again does nothing."""
         if not self._memory.closed:
             self._memory.close()
             os.close(self._file)
-            remove_unused()
 
     def _key(self, scene: str, state: LatticeState) -> bytes:
-        place = f"{self._vision}/{scene}/{state.ix}/{state.iy}/{state.heading}"
-        return blake2b(place.encode(), digest_size=KEY_BYTES).digest()
+        place = f"{scene}/{state.ix}/{state.iy}/{state.heading}"
+        return blake2b(place.encode(), digest_size=KEY_BYTES, key=self._vision).digest()
 
     def _slots(self, key: bytes) -> range:
         begin = int.from_bytes(key[:8], "little") % self._sets * SET_BYTES
         return range(begin, begin + SET_BYTES, SLOT_BYTES)
 
 
-def remove_unused() -> None:
-    """Removes this user's files that no living process uses, such as those of runs that were killed."""
-    for path in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
+def _remove_others(kept: Path) -> None:
+    """Removes this user's files that no living process uses, but for one."""
+    for path in kept.parent.glob(f"{PREFIX}*"):
+        if path == kept:
+            continue
         try:
             file = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
         except OSError:  # another process was faster, or it is nothing that we made

@@ -20,7 +20,7 @@ STANDING = Obstacle("person", 8.0, 8.0, 0.3)
 
 
 class Counted(FakeVisualAct):
-    """Remembers how many pictures each batch had."""
+    """Remembers how many pictures it read at once."""
 
     def __init__(self):
         super().__init__()
@@ -37,8 +37,8 @@ def visual_act(tmp_path, monkeypatch):
     return Counted()
 
 
-def sight(visual_act, cached=True, run="run"):
-    cache = ReadingCache(run, 100 * SET_BYTES, "vision") if cached else None
+def sight(visual_act, cached=True, vision="vision"):
+    cache = ReadingCache(100 * SET_BYTES, vision) if cached else None
     return Sight(visual_act, Grid(), cache)
 
 
@@ -64,7 +64,7 @@ def test_a_picture_is_rendered_and_read_once_for_all_cars_and_episodes(visual_ac
     sees = sight(visual_act)
     fresh = sees.views([first, other])
     known = sees.views([other, again])
-    assert visual_act.batches == [2]
+    assert visual_act.batches == [1, 1]  # each by itself
     assert len(first.asked) == len(other.asked) == 1 and again.asked == []
     assert sees.statistics() == {"cache_hits": 2, "cache_misses": 2, "cache_bypasses": 0}
     for one, two in zip(fresh, reversed(known), strict=True):
@@ -82,7 +82,7 @@ def test_another_actor_of_the_machine_finds_what_was_read(visual_act):
 def test_what_a_car_sees_does_not_depend_on_who_looked_before(visual_act):
     near = (0.06, -0.05, math.radians(3))
     before = sight(visual_act).views([car(moved=near)])
-    sees = sight(visual_act, run="another run")
+    sees = sight(visual_act, vision="as if nobody had looked")
     sees.views([car(moved=(-0.05, 0.02, -0.05))])
     (after,) = sees.views([car(moved=near)])
     np.testing.assert_array_equal(before[0].ray_probabilities, after.ray_probabilities)

@@ -16,12 +16,12 @@ HERE = LatticeState(3, 4, 5)
 WRITER = """
 import sys
 
-sys.path.insert(0, sys.argv[3])
+sys.path.insert(0, sys.argv[2])
 from test_reading_cache import numbered
 from zsdist.types import LatticeState
 from zsdist.vision.rays import BINS
 from zsdist.vision.reading_cache import ReadingCache
-cache = ReadingCache(sys.argv[1], int(sys.argv[2]), "vision")
+cache = ReadingCache(int(sys.argv[1]), "vision")
 print("ready", flush=True)
 number = 0
 while True:
@@ -38,8 +38,8 @@ def temporary_folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def opened(size_bytes=64 * SET_BYTES, name="run", vision="vision"):
-    return ReadingCache(name, size_bytes, vision)
+def opened(size_bytes=64 * SET_BYTES, vision="vision"):
+    return ReadingCache(size_bytes, vision)
 
 
 def reading(seed=0):
@@ -73,7 +73,7 @@ def files_in(folder):
 
 def writer(size_bytes):
     process = subprocess.Popen(
-        [sys.executable, "-c", WRITER, "run", str(size_bytes), str(Path(__file__).parent)],
+        [sys.executable, "-c", WRITER, str(size_bytes), str(Path(__file__).parent)],
         stdout=subprocess.PIPE,
         text=True,
     )
@@ -153,20 +153,25 @@ def test_a_writer_that_is_killed_at_any_moment_leaves_whole_readings_or_none():
             assert_equal(cache.keep("scene", place, reading(ix)), cache.find("scene", place))
 
 
-def test_the_file_goes_with_its_last_user_and_that_of_a_killed_run_with_the_next_start(temporary_folder):
-    process = writer(SET_BYTES)
-    one, other = opened(SET_BYTES), opened(name="another run")
-    kill(process)
+def test_a_later_run_finds_what_one_before_it_read_even_if_that_was_killed():
+    one = opened(SET_BYTES)
+    kept = one.keep("scene", LatticeState(1, 1, 1), reading())
     one.close()
-    assert [path.name for path in files_in(temporary_folder)] == [other.path.name]
-    process = writer(SET_BYTES)
+    kill(writer(SET_BYTES))
+    assert_equal(opened(SET_BYTES).find("scene", LatticeState(1, 1, 1)), kept)
+
+
+def test_a_file_of_another_size_is_removed_once_nobody_uses_it(temporary_folder):
+    sizes = [SET_BYTES * count for count in (1, 2, 3)]
+    process, two = writer(sizes[0]), opened(sizes[1])
+    assert {path.stat().st_size for path in files_in(temporary_folder)} == set(sizes[:2])
     kill(process)
-    assert len(files_in(temporary_folder)) == 2
-    last = opened(name="the next run")
-    assert {path.name for path in files_in(temporary_folder)} == {other.path.name, last.path.name}
-    other.close()
-    last.close()
-    assert files_in(temporary_folder) == []
+    three = opened(sizes[2])
+    assert {path.stat().st_size for path in files_in(temporary_folder)} == set(sizes[1:])
+    two.close()
+    three.close()
+    opened(sizes[2])
+    assert {path.stat().st_size for path in files_in(temporary_folder)} == set(sizes[2:])
 
 
 def test_what_there_is_no_room_for_is_refused_in_one_line(monkeypatch):
@@ -184,7 +189,7 @@ def test_what_there_is_no_room_for_is_refused_in_one_line(monkeypatch):
 def test_a_link_in_the_place_of_the_file_is_not_followed(temporary_folder, tmp_path_factory):
     target = tmp_path_factory.mktemp("else") / "file"
     target.write_bytes(b"precious")
-    os.symlink(target, temporary_folder / f"{reading_cache.PREFIX}run")
+    os.symlink(target, temporary_folder / f"{reading_cache.PREFIX}{64 * SET_BYTES}")
     with pytest.raises(RunError, match="cannot be made"):
         opened()
     assert target.read_bytes() == b"precious"
