@@ -85,14 +85,20 @@ class Limiter:
         self.stored += stored
         self._stale = True
 
-    def may_sample(self) -> bool:
-        """Whether the learner may take a batch for one update now."""
+    @property
+    def allowed(self) -> int:
+        """Batches, of an update each, that the learner may take now."""
         ratio = self._ratio  # by whole numbers: a product of fractions takes longer than drawing a batch's rows
-        return self.limited and (self.updates + 1) * ratio.denominator <= ratio.numerator * self.stored
+        return max(0, ratio.numerator * self.stored // ratio.denominator - self.updates) if self.limited else 0
+
+    @property
+    def unhurried(self) -> int:
+        """Batches for which the learner can wait before the actors have used up half of the band."""
+        return max(1, int(self._ratio * self._band / 2))
 
     def sampled(self) -> None:
-        """A batch was handed out. Raises ProtocolError where `may_sample` says no."""
-        if not self.may_sample():
+        """A batch was handed out. Raises ProtocolError where none is allowed."""
+        if not self.allowed:
             raise ProtocolError(
                 f"update {self.updates + 1} of {self.stored} transitions; allowed is {self._ratio} of each"
             )

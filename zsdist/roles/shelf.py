@@ -122,11 +122,18 @@ class Shelf:
         return self._epochs.get(actor) == epoch and (actor, epoch) not in self._closed
 
     def serve(self, now: float) -> None:
-        """Answers waiting requests: with as many batches as the limiter allows, with none after `HOLD_REQUEST_S`."""
+        """Answers waiting requests: with as many batches as the limiter allows, with none after `HOLD_REQUEST_S`.
+
+        It waits until there is enough for all of them, so long as no actor has to wait for that: to wake a learner for
+        a single batch costs as much as the update.
+        """
+        wanted = min(sum(batches for _, _, batches in self.waiting), self.limiter.unhurried)
+        if self.waiting and self.limiter.allowed < wanted and now - self.waiting[0][0] < HOLD_REQUEST_S:
+            return
         while self.waiting:
             asked_s, message, wanted = self.waiting[0]
             batch, batches, held = None, 0, len(self.buffer)
-            while batches < wanted and held and self.limiter.may_sample():
+            while batches < wanted and held and self.limiter.allowed > 0:
                 self.limiter.sampled()
                 batches += 1
             if batches:

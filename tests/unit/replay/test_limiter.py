@@ -57,11 +57,11 @@ class Flow(RuleBasedStateMachine):
         if self.limiter.limited and not was_limited:
             self.start_excess = self.limiter.stored
 
-    @precondition(lambda self: self.limiter.may_sample())
+    @precondition(lambda self: self.limiter.allowed)
     @rule(times=st.integers(1, 12))
     def learn(self, times):
         for _ in range(times):
-            if self.limiter.may_sample():
+            if self.limiter.allowed:
                 self.limiter.sampled()
 
     @invariant()
@@ -77,7 +77,7 @@ class Flow(RuleBasedStateMachine):
 
     @invariant()
     def one_side_can_always_go_on(self):
-        if not hasattr(self, "limiter") or not self.limiter.limited or self.limiter.may_sample():
+        if not hasattr(self, "limiter") or not self.limiter.limited or self.limiter.allowed:
             return
         for name, produced in self.produced.items():
             assert self.limiter.credit(name) - produced >= self.grain
@@ -107,21 +107,21 @@ def opened(limiter, *names):
 def test_nothing_is_limited_and_nothing_learned_before_min_size():
     limiter = opened(Limiter(0.5, min_size=100, grain=4, band=10), "a")
     limiter.inserted("a", 99)
-    assert limiter.credit("a") is None and not limiter.may_sample()
+    assert limiter.credit("a") is None and not limiter.allowed
     limiter.inserted("a", 1)
-    assert limiter.credit("a") is not None and limiter.may_sample()
+    assert limiter.credit("a") is not None and limiter.allowed
 
 
 def test_updates_stop_at_the_ratio_and_go_on_with_the_next_insert():
     limiter = opened(Limiter(0.5, min_size=10, grain=4), "a")
     limiter.inserted("a", 10)
-    while limiter.may_sample():
+    while limiter.allowed:
         limiter.sampled()
     assert limiter.updates == 5
     limiter.inserted("a", 1)
-    assert not limiter.may_sample()
+    assert not limiter.allowed
     limiter.inserted("a", 1)
-    assert limiter.may_sample()
+    assert limiter.allowed
 
 
 def test_without_updates_the_inserts_come_to_a_stop():
@@ -145,7 +145,7 @@ def test_hoarders_cannot_keep_a_late_stream_from_its_grain():
     limiter.open("late")
     produced = 0
     for _ in range(100):
-        while limiter.may_sample():
+        while limiter.allowed:
             limiter.sampled()
         assert limiter.credit("late") - produced >= 12
         produced += 12
@@ -158,7 +158,7 @@ def test_streams_in_the_same_position_get_the_same():
     for name in names:
         limiter.inserted(name, 1)
     assert len({limiter.credit(name) for name in names}) == 1
-    while limiter.may_sample():
+    while limiter.allowed:
         limiter.sampled()
     assert [limiter.credit(name) for name in names] == [1 + 3 + 10] * 7
 
@@ -178,7 +178,7 @@ def test_rejected_transitions_use_credit_but_earn_no_updates():
     limiter.sampled()
     before = limiter.credit("a")
     limiter.inserted("a", 0, rejected=4)
-    assert limiter.credit("a") == before + 4 and not limiter.may_sample()
+    assert limiter.credit("a") == before + 4 and not limiter.allowed
 
 
 def test_totals_survive_a_restart_and_streams_do_not():

@@ -169,16 +169,46 @@ def test_a_run_that_is_resumed_begins_a_journal_from_its_checkpoint_and_knows_no
     assert resumed.replay.statistics()["low_size"] == 12
 
 
-def test_it_gives_as_many_batches_as_were_asked_for_and_the_limiter_allows(bench):
+def ask_twice_for_five(bench):
+    """Of 8 transitions held, which allow an update each; one has been served."""
     bench.replies.drain()
-    for _ in range(2):  # 8 transitions are held, an update each is allowed, and one has been served
+    for _ in range(2):
         request = codec.encode(SampleRequest(1, Level.LOW, 1, batches=5))
         bench.others.request(keys.sample(RUN, Level.LOW), request, bench.replies, timeout_s=1.0)
     bench.step()
+
+
+def batches_given(bench):
     replies = [codec.decode(message.payload, expect=SampleReply) for message in bench.replies.drain()]
-    assert [(reply.batches, len(reply.batch)) for reply in replies] == [(5, 40), (2, 16)]
+    return [(reply.batches, len(reply.batch)) for reply in replies]
+
+
+def test_it_waits_until_there_is_enough_for_all_who_ask(bench):
+    ask_twice_for_five(bench)
+    assert batches_given(bench) == []
+    bench.push(2, 11, trajectory(30, 3))
+    bench.step()
+    assert batches_given(bench) == [(5, 55), (5, 55)]
+
+
+def test_after_a_while_it_gives_what_the_limiter_allows(bench):
+    ask_twice_for_five(bench)
+    while not (given := batches_given(bench)):
+        bench.step()
+    assert given == [(5, 40), (2, 16)]
+    assert bench.now < 1.0
     assert bench.replay.statistics()["low_updates_served"] == 8
     assert bench.replay.shelves[Level.LOW].books()["sampled"] == 64
+
+
+def test_it_waits_for_no_more_than_the_actors_can_go_on_without(tmp_path):
+    bench = Bench(tmp_path / "journal")
+    settings = {"min_size": 4, "updates_per_insert": 1 / 64}  # half of the band is worth two updates
+    bench.begin(config=parse({"low": settings, "replay": {"batch_initial": 16}}))
+    bench.issue(a=7)
+    bench.push(0, 128, trajectory(0, 128))
+    ask_twice_for_five(bench)
+    assert batches_given(bench) == [(2, 2 * 16)]
 
 
 def test_a_finished_run_leaves_no_journal(bench):
