@@ -2,14 +2,15 @@
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numba
 import numpy as np
 
 from zsdist.agent.situation import Situation
 from zsdist.planning import ways
-from zsdist.planning.grid import HEADINGS, STEPS
+from zsdist.planning.footprint import CELLS_A_WORD
+from zsdist.planning.grid import HEADINGS, STEPS, Grid
 from zsdist.planning.ways import Ways
 
 NEIGHBOURS = HEADINGS  # choice k is the neighbour k eighths of a turn to the left of the car's heading
@@ -71,11 +72,25 @@ def choices(situation: Situation) -> Choices:
 
 
 def _leading_on(situation: Situation) -> np.ndarray:
-    """States `(cells, cells, 8)` bool from which a free way leads to the goal without the car's present block."""
-    here = np.zeros_like(situation.goals)
-    here[situation.grid.block_cells(*situation.block)] = True
-    elsewhere = Ways(situation.ways.words | ways.places(here))
-    return ways.unpacked(elsewhere.states_to(ways.places(situation.goals)))
+    """States, of `zsdist.planning.ways`, from which a free way leads to the goal without the car's present block."""
+    elsewhere = Ways(situation.ways.words | _places(situation.grid, situation.block))
+    return elsewhere.states_to(ways.places(situation.goals))
+
+
+@cache
+def _places(grid: Grid, block: tuple[int, int]) -> np.ndarray:
+    here = np.zeros((grid.cells, grid.cells), np.bool_)
+    here[grid.block_cells(*block)] = True
+    return ways.places(here)
+
+
+@numba.njit(cache=True)
+def _headings(states, ix, iy):  # noqa: ANN001, ANN202
+    """In how many headings a set of states has a cell."""
+    count = np.uint64(0)
+    for heading in range(HEADINGS):
+        count += states[heading, ix // CELLS_A_WORD, iy] >> np.uint64(ix % CELLS_A_WORD) & np.uint64(1)
+    return count
 
 
 @numba.njit(cache=True)
@@ -84,7 +99,7 @@ def _survey(drive_m, leading, bx, by, heading, goal_x, goal_y, size, cell, half)
 
     Args:
         drive_m: `(cells, cells)`, infinite where no free way leads.
-        leading: `(cells, cells, 8)` bool, from where a way leads on.
+        leading: `(8, words, cells)`, states from where a way leads on.
         bx: column of the car's block.
         by: row of the car's block.
         heading: of the car, in eighths.
@@ -113,10 +128,10 @@ def _survey(drive_m, leading, bx, by, heading, goal_x, goal_y, size, cell, half)
                     cx, cy = (column + 0.5) * cell - half, (row + 0.5) * cell - half
                     # a little for the nearer cell, so that of equal detours the one at the near border is taken
                     detour = drive_m[row, column] * 1.05 + math.hypot(cx - goal_x, cy - goal_y)
-                    onwards = 1.0 if leading[row, column].any() else 0.0
+                    onwards = 1.0 if _headings(leading, column, row) else 0.0
                     if onwards > most or (onwards == most and detour < least):
                         least, most, ix, iy = detour, onwards, column, row
         subgoals[k, 0], subgoals[k, 1] = (ix + 0.5) * cell - half, (iy + 0.5) * cell - half
         if least < np.inf:
-            onward[k] = leading[iy, ix].sum() / HEADINGS
+            onward[k] = _headings(leading, ix, iy) / HEADINGS
     return exists, blocks, subgoals, onward

@@ -4,10 +4,9 @@ from functools import cache
 from itertools import product
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
-from zsdist.planning import ways
+from zsdist.planning import squares, ways
 from zsdist.planning.belief import BeliefMap
 from zsdist.planning.footprint import ACTIONS, MARGIN_M, FootprintTable, successor
 from zsdist.planning.grid import Grid
@@ -90,7 +89,7 @@ class Judgement(NamedTuple):
     gave_way: bool
 
 
-def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, visits: np.ndarray) -> Judgement:
+def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, been: np.ndarray) -> Judgement:
     """The most careful reading of the belief under which a way leads from the car to the goal.
 
     The belief errs, and the car has no reverse gear: with one fixed reading it is sooner or later walled in by what is
@@ -103,15 +102,14 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, visits: np.
     Args:
         belief: what is occupied and what was seen.
         state: where the car is.
-        goals: `(cells, cells)` bool.
-        visits: `(cells, cells, 8)`, how often the car was in each state, this time included.
+        goals: places, of `zsdist.planning.ways`, in which the goal is reached.
+        been: states in which the car was, this time included.
     """
-    places, been = ways.places(goals), ways.packed(visits > 0)
     read = cache(lambda reading: _hits(belief, reading))
-    cautious = cache(lambda near, returning: _returning(read(near), places) if returning else read(near))
+    cautious = cache(lambda near, returning: _returning(read(near), goals) if returning else read(near))
     for rung in CAREFUL_RUNGS + DARING_RUNGS:
         hits = cautious(rung.near, rung.returning).among(been, read(rung.far))
-        live = hits.states_to(places)
+        live = hits.states_to(goals)
         if ways.holds(live, state):
             break
     else:
@@ -143,18 +141,15 @@ def _table(grid: Grid, margin_m: float) -> FootprintTable:
 
 
 def _hits(belief: BeliefMap, reading: Reading) -> Ways:
-    squares = belief.occupied(reading.above)
+    occupied = squares.rows(belief.occupied(reading.above))
     if reading.unseen:
-        squares |= _hides(belief.seen(), reading.deep)
-    return Ways.on(squares, _table(belief.grid, reading.margin_m))
+        occupied |= _hides(squares.rows(belief.seen()), reading.deep)
+    return Ways.on(occupied, _table(belief.grid, reading.margin_m))
 
 
 def _hides(seen: np.ndarray, deep: bool) -> np.ndarray:
     """Unseen squares in which an obstacle may be: within `HIDING_SQUARES` of unseen ground that seen ground is not."""
-    steps = np.abs(np.arange(-HIDING_SQUARES, HIDING_SQUARES + 1))
-    diamond = (steps[:, None] + steps <= HIDING_SQUARES).astype(np.uint8)
-    operation = cv2.MORPH_ERODE if deep else cv2.MORPH_OPEN
-    return cv2.morphologyEx((~seen).astype(np.uint8), operation, diamond).astype(bool)
+    return (squares.shrunk if deep else squares.opened)(~seen, HIDING_SQUARES)
 
 
 def _returning(hits: Ways, goals: np.ndarray) -> Ways:

@@ -5,6 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
+from zsdist.planning import squares
 from zsdist.planning.grid import FINE_PER_CELL, HEADINGS, STEPS, Grid
 from zsdist.types import Action, LatticeState
 
@@ -62,6 +63,13 @@ class FootprintTable:
         self._made_of = np.array([_made_of(heading, action) for heading in range(HEADINGS) for action in Action])
         self._runs = _runs(self._sweeps)
         self._off_grid = self._ends_off_grid()
+        # From `_reach` squares south-west of the centre of cell (0, 0) on: the first row and column, rows, words.
+        chunks = math.ceil(grid.cells / _AT_ONCE)
+        self._surroundings = (
+            grid.fine_border + FINE_PER_CELL // 2 - self._reach,
+            FINE_PER_CELL * grid.cells + 2 * self._reach,
+            FINE_PER_CELL * _AT_ONCE * chunks // squares.SQUARES_A_WORD + math.ceil(2 * self._reach / 64),
+        )
 
     def swept(self, heading: int, action: int) -> np.ndarray:
         """Squares swept by an action, `(M, 2)` int: (dx, dy) from the square north-east of the start cell's centre."""
@@ -78,29 +86,19 @@ class FootprintTable:
             `[iy, ix, heading, action]` `(cells, cells, 8, 5)` bool: true where the swept squares touch occupied ones
             or leave the arena, or where the action ends off the grid.
         """
-        cells = self.grid.cells
-        return unpacked(self.words(occupancy)).reshape(cells, cells, HEADINGS, ACTIONS)
+        size, cells = self.grid.fine_size, self.grid.cells
+        if occupancy.shape != (size, size):
+            raise ValueError(f"occupancy has the shape {occupancy.shape}; allowed is {(size, size)}")
+        return unpacked(self.words(squares.rows(occupancy))).reshape(cells, cells, HEADINGS, ACTIONS)
 
     def words(self, occupancy: np.ndarray) -> np.ndarray:
-        """The same as bits, `(8 * 5, words, cells)` uint64: by heading and action, word of a row, row.
+        """The same as bits, of `squares.rows`: `(8 * 5, words, cells)` uint64, by heading and action, word, row.
 
         Bit j of a row's word w is its cell `CELLS_A_WORD * w + j`; what lies beyond the last cell is not to be taken.
         """
-        size = self.grid.fine_size
-        if occupancy.shape != (size, size):
-            raise ValueError(f"occupancy has the shape {occupancy.shape}; allowed is {(size, size)}")
-        return _hits(self._surroundings(occupancy), self._runs, self._made_of, self._off_grid, self._reach)
-
-    def _surroundings(self, occupancy: np.ndarray) -> np.ndarray:
-        """Rows of 64 squares a word, from `_reach` squares south-west of the centre of cell (0, 0) on."""
-        size, tall = self.grid.fine_size, FINE_PER_CELL * self.grid.cells + 2 * self._reach
-        origin = self.grid.fine_border + FINE_PER_CELL // 2 - self._reach
-        chunks = math.ceil(self.grid.cells / _AT_ONCE)
-        wide = FINE_PER_CELL * _AT_ONCE * chunks + 64 * math.ceil(2 * self._reach / 64)
-        squares = np.ones((tall, wide), np.bool_)  # outside the frame everything is occupied
-        first, last, east = max(origin, 0), min(origin + tall, size), min(origin + wide, size)
-        squares[first - origin : last - origin, first - origin : east - origin] = occupancy[first:last, first:east]
-        return np.packbits(squares, axis=1, bitorder="little").view(np.uint64)
+        return _hits(
+            squares.window(occupancy, *self._surroundings), self._runs, self._made_of, self._off_grid, self._reach
+        )
 
     def _advance(self, heading: int, half_l: float, half_w: float) -> np.ndarray:
         """A cell ahead: one box as long as the way and the car."""
@@ -184,7 +182,7 @@ def _every_fourth(squares: np.uint64) -> np.uint64:
 
 
 @njit(cache=True)
-def _hits(squares: np.ndarray, runs: np.ndarray, made_of: np.ndarray, off: np.ndarray, reach: int) -> np.ndarray:
+def _hits(surroundings: np.ndarray, runs: np.ndarray, made_of: np.ndarray, off: np.ndarray, reach: int) -> np.ndarray:
     """Which footprint, of two sweeps, at which cell meets an occupied square or is `off` anyway.
 
     Works on `_AT_ONCE` cells of a row together. Bit j of a word (row, phase) is column 4 j + phase of their
@@ -194,7 +192,7 @@ def _hits(squares: np.ndarray, runs: np.ndarray, made_of: np.ndarray, off: np.nd
     Returns:
         `(footprints, words, cells)`, of `CELLS_A_WORD` cells each.
     """
-    tall, cells = len(squares), off.shape[2]
+    tall, cells = len(surroundings), off.shape[2]
     doublings = runs[:, 4].max() + 1
     # rows that are a cell apart lie together: one of them is under each cell of a column
     words = np.empty((doublings, FINE_PER_CELL, FINE_PER_CELL, (tall - 1) // FINE_PER_CELL + 1), np.uint64)
@@ -206,7 +204,7 @@ def _hits(squares: np.ndarray, runs: np.ndarray, made_of: np.ndarray, off: np.nd
             for phase in range(FINE_PER_CELL):
                 word = np.uint64(0)
                 for part in range(first, last + 1):
-                    word |= _every_fourth(squares[y, part] >> np.uint64(phase)) << np.uint64(16 * (part - first))
+                    word |= _every_fourth(surroundings[y, part] >> np.uint64(phase)) << np.uint64(16 * (part - first))
                 words[0, phase, y % FINE_PER_CELL, y // FINE_PER_CELL] = word
         for k in range(1, doublings):
             step = 1 << (k - 1)

@@ -38,7 +38,7 @@ class Ways:
 
     @classmethod
     def on(cls, occupancy: np.ndarray, table: FootprintTable) -> "Ways":
-        """Where squares `(fine_size, fine_size)` bool are occupied."""
+        """Where squares are occupied, of `squares.rows`."""
         return cls(table.words(occupancy).reshape(HEADINGS, ACTIONS, -1, table.grid.cells))
 
     @cached_property
@@ -77,6 +77,16 @@ def packed(flags: np.ndarray) -> np.ndarray:
             for plane in range(planes):
                 words[plane, ix // CELLS_A_WORD, iy] |= np.uint64(flags[iy, ix, plane]) << bit
     return words
+
+
+def no_states(cells: int) -> np.ndarray:
+    """An empty set of states of a grid."""
+    return np.zeros((HEADINGS, (cells - 1) // CELLS_A_WORD + 1, cells), np.uint64)
+
+
+def add(states: np.ndarray, state: LatticeState) -> None:
+    """Puts a state into a set."""
+    states[state.heading, state.ix // CELLS_A_WORD, state.iy] |= np.uint64(1 << state.ix % CELLS_A_WORD)
 
 
 def places(mask: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from zsdist.planning import ways
+from zsdist.planning import squares, ways
 from zsdist.planning.footprint import FootprintTable, successor
 from zsdist.planning.grid import Grid
 from zsdist.planning.ways import Ways
@@ -90,6 +90,17 @@ def test_ways_on_a_map_are_those_of_the_footprints(cells):
     grid = Grid(cells=cells, arena_m=cells * 0.625 + 5.0)
     occupied = np.random.default_rng(cells).random((grid.fine_size, grid.fine_size)) < 0.003
     table = FootprintTable(grid)
-    on = Ways.on(occupied, table)
+    on = Ways.on(squares.rows(occupied), table)
     assert np.array_equal(on.blocked, table.blocked(occupied)) and not on.blocked.all()
     assert np.array_equal(on.words, Ways.of(on.blocked).words), "what lies beyond the last cell is blocked"
+
+
+def test_a_set_of_states_holds_what_was_put_into_it_and_nothing_else():
+    some = [LatticeState(0, 0, 0), LatticeState(63, 5, 7), LatticeState(64, 99, 3), LatticeState(99, 64, 3)]
+    states, flags = ways.no_states(100), np.zeros((100, 100, 8), bool)
+    assert not states.any()
+    for state in some:
+        ways.add(states, state)
+        flags[state.iy, state.ix, state.heading] = True
+    assert np.array_equal(states, ways.packed(flags))
+    assert all(ways.holds(states, state) for state in some)
