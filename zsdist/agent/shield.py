@@ -105,7 +105,8 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, been: np.nd
         goals: places, of `zsdist.planning.ways`, in which the goal is reached.
         been: states in which the car was, this time included.
     """
-    read = cache(lambda reading: _hits(belief, reading))
+    occupied = cache(lambda above: squares.rows(belief.occupied(above)))
+    read = cache(lambda reading: _hits(belief, reading, occupied(reading.above)))
     cautious = cache(lambda near, returning: _returning(read(near), goals) if returning else read(near))
     for rung in CAREFUL_RUNGS + DARING_RUNGS:
         hits = cautious(rung.near, rung.returning).among(been, read(rung.far))
@@ -140,10 +141,9 @@ def _table(grid: Grid, margin_m: float) -> FootprintTable:
     return FootprintTable(grid, margin_m)
 
 
-def _hits(belief: BeliefMap, reading: Reading) -> Ways:
-    occupied = squares.rows(belief.occupied(reading.above))
+def _hits(belief: BeliefMap, reading: Reading, occupied: np.ndarray) -> Ways:
     if reading.unseen:
-        occupied |= _hides(squares.rows(belief.seen()), reading.deep)
+        occupied = occupied | _hides(squares.rows(belief.seen()), reading.deep)
     return Ways.on(occupied, _table(belief.grid, reading.margin_m))
 
 
