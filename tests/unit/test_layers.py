@@ -9,7 +9,8 @@ import zsdist
 
 PACKAGE = Path(zsdist.__file__).parent
 ROWS = (  # a unit may import from rows above its own in this list; within a row only the foundation may
-    {"__init__", "types", "halves", "allocator", "errors", "config", "cli", "workers", "source"},
+    {"__init__", "types", "halves", "allocator", "errors", "config", "cli", "workers"}
+    | {"source", "files", "yaml_reader"},
     {"planning", "vision", "dqn", "replay", "protocol", "wire", "transport"},
     {"agent"},
     {"roles", "sim"},

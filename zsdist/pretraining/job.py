@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from zsdist import config as configuration
+from zsdist import files
 from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
 from zsdist.sim.families import FAMILIES
@@ -64,7 +65,7 @@ def create(folder: Path, job: Job) -> None:
         raise RunError(f"--out {folder} holds finished weights; allowed is a new folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        replace(folder / JOB_FILE, json.dumps(job.to_json(), indent=1).encode())
+        files.replace(folder / JOB_FILE, json.dumps(job.to_json(), indent=1).encode())
     except OSError as error:
         raise RunError(f"--out {folder} cannot be made: {error.strerror or error}") from error
 
@@ -80,13 +81,6 @@ def reopen(folder: Path) -> Job:
         raise RunError(f"--resume {folder} holds no pretraining: {path} {error.strerror or error}") from error
     except (ConfigError, KeyError, TypeError, ValueError) as error:
         raise RunError(f"--resume {folder}: {path} is damaged: {error}") from error
-
-
-def replace(path: Path, content: bytes) -> None:
-    """Writes a file that is at any time either the old one or the new one."""
-    new = path.with_name(f".{path.name}.new")
-    new.write_bytes(content)
-    new.replace(path)
 
 
 def check_families(families: tuple[str, ...]) -> None:

@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from zsdist import files
 from zsdist import workers as pool
 from zsdist.errors import RunError
-from zsdist.pretraining.job import Job, replace
+from zsdist.pretraining.job import Job
 from zsdist.pretraining.rows import Rows
 from zsdist.pretraining.sources import Arrays, Shard, make, shards, sources
 from zsdist.vision.encoders import open_encoder
@@ -88,7 +89,7 @@ def make_all(
     for source in sources(job):
         if not any(_source_of(name) == source for name in there):
             raise RunError(f"there was no time for pictures of {source!r}; allowed are more --minutes")
-    replace(folder / LIST_FILE, json.dumps(there).encode())
+    files.replace(folder / LIST_FILE, json.dumps(there).encode())
 
 
 class _Worker:

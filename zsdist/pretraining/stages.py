@@ -18,9 +18,10 @@ import safetensors.torch
 import torch
 from torch import nn
 
+from zsdist import files
 from zsdist.errors import RunError
 from zsdist.pretraining.calibrating import calibrate
-from zsdist.pretraining.job import Job, replace
+from zsdist.pretraining.job import Job
 from zsdist.pretraining.pictures import Pictures
 from zsdist.pretraining.progress import Watch
 from zsdist.vision.encoders.base import Encoder
@@ -81,10 +82,10 @@ class Stages:
     def run(self) -> dict[str, bytes]:
         """Every stage; returns the files of the weights folder by name."""
         self._folder.mkdir(exist_ok=True)
-        files, projection = {}, None
+        contents, projection = {}, None
         if "words" in self._job.stages:
             projection, more = self.words()
-            files |= more
+            contents |= more
         if "head" in self._job.stages:
             examples, validation = self._pictures.examples(), self._pictures.validation()
             head = of_head.new_head(examples, self._field_of_view_rad, self._job.seed)
@@ -94,7 +95,7 @@ class Stages:
                 return of_head.train(head, examples, validation, recipe, rng, time_used, contrast)
 
             self._train("head", head, train_head, lambda: calibrate(head, validation))
-            files[HEAD_FILE] = safetensors.torch.save(head.state_dict())
+            contents[HEAD_FILE] = safetensors.torch.save(head.state_dict())
         if "student" in self._job.stages:
             student = of_student.new_student(self._field_of_view_rad, self._job.seed)
 
@@ -104,8 +105,8 @@ class Stages:
 
             pictures = of_student.of_pictures(validation)
             self._train("student", student, train_student, lambda: calibrate(student, pictures))
-            files[STUDENT_FILE] = safetensors.torch.save(student.state_dict())
-        return files
+            contents[STUDENT_FILE] = safetensors.torch.save(student.state_dict())
+        return contents
 
     def words(self) -> tuple[nn.Module, dict[str, bytes]]:
         """The projection to the space of words, which an encoder may bring, and the files of it and the vocabulary."""
@@ -155,12 +156,12 @@ class Stages:
             for figures in trainer:
                 with self._history.open("a") as file:
                     file.write(json.dumps({"stage": stage, **figures}) + "\n")
-                replace(stands, trainer.state())
+                files.replace(stands, trainer.state())
                 self._watch.epoch(stage, figures, recipe.epochs)
         except RunError as error:
             raise RunError(f"stage {stage!r}: {error}") from error
         finish()
-        replace(ended, safetensors.torch.save(network.state_dict()))
+        files.replace(ended, safetensors.torch.save(network.state_dict()))
         stands.unlink(missing_ok=True)
 
 
@@ -170,7 +171,7 @@ def strike_out(history: Path, stage: str, epoch: int) -> None:
         return
     lines = [json.loads(line) for line in history.read_text().splitlines() if line.endswith("}")]
     kept = [line for line in lines if line["stage"] != stage or line["epoch"] <= epoch]
-    replace(history, "".join(json.dumps(line) + "\n" for line in kept).encode())
+    files.replace(history, "".join(json.dumps(line) + "\n" for line in kept).encode())
 
 
 def best_epochs(history: Path) -> dict[str, dict[str, float]]:

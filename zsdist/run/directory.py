@@ -11,7 +11,7 @@ from collections.abc import Callable
 from operator import attrgetter
 from pathlib import Path
 
-from zsdist import __version__, config
+from zsdist import __version__, config, files
 from zsdist.config import Config
 from zsdist.errors import ConfigError, DecodeError, RunError
 from zsdist.vision.identity import VisionIdentity
@@ -110,7 +110,7 @@ def key_name(folder: Path) -> str:
 def rewrite_config(folder: Path, settings: Config) -> None:
     """Writes `config.yaml`: the resolved configuration, with the version that wrote it."""
     head = f"# zsdist {__version__}, seed {settings.seed}\n"
-    _replace(folder / "config.yaml", (head + config.dump(settings)).encode())
+    files.replace(folder / "config.yaml", (head + config.dump(settings)).encode())
 
 
 def newest_checkpoint(folder: Path) -> Path:
@@ -162,7 +162,7 @@ def issue_epochs(folder: Path, count: int) -> range:
     """
     path = folder / "epochs"
     first = int(path.read_text()) if path.exists() else secrets.randbelow(2**31) * 2**20
-    _replace(path, str(first + count).encode())
+    files.replace(path, str(first + count).encode())
     return range(first, first + count)
 
 
@@ -213,7 +213,7 @@ class RunDirectory:
             shutil.rmtree(left_over, ignore_errors=True)
         partial.mkdir(parents=True)
         for name, payload in payloads.items():
-            _write(partial / f"{name}.state", payload)
+            files.write(partial / f"{name}.state", payload)
         hashes = {name: hashlib.sha256(payload).hexdigest() for name, payload in payloads.items()}
         manifest = {
             "zsdist": __version__,
@@ -221,12 +221,12 @@ class RunDirectory:
             "vision": self._vision.written(),
             "sha256": hashes,
         }
-        _write(partial / "manifest.json", json.dumps(manifest, indent=1).encode())
-        _settle(partial)
+        files.write(partial / "manifest.json", json.dumps(manifest, indent=1).encode())
+        files.settle(partial)
         if final.exists():  # of as many episodes; aside in one step, so that a kill leaves no part of one
             final.rename(aside)
         partial.rename(final)
-        _settle(final.parent)
+        files.settle(final.parent)
         shutil.rmtree(aside, ignore_errors=True)
         for old in sorted(final.parent.glob("[0-9]*"))[:-CHECKPOINTS_KEPT]:
             shutil.rmtree(old)
@@ -237,7 +237,7 @@ class RunDirectory:
 
     def summary(self, fields: dict) -> None:
         """Writes `summary.json` and closes the books."""
-        _replace(self.folder / "summary.json", json.dumps(fields, indent=1, allow_nan=False).encode())
+        files.replace(self.folder / "summary.json", json.dumps(fields, indent=1, allow_nan=False).encode())
         for file in (self._episodes, self._metrics):
             file.flush()
         self._board.flush()
@@ -253,29 +253,4 @@ def _strike_out(path: Path, is_later: Callable[[dict], bool]) -> None:
                 kept.append(line)
         except (ValueError, KeyError):
             continue  # the line a killed process did not finish
-    _replace(path, "".join(line + "\n" for line in kept).encode())
-
-
-def _replace(path: Path, payload: bytes) -> None:
-    """Writes a file whole or not at all."""
-    partial = path.with_name(f".{path.name}.partial")
-    _write(partial, payload)
-    partial.replace(path)
-    _settle(path.parent)
-
-
-def _write(path: Path, payload: bytes) -> None:
-    """Writes a file, and returns once the disk has it."""
-    with path.open("wb") as file:
-        file.write(payload)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _settle(folder: Path) -> None:
-    """Returns once the disk has the names in a folder."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    files.replace(path, "".join(line + "\n" for line in kept).encode())

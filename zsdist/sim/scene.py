@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from zsdist import yaml_reader
 from zsdist.config import GridConfig
 from zsdist.errors import SceneError
 from zsdist.planning.grid import Grid
@@ -184,7 +185,7 @@ def read(path: str | Path, grid: Grid = DEFAULT_GRID) -> Scene:
     try:
         if Path(path).stat().st_size > MAX_FILE_BYTES:
             raise SceneError(f"file is larger than the {MAX_FILE_BYTES} bytes allowed")
-        tree = yaml.load(Path(path).read_text(encoding="utf-8"), Loader=_Loader)
+        tree = yaml_reader.load(Path(path).read_text(encoding="utf-8"))
         scene = _scene(tree)
         check(scene, grid)
     except OSError as error:
@@ -197,7 +198,7 @@ def read(path: str | Path, grid: Grid = DEFAULT_GRID) -> Scene:
 
 
 def read_folder(folder: str | Path, grid: Grid = DEFAULT_GRID) -> list[Scene]:
-    """The scenes of every `*.yaml` and `*.yml` file of a folder, in the order of their names.
+    """The scenes of every `*.yaml` and `*.yml` file of a folder, in the order of their names; hidden files are none.
 
     Raises:
         SceneError: there is no such folder, it holds no scene file, or one of them is wrong.
@@ -205,7 +206,7 @@ def read_folder(folder: str | Path, grid: Grid = DEFAULT_GRID) -> list[Scene]:
     folder = Path(folder)
     if not folder.is_dir():
         raise SceneError(f"scene folder {folder} is not there or no folder")
-    paths = sorted(path for path in folder.iterdir() if path.suffix in (".yaml", ".yml"))
+    paths = sorted(path for suffix in ("yaml", "yml") for path in folder.glob(f"[!.]*.{suffix}"))
     if not paths:
         raise SceneError(f"scene folder {folder} holds no scene file; allowed are files named *.yaml or *.yml")
     return [read(path, grid) for path in paths]
@@ -241,20 +242,6 @@ def _flow(value: Any) -> str:
     """A value as YAML on one line."""
     text = yaml.safe_dump(value, sort_keys=False, default_flow_style=True, width=math.inf, allow_unicode=True)
     return text.removesuffix("\n").removesuffix("\n...")
-
-
-class _Loader(yaml.SafeLoader):
-    """Refuses a mapping that has a key twice, of which YAML libraries silently keep the last."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
-        """As the parent's, after looking at the keys."""
-        seen = set()
-        for key_node, _ in node.value:
-            if isinstance(key_node, yaml.ScalarNode):
-                if key_node.value in seen:
-                    raise SceneError(f"line {key_node.start_mark.line + 1}: key {key_node.value!r} is there twice")
-                seen.add(key_node.value)
-        return super().construct_mapping(node, deep)
 
 
 def _scene(tree: Any) -> Scene:

@@ -7,12 +7,12 @@ training appends its figures, one JSON object an epoch with "stage" and "epoch" 
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from zsdist import files
 from zsdist.config import CameraConfig
 from zsdist.errors import WeightsError
 from zsdist.vision.encoders.base import Encoder
@@ -147,15 +147,13 @@ def write(path: Path, modules: Mapping[str, bytes], metadata: Mapping[str, Any])
     Raises:
         WeightsError: the folder cannot be written.
     """
-    files = {name: hashlib.sha256(content).hexdigest() for name, content in modules.items()}
-    full = {**metadata, "version": VERSION, "files": files}
+    hashes = {name: hashlib.sha256(content).hexdigest() for name, content in modules.items()}
+    full = {**metadata, "version": VERSION, "files": hashes}
     text = json.dumps(full, indent=1) + "\n"
     try:
         path.mkdir(parents=True, exist_ok=True)
         for name, content in (*modules.items(), (METADATA_FILE, text.encode())):
-            new = path / f".{name}.new"
-            new.write_bytes(content)
-            os.replace(new, path / name)
+            files.replace(path / name, content)
     except OSError as error:
         raise WeightsError(f"weights {path} cannot be written: {error.strerror or error}") from error
     return Folder(path, full)

@@ -1,0 +1,31 @@
+"""YAML as people write it, read so that nothing they wrote is lost."""
+
+from typing import Any
+
+import yaml
+
+
+class KeyTwice(yaml.YAMLError):
+    """A mapping has a key twice, of which YAML libraries silently keep the last."""
+
+
+class _Loader(yaml.SafeLoader):
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+        seen = set()
+        for key_node, _ in node.value:
+            if isinstance(key_node, yaml.ScalarNode):
+                if key_node.value in seen:
+                    raise KeyTwice(f"line {key_node.start_mark.line + 1}: key {key_node.value!r} is there twice")
+                seen.add(key_node.value)
+        return super().construct_mapping(node, deep)
+
+
+def load(text: str) -> Any:
+    """The tree in a text of plain YAML.
+
+    Raises:
+        yaml.YAMLError: it is no YAML, or a key is there twice.
+        ValueError: a date or number is none.
+        RecursionError: it is nested too deeply.
+    """
+    return yaml.load(text, Loader=_Loader)
