@@ -21,7 +21,7 @@ import torch
 from _replay import RUN, Actors, ReplayService
 
 from zsdist.config import Config, LevelConfig, parse
-from zsdist.dqn import network
+from zsdist.dqn import network, torch_network
 from zsdist.dqn.learner import DqnLearner
 from zsdist.roles.base import Context
 from zsdist.roles.learner import Learner
@@ -173,8 +173,8 @@ def rate(update: Callable, batches: list, updates: int) -> float:
 def plain_torch(state_size: int, config: LevelConfig, device: str) -> Update:
     """The same update the usual way: default Adam, `clip_grad_norm_`, and a soft copy tensor by tensor."""
     parameters = network.initial_parameters(state_size, ACTIONS, config.hidden, seed=0)
-    online = network.policy_network(parameters).to(device)
-    target = network.target_network(parameters).to(device)
+    online = torch_network.policy_network(parameters).to(device)
+    target = torch_network.target_network(parameters).to(device)
     optimiser = torch.optim.Adam(online.parameters(), lr=config.learning_rate)
 
     def update(batch: Batch) -> float:

@@ -13,7 +13,7 @@ from rich.console import Console
 from zsdist import cli, closing, config
 from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
-from zsdist.run import directory, inline, program
+from zsdist.run import directory, program
 from zsdist.run.display import Display
 from zsdist.run.program import Setting
 from zsdist.vision.identity import VisionIdentity
@@ -126,9 +126,10 @@ def _check_parts(settings: Config, console: Console) -> VisionIdentity:
 
 
 def _train(setting: Setting, interruption: "Interruption", console: Console, *, prefer_lines: bool) -> dict:
-    runner = inline
-    if setting.config.placement == "ray":
-        from zsdist.run import ray as runner  # Ray takes a second to import, and the test mode does without
+    if setting.config.placement == "ray":  # each takes a second or two to import what the other does without
+        from zsdist.run import ray as runner
+    else:
+        from zsdist.run import inline as runner
     epochs = directory.issue_epochs(setting.folder, program.epoch_count(setting.config))
     (setting.folder / "summary.json").unlink(missing_ok=True)
     try:

@@ -13,7 +13,7 @@ import torch
 from numba import njit
 
 from zsdist.config import LevelConfig
-from zsdist.dqn import losses, network
+from zsdist.dqn import losses, network, torch_network
 from zsdist.errors import RunError, WeightsError
 from zsdist.types import Batch, Parameters
 
@@ -66,8 +66,8 @@ class DqnLearner:
         self._rng = np.random.default_rng([seed, 1])
         self._device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
         parameters = network.initial_parameters(state_size, actions, config.hidden, seed)
-        self._online = network.policy_network(parameters).to(self._device)
-        self._target = network.target_network(parameters).to(self._device)
+        self._online = torch_network.policy_network(parameters).to(self._device)
+        self._target = torch_network.target_network(parameters).to(self._device)
         self._weights, self._gradient = _flatten(self._online)
         self._target_weights, _ = _flatten(self._target)
         self._restart_optimiser()
@@ -119,7 +119,7 @@ class DqnLearner:
         """
         student = copy.copy(self)
         student._rng = copy.deepcopy(self._rng)
-        student._online = network.policy_network(self.parameters()).to(self._device)
+        student._online = torch_network.policy_network(self.parameters()).to(self._device)
         student._weights, student._gradient = _flatten(student._online)
         student._restart_optimiser()
         for batch in batches:
@@ -224,7 +224,7 @@ class DqnLearner:
         )
         return _Step(q, errors, columns.masks[:size], columns.guides, norm)
 
-    def _load(self, module: network.QNetwork, parameters: Parameters) -> None:
+    def _load(self, module: torch_network.QNetwork, parameters: Parameters) -> None:
         network.check(parameters, self._state_size, self._actions)
         for name, tensor in zip(module.names, module.tensors, strict=True):
             if name not in parameters or tuple(tensor.shape) != parameters[name].shape:
@@ -315,7 +315,7 @@ def _gradient(  # noqa: ANN202
     return errors, gradient
 
 
-def _flatten(module: network.QNetwork) -> tuple[torch.Tensor, torch.Tensor]:
+def _flatten(module: torch_network.QNetwork) -> tuple[torch.Tensor, torch.Tensor]:
     """Moves a network's weights and gradients into two vectors of which its tensors become views."""
     weights = torch.cat([tensor.detach().reshape(-1) for tensor in module.tensors])
     gradient = torch.zeros_like(weights)

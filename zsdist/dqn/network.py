@@ -1,4 +1,4 @@
-"""The Q-network: one architecture, a torch form that learns and a numpy form that acts.
+"""The Q-network as numbers: its weights, and what actors act with. The form that learns is in `torch_network`.
 
 Shapes: `B` states, `D` features, `A` actions. Each hidden layer is linear, layer-normalised, then ReLU: with the
 paper's learning rate of 0.002 the normalisation keeps activations, and so values far from the data, bounded.
@@ -8,88 +8,12 @@ import hashlib
 from collections.abc import Sequence
 
 import numpy as np
-import torch
-from torch.nn import functional
 
 from zsdist.errors import WeightsError
 from zsdist.types import Parameters
 
-Trace = list[
-    tuple[torch.Tensor, ...]
-]  # of each hidden layer: input, linear, mean and 1 / spread of it; last: its output
-
-_NORM_EPSILON = 1e-5
+NORM_EPSILON = 1e-5
 _OUTPUT_SCALE = 0.1  # initial values near zero, so that the first targets are the rewards
-
-
-class QNetwork(torch.nn.Module):
-    """Q(s, ·) as a multilayer perceptron holding given parameters; `(B, D)` to `(B, A)`, float32."""
-
-    def __init__(self, parameters: Parameters) -> None:
-        super().__init__()
-        depth = _depth(parameters)
-        tensors = {name: torch.nn.Parameter(torch.from_numpy(value.copy())) for name, value in parameters.items()}
-        self._layers = [
-            tuple(tensors[f"hidden{i}.{part}"] for part in ("weight", "bias", "norm_scale", "norm_shift"))
-            for i in range(depth)
-        ]
-        self._head = (tensors["output.weight"], tensors["output.bias"])
-        self.names = tuple(tensors)
-        self.tensors = torch.nn.ParameterList(tensors.values())
-
-    def forward(self, states: torch.Tensor) -> torch.Tensor:
-        """Values of all actions `(B, A)` in `states` `(B, D)`."""
-        return self.traced(states)[0]
-
-    def traced(self, states: torch.Tensor) -> tuple[torch.Tensor, Trace]:
-        """Values of all actions `(B, A)` in `states` `(B, D)`, and what `backward` needs of how they came about."""
-        trace, x = [], states
-        for weight, bias, scale, shift in self._layers:
-            linear = functional.linear(x, weight, bias)
-            normal, mean, spread = torch.native_layer_norm(linear, bias.shape, scale, shift, _NORM_EPSILON)
-            trace.append((x, linear, mean, spread))
-            x = torch.relu_(normal)
-        trace.append((x,))
-        return functional.linear(x, *self._head), trace
-
-    def backward(self, gradient: torch.Tensor, trace: Trace) -> None:
-        """Writes the gradient of every parameter into its `grad`, which must be there.
-
-        By hand: for networks of this size recording the operations takes about as long as doing them.
-
-        Args:
-            gradient: `(b, A)` with respect to the values of the first `b` of the traced states.
-            trace: of `traced`, of parameters that have not changed since.
-        """
-        b, (weight, bias), (active,) = len(gradient), self._head, trace[-1]
-        for depth in range(len(self._layers), -1, -1):
-            torch.mm(gradient.t(), active[:b], out=weight.grad)
-            torch.sum(gradient, 0, out=bias.grad)
-            if depth == 0:
-                return
-            gradient = torch.ops.aten.threshold_backward(gradient @ weight, active[:b], 0)
-            weight, bias, scale, shift = self._layers[depth - 1]
-            active, *normalised = trace[depth - 1]
-            linear, mean, spread = (tensor[:b] for tensor in normalised)
-            gradient, scale_gradient, shift_gradient = torch.ops.aten.native_layer_norm_backward(
-                gradient, linear, bias.shape, mean, spread, scale, shift, [True, True, True]
-            )
-            scale.grad.copy_(scale_gradient)
-            shift.grad.copy_(shift_gradient)
-
-    def parameters_numpy(self) -> Parameters:
-        """A copy of the parameters, by name."""
-        return {name: t.detach().cpu().numpy().copy() for name, t in zip(self.names, self.tensors, strict=True)}
-
-
-def policy_network(parameters: Parameters) -> QNetwork:
-    """The network that acts and learns, Q(s, a; theta): Eq. (8)."""
-    return QNetwork(parameters)
-
-
-def target_network(parameters: Parameters) -> QNetwork:
-    """The network that targets are computed from, Q'(s, a; theta^-); takes no gradient: Eq. (9)."""
-    return QNetwork(parameters).requires_grad_(False)
 
 
 def initial_parameters(state_size: int, actions: int, hidden: Sequence[int], seed: int) -> Parameters:
@@ -111,11 +35,11 @@ def initial_parameters(state_size: int, actions: int, hidden: Sequence[int], see
 def apply(parameters: Parameters, states: np.ndarray) -> np.ndarray:
     """Values `(B, A)` float32 of `states` `(B, D)` float32, without torch: what actors act with."""
     x = states
-    for i in range(_depth(parameters)):
+    for i in range(depth(parameters)):
         x = x @ parameters[f"hidden{i}.weight"].T
         x += parameters[f"hidden{i}.bias"]
         x -= _row_means(x)
-        x /= np.sqrt(_row_means(x * x) + np.float32(_NORM_EPSILON))
+        x /= np.sqrt(_row_means(x * x) + np.float32(NORM_EPSILON))
         x *= parameters[f"hidden{i}.norm_scale"]
         x += parameters[f"hidden{i}.norm_shift"]
         np.maximum(x, 0, out=x)
@@ -176,7 +100,8 @@ def _row_means(x: np.ndarray) -> np.ndarray:
     return np.add.reduce(x, 1, keepdims=True) / np.float32(x.shape[1])
 
 
-def _depth(parameters: Parameters) -> int:
+def depth(parameters: Parameters) -> int:
+    """How many hidden layers a network has."""
     return sum(name.endswith(".norm_scale") for name in parameters)
 
 
@@ -184,7 +109,7 @@ def _shapes(parameters: Parameters, state_size: int, actions: int) -> dict[str, 
     """Names and shapes a network of this many hidden layers has; widths are those of its biases."""
     shapes: dict[str, tuple[int, ...]] = {}
     fan_in = state_size
-    for i in range(_depth(parameters)):
+    for i in range(depth(parameters)):
         width = np.size(parameters.get(f"hidden{i}.bias", ()))
         shapes[f"hidden{i}.weight"] = (width, fan_in)
         shapes |= {f"hidden{i}.{part}": (width,) for part in ("bias", "norm_scale", "norm_shift")}

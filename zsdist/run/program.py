@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from zsdist import source
 from zsdist.agent import features
 from zsdist.agent.hierarchy import HierarchicalAgent, q_functions
 from zsdist.config import Config
-from zsdist.dqn.learner import DqnLearner
+from zsdist.dqn import network
 from zsdist.errors import ConfigError, SceneError, WeightsError
 from zsdist.planning.grid import Grid
 from zsdist.replay.buffer import row_bytes
@@ -23,7 +24,6 @@ from zsdist.roles.actor import Actor
 from zsdist.roles.base import Context, Role
 from zsdist.roles.cars import CameraEnv, Car, Errand
 from zsdist.roles.hub import Hub
-from zsdist.roles.learner import Learner
 from zsdist.roles.replay import Replay
 from zsdist.roles.scheduler import Scheduler
 from zsdist.roles.shapes import SHAPES
@@ -35,11 +35,14 @@ from zsdist.sim.scene import Scene
 from zsdist.transport.base import Transport
 from zsdist.transport.certificates import Identity
 from zsdist.transport.zenoh import PORTS_TRIED, ZenohHub, ZenohTransport
-from zsdist.types import Level
+from zsdist.types import Level, Parameters
 from zsdist.vision.identity import VisionIdentity
 from zsdist.vision.reading_cache import ReadingCache
 from zsdist.vision.visual_act import VisualAct as PretrainedVisualAct
 from zsdist.wire.messages import State
+
+if TYPE_CHECKING:
+    from zsdist.dqn.learner import DqnLearner
 
 Watch = Callable[[Transport, float], None]  # called once a round with the runner's transport and the clock
 
@@ -188,11 +191,16 @@ def try_out(parts: Parts, config: Config) -> None:
     """Drives a car for two steps: what is loaded or made at first use, which takes half a second, then is there."""
     car = Car(parts.make_env(), HierarchicalAgent(config))
     car.begin(Errand(parts.itinerary.training(1), 1, 1.0, True, (0,)), dict.fromkeys(Level, 0))
-    q = q_functions({level: make_learner(config, level).parameters() for level in Level})
+    q = q_functions({level: _untrained(config, level) for level in Level})
     sight = Sight(parts.visual_act, Grid.from_config(config.grid), None)
     for _ in range(2):
         car.advance(*sight.views([car]), q)
     car.env.close()
+
+
+def _untrained(config: Config, level: Level) -> Parameters:
+    shape, settings = SHAPES[level], config.high if level is Level.HIGH else config.low
+    return network.initial_parameters(shape.state_size, shape.actions, settings.hidden, config.seed)
 
 
 @dataclass(frozen=True)
@@ -256,6 +264,8 @@ class Setting:
                 return Replay(context, SHAPES, folder, self.states.get(shards.state_name(int(place.id))))
             case "learner":
                 level = Level(place.id)
+                from zsdist.roles.learner import Learner  # the only role that needs torch: two seconds and 150 MB
+
                 return Learner(context, level, make_learner(config, level), self.states.get(place.name))
             case "actor":
                 parts = parts or self.make_parts(config)
@@ -280,8 +290,10 @@ def _seen_by(config: Config, visual_act: VisualAct) -> str:
     return "/".join((visual_act.encoder_sha256, visual_act.weights_sha256, settings, code, *libraries))
 
 
-def make_learner(config: Config, level: Level) -> DqnLearner:
+def make_learner(config: Config, level: Level) -> "DqnLearner":
     """The DQN of one level, untrained; its initial weights follow from the run's seed."""
+    from zsdist.dqn.learner import DqnLearner
+
     shape, settings = SHAPES[level], config.high if level is Level.HIGH else config.low
     seed = 2 * config.seed + (level is Level.HIGH)
     return DqnLearner(shape.state_size, shape.actions, settings, seed=seed, mirror=features.mirror(level))

@@ -35,9 +35,6 @@ class RoleHost:
     """Lives in a Ray actor: takes on one role there and steps it until it has finished."""
 
     def __init__(self, setting: Setting) -> None:
-        import torch
-
-        torch.set_num_threads(1)
         keep_freed_memory()
         self.setting = setting
         self.wake = threading.Event()
@@ -64,6 +61,10 @@ class RoleHost:
         """Builds a role and steps it to its end; returns an empty string, or in one line why it could not go on."""
         self._redirect_output(place)
         transport = None
+        if place.role == "learner":
+            import torch
+
+            torch.set_num_threads(1)
         try:
             if place.name == HUB and self._hub is None:
                 self.open_hub(endpoint)

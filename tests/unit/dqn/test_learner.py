@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from zsdist.config import LevelConfig
-from zsdist.dqn import network
+from zsdist.dqn import network, torch_network
 from zsdist.dqn.learner import DqnLearner, joined, reflect
 from zsdist.errors import RunError, WeightsError
 from zsdist.types import Batch
@@ -94,7 +94,7 @@ def test_eq11_the_gradient_is_that_of_the_losses_through_the_network_as_recorded
     data = batch(4)
     config = LevelConfig(hidden=(16, 12), guide_margin_weight=0.3, max_gradient_norm=1e9)
     dqn = learner(config)
-    network_t = network.policy_network(dqn.parameters())
+    network_t = torch_network.policy_network(dqn.parameters())
     q, q_tp1, q_target = (
         network_t(torch.from_numpy(data.states)),
         network.apply(dqn.parameters(), data.next_states),

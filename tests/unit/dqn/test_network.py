@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from zsdist.dqn import network
+from zsdist.dqn import network, torch_network
 from zsdist.errors import WeightsError
 
 STATE_SIZE, ACTIONS = 40, 5
@@ -19,7 +19,7 @@ def test_eq08_the_policy_network_is_what_actors_compute_without_torch(hidden):
     parameters = trained_looking(hidden)
     states = np.random.default_rng(1).normal(size=(64, STATE_SIZE)).astype(np.float32)
     with torch.no_grad():
-        q = network.policy_network(parameters)(torch.from_numpy(states)).numpy()
+        q = torch_network.policy_network(parameters)(torch.from_numpy(states)).numpy()
     acted = network.apply(parameters, states)
     assert acted.shape == (64, ACTIONS) and acted.dtype == np.float32
     np.testing.assert_allclose(acted, q, rtol=1e-5, atol=1e-5)
@@ -27,7 +27,7 @@ def test_eq08_the_policy_network_is_what_actors_compute_without_torch(hidden):
 
 def test_eq09_the_target_network_has_parameters_of_its_own_and_takes_no_gradient():
     parameters = trained_looking()
-    policy, target = network.policy_network(parameters), network.target_network(parameters)
+    policy, target = torch_network.policy_network(parameters), torch_network.target_network(parameters)
     assert all(tensor.requires_grad for tensor in policy.tensors)
     assert not any(tensor.requires_grad for tensor in target.tensors)
     with torch.no_grad():

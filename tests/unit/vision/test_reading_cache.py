@@ -154,11 +154,12 @@ def test_a_writer_that_is_killed_at_any_moment_leaves_whole_readings_or_none():
 
 
 def test_a_later_run_finds_what_one_before_it_read_even_if_that_was_killed():
-    one = opened(SET_BYTES)
+    size = 64 * SET_BYTES  # with room for what the other writes
+    one = opened(size)
     kept = one.keep("scene", LatticeState(1, 1, 1), reading())
     one.close()
-    kill(writer(SET_BYTES))
-    assert_equal(opened(SET_BYTES).find("scene", LatticeState(1, 1, 1)), kept)
+    kill(writer(size))
+    assert_equal(opened(size).find("scene", LatticeState(1, 1, 1)), kept)
 
 
 def test_a_file_of_another_size_is_removed_once_nobody_uses_it(temporary_folder):
