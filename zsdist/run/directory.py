@@ -177,7 +177,9 @@ class RunDirectory:
             vision: by what its policy sees, for the checkpoints.
             earlier_s: what earlier sittings of this run took.
         """
-        from torch.utils.tensorboard import SummaryWriter  # imports slowly, and only the scheduler's process needs it
+        from tensorboard.summary import (
+            Writer,
+        )  # only the scheduler's process needs it; torch's would import all of torch
 
         self.folder = folder
         self._vision = vision
@@ -185,7 +187,7 @@ class RunDirectory:
         self._opened_s = time.monotonic()
         self._episodes = (folder / "episodes.jsonl").open("a", buffering=1)
         self._metrics = (folder / "metrics.jsonl").open("a", buffering=1)
-        self._board = SummaryWriter(str(folder / "tensorboard"))
+        self._board = Writer(str(folder / "tensorboard"))
 
     def episode(self, record: dict) -> None:
         """Appends one line to `episodes.jsonl`."""

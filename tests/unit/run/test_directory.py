@@ -2,6 +2,8 @@ import json
 
 import numpy as np
 import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.util.tensor_util import make_ndarray
 
 from zsdist import config
 from zsdist.errors import RunError, WeightsError
@@ -27,6 +29,25 @@ def ledger(folder):
 
 def states(value=1.0):
     return {"scheduler": State("scheduler", META, {}), "replay": State("replay", {}, {"ring": np.full(3, value)})}
+
+
+def test_tensorboard_finds_episodes_and_metrics(folder, ledger):
+    for number in (1, 2):
+        ledger.episode({"finished_as": number, "return": 10.0 * number, "steps": 7, "epsilon": 0.5})
+    ledger.metrics({"time_s": 1.0, "env_steps": 14, "low_loss": 0.25, "stage": "train"})
+    ledger.summary({})
+    events = EventAccumulator(str(folder / "tensorboard")).Reload()
+
+    def curve(tag):
+        return [(event.step, float(make_ndarray(event.tensor_proto))) for event in events.Tensors(tag)]
+
+    assert curve("episode/return") == [(1, 10.0), (2, 20.0)]
+    assert curve("run/low_loss") == [(14, 0.25)]
+    assert set(events.Tags()["tensors"]) == {
+        "episode/return", "episode/steps", "episode/epsilon", "run/env_steps", "run/low_loss"
+    }  # fmt: skip
+    summary = events.SummaryMetadata("run/low_loss")
+    assert summary.plugin_data.plugin_name == "scalars"
 
 
 def test_epochs_are_never_issued_twice(folder):
