@@ -4,6 +4,7 @@ One file of fixed size, mapped into memory, in sets of a few slots. Nobody locks
 one that was torn, by two writers at once or by a death in the middle of a write, is a reading that is not there.
 """
 
+import errno
 import fcntl
 import mmap
 import os
@@ -56,6 +57,8 @@ class ReadingCache:
         _remove_others(path)
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+            if os.fstat(self._file).st_uid != os.getuid():  # the name is no secret, and anybody may write to the folder
+                raise PermissionError(errno.EPERM, "it belongs to another user")
             fcntl.flock(self._file, fcntl.LOCK_SH)
             os.posix_fallocate(self._file, 0, size)
             self._memory = mmap.mmap(self._file, size)

@@ -187,6 +187,14 @@ def test_what_there_is_no_room_for_is_refused_in_one_line(monkeypatch):
         opened()
 
 
+def test_a_file_that_another_user_has_put_there_is_not_trusted(monkeypatch):
+    opened().close()
+    owner = os.getuid()
+    monkeypatch.setattr(reading_cache.os, "getuid", lambda: owner + 1)
+    with pytest.raises(RunError, match=r"cannot be made \(it belongs to another user\)"):
+        opened()
+
+
 def test_a_link_in_the_place_of_the_file_is_not_followed(temporary_folder, tmp_path_factory):
     target = tmp_path_factory.mktemp("else") / "file"
     target.write_bytes(b"precious")
