@@ -4,7 +4,7 @@
 two actor processes in a temporary folder, without merges and evaluation, watched over zenoh as any monitor does:
 figures come from the statistics that roles publish, and the CPU time of each role's process from the kernel, between
 the first training step seen and the last. Then the same again, which finds what the first one read from its pictures
-(`again_...`). Then a run in one process, which finds nothing, sampled by CPU time: `share_run_...` are shares of
+(`again_1_...`). Then a run in one process, which finds nothing, sampled by CPU time: `share_run_...` are shares of
 the whole run's second by package, `share_actor_...` of the actor's; a sample belongs to the innermost package of ours
 on the stack, so that numpy's or torch's time is its caller's.
 """
@@ -52,6 +52,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="fewer episodes; ends within 80 s on two cores")
     parser.add_argument("--weights", default="pretrained", help="as vision.weights (default: pretrained)")
     parser.add_argument("--episodes", type=int, metavar="N", help="of the run in processes; another quarter in one")
+    parser.add_argument("--again", type=int, default=1, metavar="N", help="how often the same once more (default: 1)")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the run")
     options = parser.parse_args()
     episodes = options.episodes or (20 if options.quick else 300)
@@ -60,8 +61,9 @@ def main() -> None:
         folder = Path(name)
         _forget(folder / "machine")
         figures, ratios = _distributed(folder / "system", episodes, settings)
-        again, _ = _distributed(folder / "again", episodes, settings)
-        figures |= {f"again_{name}": again[name] for name in AGAIN if name in again}
+        for time_more in range(1, options.again + 1):
+            again, _ = _distributed(folder / f"again-{time_more}", episodes, settings)
+            figures |= {f"again_{time_more}_{name}": again[name] for name in AGAIN if name in again}
         _forget(folder / "another machine")
         figures |= _profile(folder / "inline", max(1, episodes // 4), settings)
     report("system", figures, ratios)
