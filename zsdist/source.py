@@ -19,20 +19,24 @@ def sha256(*roots: str) -> str:
     It is of their statements without comments and docstrings: what changes only words or layout changes no hash.
     """
     digest = hashlib.sha256()
-    for name in sorted(modules(*roots)):
-        digest.update(f"{name}\n{_statements(ast.parse(_file(name).read_text()))}\n".encode())
+    for name, tree in sorted(_trees(*roots).items()):
+        digest.update(f"{name}\n{_statements(tree)}\n".encode())
     return digest.hexdigest()[:DIGITS]
 
 
 def modules(*roots: str) -> set[str]:
     """Names of the package's modules that `roots` need, themselves included, without `APART`."""
-    found, open_ = set(), list(roots)
+    return set(_trees(*roots))
+
+
+def _trees(*roots: str) -> dict[str, ast.Module]:
+    found, open_ = {}, list(roots)
     while open_:
         name = open_.pop()
         if name in found or name in APART or not name.startswith("zsdist.") or _file(name) is None:
             continue
-        found.add(name)
-        for node in ast.walk(ast.parse(_file(name).read_text())):
+        found[name] = ast.parse(_file(name).read_text())
+        for node in ast.walk(found[name]):
             if isinstance(node, ast.Import):
                 open_ += [alias.name for alias in node.names]
             elif isinstance(node, ast.ImportFrom) and node.module:

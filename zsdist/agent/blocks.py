@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 
 import numba
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from zsdist.agent.situation import Situation
 from zsdist.planning import ways
 from zsdist.planning.footprint import CELLS_A_WORD
-from zsdist.planning.grid import HEADINGS, STEPS, Grid
+from zsdist.planning.grid import HEADINGS, STEPS
 from zsdist.planning.ways import Ways
 
 NEIGHBOURS = HEADINGS  # choice k is the neighbour k eighths of a turn to the left of the car's heading
@@ -73,15 +73,10 @@ def choices(situation: Situation) -> Choices:
 
 def _leading_on(situation: Situation) -> np.ndarray:
     """States, of `zsdist.planning.ways`, from which a free way leads to the goal without the car's present block."""
-    elsewhere = Ways(situation.ways.words | _places(situation.grid, situation.block))
+    here = np.zeros_like(situation.goals)
+    here[situation.grid.block_cells(*situation.block)] = True
+    elsewhere = Ways(situation.ways.words | ways.places(here))
     return elsewhere.states_to(ways.places(situation.goals))
-
-
-@cache
-def _places(grid: Grid, block: tuple[int, int]) -> np.ndarray:
-    here = np.zeros((grid.cells, grid.cells), np.bool_)
-    here[grid.block_cells(*block)] = True
-    return ways.places(here)
 
 
 @numba.njit(cache=True)

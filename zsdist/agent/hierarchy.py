@@ -15,7 +15,6 @@ from zsdist.agent.options import End, Option
 from zsdist.agent.situation import Situation
 from zsdist.config import Config
 from zsdist.dqn import network
-from zsdist.planning import ways
 from zsdist.planning.belief import BeliefMap
 from zsdist.planning.cost_field import CostField
 from zsdist.planning.footprint import successor
@@ -101,7 +100,6 @@ class HierarchicalAgent:
         cells, blocks = self._grid.cells, self._grid.blocks
         self._goal = (float(goal_xy[0]), float(goal_xy[1]))
         self._goals = goal_mask(self._grid, self._goal, self._config.sim.success_radius_m)
-        self._goal_places, self._been = ways.places(self._goals), ways.no_states(cells)
         self._to_goal, self._to_subgoal = CostField(self._goals, self._costs), None
         self._epsilon, self._shielded, self._rng = epsilon, shielded, rng
         self._versions, self._learning = weight_versions, learning
@@ -215,10 +213,9 @@ class HierarchicalAgent:
         block = self._grid.block_of(state.ix, state.iy)
         self._counts["revisits"] += self._visits[state.iy, state.ix, state.heading] > 0
         self._visits[state.iy, state.ix, state.heading] += 1
-        ways.add(self._been, state)
         if before is None or before.block != block:
             self._block_visits[block[1], block[0]] += 1
-        judgement = shield.judge(self._belief, state, self._goal_places, self._been)
+        judgement = shield.judge(self._belief, state, self._goals, self._visits)
         self._shield_mask = judgement.allowed
         self._counts["shield_gave_way"] += judgement.gave_way
         self._counts["shield_forced"] += judgement.forced and self._shielded

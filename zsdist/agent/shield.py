@@ -89,7 +89,7 @@ class Judgement(NamedTuple):
     gave_way: bool
 
 
-def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, been: np.ndarray) -> Judgement:
+def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, visits: np.ndarray) -> Judgement:
     """The most careful reading of the belief under which a way leads from the car to the goal.
 
     The belief errs, and the car has no reverse gear: with one fixed reading it is sooner or later walled in by what is
@@ -102,15 +102,16 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, been: np.nd
     Args:
         belief: what is occupied and what was seen.
         state: where the car is.
-        goals: places, of `zsdist.planning.ways`, in which the goal is reached.
-        been: states in which the car was, this time included.
+        goals: `(cells, cells)` bool.
+        visits: `(cells, cells, 8)`, how often the car was in each state, this time included.
     """
+    places, been = ways.places(goals), ways.packed(visits > 0)
     occupied = cache(lambda above: squares.rows(belief.occupied(above)))
     read = cache(lambda reading: _hits(belief, reading, occupied(reading.above)))
-    cautious = cache(lambda near, returning: _returning(read(near), goals) if returning else read(near))
+    cautious = cache(lambda near, returning: _returning(read(near), places) if returning else read(near))
     for rung in CAREFUL_RUNGS + DARING_RUNGS:
         hits = cautious(rung.near, rung.returning).among(been, read(rung.far))
-        live = hits.states_to(goals)
+        live = hits.states_to(places)
         if ways.holds(live, state):
             break
     else:

@@ -64,11 +64,11 @@ class FootprintTable:
         self._runs = _runs(self._sweeps)
         self._off_grid = self._ends_off_grid()
         # From `_reach` squares south-west of the centre of cell (0, 0) on: the first row and column, rows, words.
-        chunks = math.ceil(grid.cells / _AT_ONCE)
+        across = FINE_PER_CELL * _AT_ONCE * math.ceil(grid.cells / _AT_ONCE)
         self._surroundings = (
             grid.fine_border + FINE_PER_CELL // 2 - self._reach,
             FINE_PER_CELL * grid.cells + 2 * self._reach,
-            FINE_PER_CELL * _AT_ONCE * chunks // squares.SQUARES_A_WORD + math.ceil(2 * self._reach / 64),
+            across // squares.SQUARES_A_WORD + math.ceil(2 * self._reach / squares.SQUARES_A_WORD),
         )
 
     def swept(self, heading: int, action: int) -> np.ndarray:

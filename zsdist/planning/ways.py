@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
+from zsdist.planning import squares
 from zsdist.planning.footprint import ACTIONS, ADVANCES, CELLS_A_WORD, TURNS, FootprintTable, unpacked
 from zsdist.planning.grid import HEADINGS, STEPS
 from zsdist.types import LatticeState
@@ -79,19 +80,9 @@ def packed(flags: np.ndarray) -> np.ndarray:
     return words
 
 
-def no_states(cells: int) -> np.ndarray:
-    """An empty set of states of a grid."""
-    return np.zeros((HEADINGS, (cells - 1) // CELLS_A_WORD + 1, cells), np.uint64)
-
-
-def add(states: np.ndarray, state: LatticeState) -> None:
-    """Puts a state into a set."""
-    states[state.heading, state.ix // CELLS_A_WORD, state.iy] |= np.uint64(1 << state.ix % CELLS_A_WORD)
-
-
 def places(mask: np.ndarray) -> np.ndarray:
     """Places `(words, cells)` of a mask `[iy, ix]` `(cells, cells)` bool."""
-    return packed(mask[:, :, None])[0]
+    return np.ascontiguousarray(squares.rows(mask).T)
 
 
 def holds(states: np.ndarray, state: LatticeState) -> bool:

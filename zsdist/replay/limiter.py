@@ -43,6 +43,9 @@ class Limiter:
         band: transitions granted ahead, shared by all streams, beyond a grain each; it hides the time that credit is
             under way, and should be at least the largest batch (Table 2: 256).
 
+    Attributes:
+        unhurried: batches for which the learner can wait before the actors have used up half of the band.
+
     Raises:
         ConfigError: a count is out of range.
     """
@@ -56,6 +59,7 @@ class Limiter:
             if value < least:
                 raise ConfigError(f"limiter {name} is {value}; allowed is {least} or more")
         self._min_size, self._grain, self._band = min_size, grain, band
+        self.unhurried = max(1, int(self._ratio * band / 2))
         self.stored = 0
         self.updates = 0
         self._streams: dict[str, _Stream] = {}
@@ -90,11 +94,6 @@ class Limiter:
         """Batches, of an update each, that the learner may take now."""
         ratio = self._ratio  # by whole numbers: a product of fractions takes longer than drawing a batch's rows
         return max(0, ratio.numerator * self.stored // ratio.denominator - self.updates) if self.limited else 0
-
-    @property
-    def unhurried(self) -> int:
-        """Batches for which the learner can wait before the actors have used up half of the band."""
-        return max(1, int(self._ratio * self._band / 2))
 
     def sampled(self) -> None:
         """A batch was handed out. Raises ProtocolError where none is allowed."""

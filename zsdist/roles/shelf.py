@@ -127,8 +127,8 @@ class Shelf:
         It waits until there is enough for all of them, so long as no actor has to wait for that: to wake a learner for
         a single batch costs as much as the update.
         """
-        wanted = min(sum(batches for _, _, batches in self.waiting), self.limiter.unhurried)
-        if self.waiting and self.limiter.allowed < wanted and now - self.waiting[0][0] < HOLD_REQUEST_S:
+        enough = min(sum(wanted for _, _, wanted in self.waiting), self.limiter.unhurried)
+        if self.waiting and self.limiter.allowed < enough and now - self.waiting[0][0] < HOLD_REQUEST_S:
             return
         while self.waiting:
             asked_s, message, wanted = self.waiting[0]

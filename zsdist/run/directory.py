@@ -177,9 +177,7 @@ class RunDirectory:
             vision: by what its policy sees, for the checkpoints.
             earlier_s: what earlier sittings of this run took.
         """
-        from tensorboard.summary import (
-            Writer,
-        )  # only the scheduler's process needs it; torch's would import all of torch
+        from tensorboard.summary import Writer  # here, since only the scheduler needs it; torch's imports all of torch
 
         self.folder = folder
         self._vision = vision

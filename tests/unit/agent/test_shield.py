@@ -34,19 +34,16 @@ def goals(ix, iy):
     return goal_mask(GRID, GRID.centre(ix, iy), 0.6)
 
 
-def towards(ix, iy):
-    return ways.places(goals(ix, iy))
-
-
 def visited(*states):
-    been = ways.no_states(GRID.cells)
+    """How often the car was in each state."""
+    visits = np.zeros((32, 32, 8), np.int32)
     for state in states:
-        ways.add(been, state)
-    return been
+        visits[state.iy, state.ix, state.heading] += 1
+    return visits
 
 
 def allowed(belief, state=EAST, goal=(28, 16)):
-    judgement = shield.judge(belief, state, towards(*goal), visited(state))
+    judgement = shield.judge(belief, state, goals(*goal), visited(state))
     return judgement.allowed, judgement.gave_way
 
 
@@ -84,7 +81,7 @@ def pocket():
 
 def test_a_dead_end_without_room_to_turn_is_not_entered():
     state = LatticeState(18, 16, 0)
-    judgement = shield.judge(known_free(pocket()), state, towards(28, 28), visited(state))
+    judgement = shield.judge(known_free(pocket()), state, goals(28, 28), visited(state))
     assert not FootprintTable(GRID).blocked(pocket())[16, 18, 0, Action.FORWARD]
     assert judgement.ways.blocked[16, 18, 0, Action.FORWARD] and not judgement.allowed[Action.FORWARD]
     assert judgement.allowed.any()
@@ -96,9 +93,9 @@ def test_a_passage_too_narrow_to_turn_in_is_entered_only_once_its_end_was_seen()
     passage[fy - 7 : fy + 7, fx + 18 : fx + 20] = False  # open at the far end
     state, end = LatticeState(18, 16, 0), slice(fx + 10, fx + 60)
     belief = known_free(passage)
-    assert shield.judge(belief, state, towards(28, 16), visited(state)).allowed[Action.FORWARD]
+    assert shield.judge(belief, state, goals(28, 16), visited(state)).allowed[Action.FORWARD]
     belief._seen[fy - 40 : fy + 40, end] = False  # what lies at its end is unknown, and there is a way round
-    judgement = shield.judge(belief, state, towards(28, 16), visited(state))
+    judgement = shield.judge(belief, state, goals(28, 16), visited(state))
     assert not judgement.allowed[Action.FORWARD] and judgement.allowed.any()
 
 
@@ -119,7 +116,7 @@ def test_a_goal_believed_occupied_still_leaves_the_car_states_to_go_on_in():
 
 def test_where_everything_is_blocked_only_turns_in_place_are_left():
     judgement = shield.judge(
-        known_free(np.ones((GRID.fine_size, GRID.fine_size), bool)), EAST, towards(28, 16), visited(EAST)
+        known_free(np.ones((GRID.fine_size, GRID.fine_size), bool)), EAST, goals(28, 16), visited(EAST)
     )
     assert judgement.forced
     assert list(np.flatnonzero(judgement.allowed)) == [Action.TURN_LEFT_90, Action.TURN_RIGHT_90]
@@ -138,18 +135,18 @@ def seen_disc_beyond_a_wall():
 
 def test_before_unseen_ground_is_entered_the_car_looks_about_where_it_has_not_looked():
     belief, been = seen_disc_beyond_a_wall(), [EAST]
-    assert list(np.flatnonzero(shield.judge(belief, EAST, towards(28, 16), visited(*been)).allowed)) == TURNS
+    assert list(np.flatnonzero(shield.judge(belief, EAST, goals(28, 16), visited(*been)).allowed)) == TURNS
     been += [EAST._replace(heading=heading) for heading in (2, 4)]
     south = EAST._replace(heading=6)
-    assert not shield.judge(belief, been[-1], towards(28, 16), visited(*been)).gave_way  # one look is left to take
-    judgement = shield.judge(belief, south, towards(28, 16), visited(*been, south))
+    assert not shield.judge(belief, been[-1], goals(28, 16), visited(*been)).gave_way  # one look is left to take
+    judgement = shield.judge(belief, south, goals(28, 16), visited(*been, south))
     assert judgement.allowed.any() and judgement.gave_way
 
 
 def test_a_state_not_yet_looked_from_may_lead_over_unseen_ground():
     belief = BeliefMap(GRID)
     belief.clear_disc(*GRID.centre(16, 16), 1.5)
-    judgement = shield.judge(belief, EAST, towards(28, 16), visited(EAST))
+    judgement = shield.judge(belief, EAST, goals(28, 16), visited(EAST))
     assert judgement.ways.blocked[16, 16, 0, Action.FORWARD]
     assert not judgement.ways.blocked[16, 16, 2, Action.RIGHT_45] and not judgement.gave_way
 
@@ -161,7 +158,7 @@ def test_unseen_ground_is_suspect_up_to_its_edge_but_for_slivers():
     for width, free in ((3, True), (12, False)):
         belief._seen[:] = True
         belief._seen[side, x + 4 : x + 4 + width] = False
-        assert shield.judge(belief, EAST, towards(28, 28), visited(EAST)).allowed[Action.RIGHT_45] == free
+        assert shield.judge(belief, EAST, goals(28, 28), visited(EAST)).allowed[Action.RIGHT_45] == free
 
 
 def test_moves_off_the_grid_are_masked_for_everyone():
@@ -198,5 +195,5 @@ def test_width_of_the_car_is_what_the_shield_keeps_clear():
         fx, fy = GRID.fine_index(*GRID.centre(18, 16))
         squares = np.zeros((GRID.fine_size, GRID.fine_size), bool)
         squares[fy + aside, fx] = True
-        blocked = shield.judge(known_free(squares), EAST, towards(28, 16), visited(EAST)).ways.blocked
+        blocked = shield.judge(known_free(squares), EAST, goals(28, 16), visited(EAST)).ways.blocked
         assert blocked[16, 16, 0, Action.FORWARD] != free

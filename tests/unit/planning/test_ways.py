@@ -93,14 +93,3 @@ def test_ways_on_a_map_are_those_of_the_footprints(cells):
     on = Ways.on(squares.rows(occupied), table)
     assert np.array_equal(on.blocked, table.blocked(occupied)) and not on.blocked.all()
     assert np.array_equal(on.words, Ways.of(on.blocked).words), "what lies beyond the last cell is blocked"
-
-
-def test_a_set_of_states_holds_what_was_put_into_it_and_nothing_else():
-    some = [LatticeState(0, 0, 0), LatticeState(63, 5, 7), LatticeState(64, 99, 3), LatticeState(99, 64, 3)]
-    states, flags = ways.no_states(100), np.zeros((100, 100, 8), bool)
-    assert not states.any()
-    for state in some:
-        ways.add(states, state)
-        flags[state.iy, state.ix, state.heading] = True
-    assert np.array_equal(states, ways.packed(flags))
-    assert all(ways.holds(states, state) for state in some)
