@@ -1,4 +1,4 @@
-"""The package's own code as a hash: what results depend on it changes with it, and with nothing else."""
+"""Hash of the package's own code, by which stored results are matched with the code that made them."""
 
 import ast
 import hashlib
@@ -16,32 +16,60 @@ _PACKAGE = Path(zsdist.__file__).parent
 def sha256(*roots: str) -> str:
     """Hash of the modules `roots` and of every module of the package that they import, directly or through others.
 
-    It is of their statements without comments and docstrings: what changes only words or layout changes no hash.
+    It covers statements, not comments, docstrings or the places of modules: a module's path counts for nothing, and
+    where a module is imported, the hash of its content stands in place of the path.
     """
-    digest = hashlib.sha256()
-    for name, tree in sorted(_trees(*roots).items()):
-        digest.update(f"{name}\n{_statements(tree)}\n".encode())
-    return digest.hexdigest()[:DIGITS]
+    return _digest(sorted(map(_module_hash, roots)))
 
 
 def modules(*roots: str) -> set[str]:
     """Names of the package's modules that `roots` need, themselves included, without `APART`."""
-    return set(_trees(*roots))
-
-
-def _trees(*roots: str) -> dict[str, ast.Module]:
-    found, open_ = {}, list(roots)
-    while open_:
-        name = open_.pop()
-        if name in found or name in APART or not name.startswith("zsdist.") or _file(name) is None:
-            continue
-        found[name] = ast.parse(_file(name).read_text())
-        for node in ast.walk(found[name]):
-            if isinstance(node, ast.Import):
-                open_ += [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom) and node.module:
-                open_ += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    found, waiting = set(), list(roots)
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            found.add(name)
+            waiting += [module for _, modules in _imports(_tree(name)) for module in modules]
     return found
+
+
+@cache
+def _module_hash(name: str) -> str:
+    tree = _tree(name)
+    imports = [f"{names} {' '.join(map(_module_hash, modules))}" for names, modules in _imports(tree)]
+    return _digest([_statements(tree), *sorted(imports)])
+
+
+def _imports(tree: ast.Module) -> list[tuple[str, list[str]]]:
+    """Each name that is imported from the package, as `name as alias`, with the hashed modules that it comes from."""
+    found = []
+    for node in filter(_of_package, ast.walk(tree)):
+        for alias in node.names:
+            origins = (node.module, f"{node.module}.{alias.name}")
+            found.append((f"{alias.name} as {alias.asname}", [name for name in origins if _is_hashed(name)]))
+    return found
+
+
+def _statements(tree: ast.Module) -> str:
+    """The statements of a module as text, without docstrings and imports from the package; changes the tree."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
+            node.body = node.body[1:]
+        if isinstance(getattr(node, "body", None), list):
+            node.body = [statement for statement in node.body if not _of_package(statement)]
+    return ast.dump(tree)
+
+
+def _of_package(node: ast.AST) -> bool:
+    return isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "zsdist"
+
+
+def _is_hashed(name: str) -> bool:
+    return name not in APART and name != "zsdist" and _file(name) is not None
+
+
+def _tree(name: str) -> ast.Module:
+    return ast.parse(_file(name).read_text())
 
 
 def _file(name: str) -> Path | None:
@@ -50,8 +78,5 @@ def _file(name: str) -> Path | None:
     return next((file for file in files if file.is_file()), None)
 
 
-def _statements(tree: ast.Module) -> str:
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
-            node.body = node.body[1:]
-    return ast.dump(tree)
+def _digest(texts: list[str]) -> str:
+    return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:DIGITS]

@@ -1,6 +1,11 @@
 import ast
+import shutil
+from pathlib import Path
 
+import zsdist
 from zsdist import source
+
+PACKAGE = Path(zsdist.__file__).parent
 
 
 def test_words_and_layout_change_no_hash_and_statements_do():
@@ -16,3 +21,38 @@ def test_a_hash_is_of_the_modules_below_its_roots():
     assert "zsdist.sim.camera.shading" not in vision and "zsdist.config" not in camera | vision
     assert source.modules("zsdist.sim.env", "zsdist.vision.visual_act") == camera | vision
     assert len({source.sha256("zsdist.sim.env"), source.sha256("zsdist.vision.visual_act")}) == 2
+
+
+def made(tmp_path, monkeypatch, files: dict[str, str]) -> str:
+    """Hash of `zsdist.top` in a package of these files."""
+    shutil.rmtree(tmp_path / "package", ignore_errors=True)
+    for name, text in files.items():
+        file = tmp_path / "package" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+    monkeypatch.setattr(source, "_PACKAGE", tmp_path / "package")
+    for cached in (source.sha256, source._module_hash):
+        cached.cache_clear()
+    return source.sha256("zsdist.top")
+
+
+def test_a_module_may_move_and_imports_be_sorted_anew_but_no_content_may_change(tmp_path, monkeypatch):
+    here = {"top.py": "from zsdist.a import f\nfrom zsdist.b import g\n", "a.py": "def f(): return 1", "b.py": "g = 2"}
+    before = made(tmp_path, monkeypatch, here)
+    moved = {
+        "top.py": "from zsdist.b import g\nfrom zsdist.far.off import f\n",
+        "far/off.py": "def f(): return 1",
+        "b.py": "g = 2",
+    }
+    assert made(tmp_path, monkeypatch, moved) == before
+    assert made(tmp_path, monkeypatch, here | {"a.py": "def f(): return 2"}) != before
+    swapped = {"top.py": "from zsdist.a import g as f\nfrom zsdist.a import f as g\n", "a.py": "f = g = 1"}
+    straight = {"top.py": "from zsdist.a import f\nfrom zsdist.a import g\n", "a.py": "f = g = 1"}
+    assert made(tmp_path, monkeypatch, swapped) != made(tmp_path, monkeypatch, straight)
+
+
+def test_an_import_is_of_the_content_that_it_names(tmp_path, monkeypatch):
+    both = {"a.py": "def f(): return 1", "b.py": "def f(): return 2"}
+    use = "from zsdist.{} import f\nfrom zsdist.{} import f as other\n"
+    first = made(tmp_path, monkeypatch, both | {"top.py": use.format("a", "b")})
+    assert made(tmp_path, monkeypatch, both | {"top.py": use.format("b", "a")}) != first
