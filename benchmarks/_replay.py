@@ -17,13 +17,13 @@ import numpy as np
 import psutil
 from wire import make_trajectory
 
-from zsdist.allocator import keep_freed_memory
 from zsdist.config import Config
 from zsdist.protocol.outbox import Outbox
 from zsdist.roles.base import Context
 from zsdist.roles.learner import ASK_AGAIN_AFTER_S, BATCHES_AN_ANSWER, PREFETCH
-from zsdist.roles.replay import Replay
-from zsdist.roles.shelf import Shape
+from zsdist.roles.replay.level_replay import Shape
+from zsdist.roles.replay.role import Replay
+from zsdist.run.allocator import keep_freed_memory
 from zsdist.transport.base import Mailbox, Transport
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 from zsdist.types import Batch, Level, Trajectory

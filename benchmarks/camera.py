@@ -18,10 +18,10 @@ import numpy as np
 from rich.progress import track
 
 from zsdist.config import CameraConfig
-from zsdist.sim import families
+from zsdist.datasets.labelled import free_pose
 from zsdist.sim.camera import make_camera
-from zsdist.sim.scene import Scene
-from zsdist.sim.views import free_pose
+from zsdist.sim.scenes import families
+from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Pose
 
 FAMILIES = ("iid", "street", "ood-all")

@@ -16,10 +16,10 @@ import numpy as np
 
 from zsdist.planning.footprint import ADVANCES, TURNS, FootprintTable, successor
 from zsdist.planning.grid import HEADINGS, Grid
-from zsdist.sim.families import generate
-from zsdist.sim.manifest import split_seed
-from zsdist.sim.scene import Scene, Start
-from zsdist.sim.world import World
+from zsdist.sim.physics.world import World
+from zsdist.sim.scenes.families import generate
+from zsdist.sim.scenes.manifest import split_seed
+from zsdist.sim.scenes.scene import Scene, Start
 from zsdist.types import Action, LatticeState, Pose
 
 SEQUENCE = 10  # actions

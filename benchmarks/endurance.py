@@ -19,7 +19,7 @@ from rich.progress import track
 
 from zsdist.config import Config
 from zsdist.sim.env import CarNavigation
-from zsdist.sim.families import draw
+from zsdist.sim.scenes.families import draw
 
 FAMILIES = ("singleton", "iid", "street")
 ACTIONS = 5

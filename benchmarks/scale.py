@@ -28,8 +28,8 @@ from zsdist.config import Config, parse
 from zsdist.protocol.outbox import Outbox
 from zsdist.roles.base import Context
 from zsdist.roles.learner import BATCHES_AN_ANSWER, PREFETCH
-from zsdist.roles.replay import Replay
-from zsdist.roles.shelf import Shape
+from zsdist.roles.replay.level_replay import Shape
+from zsdist.roles.replay.role import Replay
 from zsdist.transport.base import Mailbox, Transport
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport

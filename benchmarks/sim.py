@@ -26,13 +26,13 @@ from _common import report
 
 from zsdist.agent.hierarchy import HierarchicalAgent, q_functions
 from zsdist.config import CameraConfig, Config, VisionConfig
+from zsdist.driving.episode import Car, Errand
+from zsdist.driving.perception import Sight
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
-from zsdist.roles.cars import Car, Errand
-from zsdist.roles.sight import Sight
 from zsdist.run import program
 from zsdist.sim.env import CarNavigation
-from zsdist.sim.families import draw
+from zsdist.sim.scenes.families import draw
 from zsdist.types import Level, Pose
 from zsdist.vision import folder
 from zsdist.vision.encoders import lite0

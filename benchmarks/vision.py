@@ -19,7 +19,7 @@ import torch
 from _common import report
 
 from zsdist.config import CameraConfig, VisionConfig
-from zsdist.sim.views import labelled_views
+from zsdist.datasets.labelled import labelled_views
 from zsdist.vision import folder
 from zsdist.vision.encoders import lite0
 from zsdist.vision.encoders.base import resample

@@ -13,8 +13,9 @@ from zsdist.evaluation.records import EpisodeRecord
 from zsdist.planning.footprint import ADVANCES, TURNS, successor
 from zsdist.planning.grid import Grid
 from zsdist.planning.rewards import RewardTerms, obstacle_avoidance, target_distance, target_reached
-from zsdist.sim import collision, families, raycast
-from zsdist.sim.kinds import KINDS
+from zsdist.sim.physics import collision, raycast
+from zsdist.sim.scenes import families
+from zsdist.sim.scenes.kinds import KINDS
 from zsdist.types import Action, Outcome, Pose, View
 from zsdist.vision import labels, rays
 from zsdist.vision.visual_act import Reading

@@ -11,8 +11,8 @@ from zsdist.dqn.learner import DqnLearner
 from zsdist.roles.actor import Actor
 from zsdist.roles.base import Context
 from zsdist.roles.learner import Learner
-from zsdist.roles.replay import Replay
-from zsdist.roles.scheduler import Scheduler
+from zsdist.roles.replay.role import Replay
+from zsdist.roles.scheduler.role import Scheduler
 from zsdist.roles.shapes import SHAPES
 from zsdist.transport.base import Mailbox
 from zsdist.transport.memory import MemoryBroker, MemoryTransport

@@ -10,7 +10,7 @@ from zsdist import config
 from zsdist.run import directory, inline, program
 from zsdist.run.program import Itinerary, Parts, Setting
 from zsdist.transport.base import Mailbox
-from zsdist.vision.identity import VisionIdentity
+from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.wire import codec
 
 SMALL = (

@@ -13,8 +13,8 @@ import numpy as np
 from zsdist.config import parse
 from zsdist.protocol.outbox import Outbox
 from zsdist.roles.base import Context
-from zsdist.roles.replay import Replay
-from zsdist.roles.shelf import Shape
+from zsdist.roles.replay.level_replay import Shape
+from zsdist.roles.replay.role import Replay
 from zsdist.transport.base import Mailbox
 from zsdist.transport.faulty import Faults, FaultyTransport
 from zsdist.transport.memory import MemoryBroker, MemoryTransport

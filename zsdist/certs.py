@@ -4,8 +4,8 @@ import argparse
 import socket
 from pathlib import Path
 
-from zsdist import cli
-from zsdist.roles import access
+from zsdist.common import cli
+from zsdist.roles import permissions
 from zsdist.transport import certificates
 
 ALWAYS = ("localhost", "127.0.0.1", "::1")
@@ -14,10 +14,10 @@ ALWAYS = ("localhost", "127.0.0.1", "::1")
 def main(options: argparse.Namespace) -> int:
     """Makes what is missing in the folder, and says what it made and what goes where."""
     hosts = dict.fromkeys([*ALWAYS, socket.gethostname(), *options.host])
-    clients = access.client_names(options.actors)
-    made = certificates.make(options.folder, access.HUB, clients, list(hosts), options.days)
+    clients = permissions.client_names(options.actors)
+    made = certificates.make(options.folder, permissions.HUB, clients, list(hosts), options.days)
     print(f"made {', '.join(made)}" if made else "nothing was missing", f"in {options.folder}")
-    if access.HUB in made:
+    if permissions.HUB in made:
         print(f"the hub's certificate is for {', '.join(hosts)}")
     elif options.host:
         print("the hub's certificate was there and stays; for another --host delete hub.pem and hub.key first")

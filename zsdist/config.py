@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from zsdist import yaml_reader
+from zsdist.common import strict_yaml
 from zsdist.errors import ConfigError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -326,7 +326,7 @@ def known_keys(model: type[BaseModel] = Config, prefix: str = "") -> list[str]:
 def _read(path: Path) -> dict[str, Any]:
     """The settings in a YAML file, unchecked."""
     try:
-        tree = yaml_reader.load(path.read_text()) or {}
+        tree = strict_yaml.load(path.read_text()) or {}
     except OSError as error:
         raise ConfigError(f"configuration file {path}: {error.strerror or error}") from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: no UTF-8, no such date or number
@@ -348,7 +348,7 @@ def _apply(tree: dict[str, Any], override: str) -> None:
     if not equals or not path:
         raise ConfigError(f"--set {override!r} is not of the form key.path=value")
     try:
-        value = yaml_reader.load(text)
+        value = strict_yaml.load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ConfigError(f"--set {path}: value {text[:200]!r} is not valid YAML") from error
     *sections, leaf = path.split(".")

@@ -21,7 +21,7 @@ from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 from rich.console import Console
 
-from zsdist import cli
+from zsdist.common import cli
 from zsdist.config import Config
 from zsdist.errors import TransportError, WeightsError
 
@@ -158,8 +158,8 @@ def enough(check: str, found: float, wanted: float, unit: str, advice: str) -> F
 
 def check_camera() -> Finding:
     """Renders one picture of a scene."""
-    from zsdist.sim import families
     from zsdist.sim.camera import make_camera
+    from zsdist.sim.scenes import families
 
     config, scene = Config().camera, families.draw("iid", "train", 0)
     camera = make_camera(config)
@@ -218,7 +218,7 @@ def check_zenoh() -> Finding:
 
 def check_certificates(folder: Path, endpoint: str | None) -> Iterator[Finding]:
     """Every certificate in a folder; where the hub's is among them, its host and a message over TLS."""
-    from zsdist.roles import access
+    from zsdist.roles import permissions
     from zsdist.transport.certificates import AUTHORITY, Identity
     from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 
@@ -242,9 +242,9 @@ def check_certificates(folder: Path, endpoint: str | None) -> Iterator[Finding]:
             yield Finding(check, Verdict.OK, f"valid for another {days} days")
     if not names:
         yield Finding(f"certificates {folder}", Verdict.FAIL, "there are none", f"Run python -m zsdist.certs {folder}.")
-    if access.HUB not in identities or access.TRUSTED not in identities:
+    if permissions.HUB not in identities or permissions.TRUSTED not in identities:
         return  # a machine on which actors drive has no use for them
-    hosts, wanted = identities[access.HUB].hosts(), host_of(endpoint or Config().transport.endpoint)
+    hosts, wanted = identities[permissions.HUB].hosts(), host_of(endpoint or Config().transport.endpoint)
     verdict = Verdict.OK if wanted in hosts else Verdict.FAIL
     advice = "" if wanted in hosts else f"Remove hub.pem and hub.key, and run zsdist.certs with --host {wanted}."
     yield Finding("certificate of the hub's host", verdict, f"{wanted}; it is for {', '.join(hosts)}", advice)
@@ -252,8 +252,8 @@ def check_certificates(folder: Path, endpoint: str | None) -> Iterator[Finding]:
     hop = "zenoh over TLS"
 
     def over_tls() -> Finding:
-        with ZenohHub(TLS_ENDPOINT, identities[access.HUB], access.access_list(1)) as hub:
-            shown = identities[access.TRUSTED]
+        with ZenohHub(TLS_ENDPOINT, identities[permissions.HUB], permissions.access_list(1)) as hub:
+            shown = identities[permissions.TRUSTED]
             return _message_through(hop, hub.endpoint, [ZenohTransport(hub.endpoint, shown) for _ in range(2)])
 
     yield guarded(hop, over_tls)

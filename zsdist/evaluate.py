@@ -14,12 +14,13 @@ from typing import Any
 
 from rich.console import Console
 
-from zsdist import cli, config
+from zsdist import config
+from zsdist.common import cli
 from zsdist.errors import RunError, WeightsError
 from zsdist.evaluation.baselines import BASELINES
 from zsdist.evaluation.comparison import compare
+from zsdist.evaluation.contenders import FULL, VARIANTS, Entrant
 from zsdist.evaluation.drivers import Sees
-from zsdist.evaluation.entrants import FULL, VARIANTS, Entrant
 from zsdist.evaluation.report import Report, evaluate, show_together, together
 from zsdist.evaluation.selection import select
 from zsdist.run.checkpoint import check_vision, load_policy

@@ -10,13 +10,15 @@ from types import FrameType
 
 from rich.console import Console
 
-from zsdist import cli, closing, config
+from zsdist import config
+from zsdist.common import cli
 from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
+from zsdist.reporting import final_evaluation
 from zsdist.run import directory, program
-from zsdist.run.display import Display
 from zsdist.run.program import Setting
-from zsdist.vision.identity import VisionIdentity
+from zsdist.telemetry.display import Display
+from zsdist.vision.fingerprint import VisionIdentity
 
 
 def main(options: argparse.Namespace) -> int:
@@ -30,7 +32,7 @@ def main(options: argparse.Namespace) -> int:
         summary = _train(setting, interruption, console, prefer_lines=options.plain)
     _check_books(summary)
     _tell_unlearned(summary, setting.config, console)
-    closing.draw_training(setting.folder)
+    final_evaluation.draw_training(setting.folder)
     if summary["ended"] == "interrupted":
         console.print(
             f"interrupted after {summary['episodes']} episodes; everything is saved, go on with\n"
@@ -40,7 +42,7 @@ def main(options: argparse.Namespace) -> int:
         )
         return cli.INTERRUPTED
     try:
-        closing.compare(setting.folder, setting.config, console)
+        final_evaluation.compare(setting.folder, setting.config, console)
     except KeyboardInterrupt:
         console.print(
             "the training is complete and saved; only its evaluation was interrupted. To have one:\n"

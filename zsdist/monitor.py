@@ -7,11 +7,12 @@ from pathlib import Path
 
 from rich.console import Console
 
-from zsdist import cli, config
+from zsdist import config
+from zsdist.common import cli
 from zsdist.errors import RunError
-from zsdist.roles import access
+from zsdist.roles import permissions
 from zsdist.run import directory
-from zsdist.run.display import MAILBOX_BYTES, Display
+from zsdist.telemetry.display import MAILBOX_BYTES, Display
 from zsdist.transport.base import Mailbox
 from zsdist.transport.certificates import Identity
 from zsdist.transport.zenoh import ZenohTransport
@@ -30,7 +31,7 @@ def main(options: argparse.Namespace) -> int:
             tls = config.load(folder / "config.yaml").transport.tls
     if tls is None and endpoint.startswith("tls/"):
         raise RunError(f"--tls is needed: the hub at {endpoint} asks for the certificate of a monitor")
-    transport = ZenohTransport(endpoint, Identity.load(tls, access.MONITOR) if tls else None)
+    transport = ZenohTransport(endpoint, Identity.load(tls, permissions.MONITOR) if tls else None)
     try:
         run = run or _only_run(transport, endpoint)
         with Display(run, Console(stderr=options.json), prefer_lines=options.once or options.plain) as display:

@@ -14,12 +14,12 @@ import shlex
 import sys
 from pathlib import Path
 
-from zsdist import cli
 from zsdist import config as configuration
+from zsdist.common import cli
 from zsdist.config import Config
 from zsdist.errors import ConfigError
 from zsdist.pretraining import job as jobs
-from zsdist.pretraining.check import OBJECTS, check
+from zsdist.pretraining.check.check import OBJECTS, check
 from zsdist.pretraining.job import PURPOSE, STAGES, Job
 from zsdist.pretraining.pictures import check_disk
 from zsdist.pretraining.progress import Watch

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from zsdist import cli
 from zsdist import config as configuration
+from zsdist.common import cli
 from zsdist.errors import RunError
 
 
@@ -53,11 +53,11 @@ def _of_runs(options: argparse.Namespace) -> Path:
 
 
 def _of_vision(options: argparse.Namespace) -> Path:
-    from zsdist.pretraining import vision_report
+    from zsdist.pretraining.check import report
 
     overrides = (*options.set, *((f"vision.weights={options.weights}",) if options.weights else ()))
     config = configuration.load(options.config, overrides)
-    return vision_report.write(config, options.images, options.seed, options.out)
+    return report.write(config, options.images, options.seed, options.out)
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ from rehearsal import SEEN, kinematic
 
 from zsdist import config
 from zsdist.replay import journal
-from zsdist.roles.shelf import Entry
+from zsdist.roles.replay.level_replay import Entry
 from zsdist.run import directory, program, ray
 from zsdist.run.program import Setting
 from zsdist.transport.base import Mailbox, Transport

@@ -13,7 +13,7 @@ from rehearsal import rehearse, start
 from sockets import PATIENCE_S, Inbox, free_endpoint
 
 from zsdist.errors import TransportError
-from zsdist.roles import access
+from zsdist.roles import permissions
 from zsdist.transport import certificates
 from zsdist.transport.base import Message
 from zsdist.transport.certificates import Identity
@@ -111,13 +111,13 @@ def heard(box: Inbox, send: Client, key: str) -> set[str]:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("certificates")
-    certificates.make(folder, access.HUB, [*access.client_names(ACTORS), *OTHERS], [HOST], days=1)
+    certificates.make(folder, permissions.HUB, [*permissions.client_names(ACTORS), *OTHERS], [HOST], days=1)
     return folder
 
 
 @pytest.fixture(scope="module")
 def hub(folder):
-    with ZenohHub(free_endpoint("tls"), Identity.load(folder, access.HUB), access.access_list(ACTORS)) as hub:
+    with ZenohHub(free_endpoint("tls"), Identity.load(folder, permissions.HUB), permissions.access_list(ACTORS)) as hub:
         yield hub
 
 
@@ -136,7 +136,7 @@ def connect(hub, folder):
 
 
 def test_an_actor_publishes_under_its_own_name_and_nothing_else(connect):
-    trusted, actor = connect(access.TRUSTED), connect("actor-0")
+    trusted, actor = connect(permissions.TRUSTED), connect("actor-0")
     box = trusted.hear("**")
     assert heard(box, actor, OF_ACTOR_0[0]) == {OF_ACTOR_0[0]}
     for key in NOT_OF_ACTOR_0:
@@ -150,7 +150,7 @@ def test_an_actor_publishes_under_its_own_name_and_nothing_else(connect):
 
 
 def test_an_actor_hears_what_is_meant_for_it_and_nothing_else(connect):
-    trusted, actor = connect(access.TRUSTED), connect("actor-0")
+    trusted, actor = connect(permissions.TRUSTED), connect("actor-0")
     for key in TO_ACTOR_0:
         assert heard(actor.hear(key), trusted, key) == {key}
     box = actor.hear("**", "*/*", "*/*/*/*", *NOT_TO_ACTOR_0, TO_ACTOR_0[0])
@@ -161,7 +161,7 @@ def test_an_actor_hears_what_is_meant_for_it_and_nothing_else(connect):
 
 
 def test_an_actor_asks_for_no_batch_and_no_state_and_answers_nobody(connect):
-    trusted, learner = connect(access.TRUSTED), connect(access.TRUSTED)
+    trusted, learner = connect(permissions.TRUSTED), connect(permissions.TRUSTED)
     actor, forger = connect("actor-0"), connect("actor-1")
     for key in ("sample/low", "control/replay", "control/learner-low"):
         trusted.answer(key, b"true")
@@ -173,19 +173,19 @@ def test_an_actor_asks_for_no_batch_and_no_state_and_answers_nobody(connect):
 
 
 def test_an_actor_holds_its_own_token_and_no_other(connect):
-    actor, watcher = connect("actor-0"), connect(access.MONITOR)
+    actor, watcher = connect("actor-0"), connect(permissions.MONITOR)
     tokens = [actor.session.liveliness().declare_token(f"{RUN}/alive/{who}") for who in ("learner/low", "actor/1")]
     tokens.append(actor.session.liveliness().declare_token(f"@retained/{RUN}/weights/low"))
     tokens.append(actor.session.liveliness().declare_token(f"{RUN}/alive/actor/0"))
     while not (alive := watcher.alive()):
         pass
     assert alive == {"alive/actor/0"}
-    replies = connect(access.TRUSTED).session.liveliness().get("@retained/**", timeout=0.5)
+    replies = connect(permissions.TRUSTED).session.liveliness().get("@retained/**", timeout=0.5)
     assert [reply for reply in replies if reply.ok] == []
 
 
 def test_a_monitor_hears_statistics_events_weights_and_who_lives_and_nothing_else(connect):
-    trusted, monitor = connect(access.TRUSTED), connect(access.MONITOR)
+    trusted, monitor = connect(permissions.TRUSTED), connect(permissions.MONITOR)
     for key in TO_MONITOR:
         assert heard(monitor.hear(key), trusted, key) == {key}
     box = monitor.hear("**", *NOT_TO_MONITOR, "events")
@@ -200,27 +200,27 @@ def test_a_monitor_hears_statistics_events_weights_and_who_lives_and_nothing_els
     token.undeclare()
 
 
-@pytest.mark.parametrize("name", [access.MONITOR, access.HUB, *OTHERS])
+@pytest.mark.parametrize("name", [permissions.MONITOR, permissions.HUB, *OTHERS])
 def test_whoever_is_neither_actor_nor_trusted_changes_nothing(connect, name):
-    trusted, client = connect(access.TRUSTED), connect(name)
+    trusted, client = connect(permissions.TRUSTED), connect(name)
     box = trusted.hear("**")
-    heard(box, connect(access.TRUSTED), "events")
+    heard(box, connect(permissions.TRUSTED), "events")
     trusted.answer("control/replay", b"state")
     client.answer("sample/low", b"forged")
-    for key in (*OF_ACTOR_0, *NOT_OF_ACTOR_0[:-1], "events" if name != access.HUB else "sample/low"):
+    for key in (*OF_ACTOR_0, *NOT_OF_ACTOR_0[:-1], "events" if name != permissions.HUB else "sample/low"):
         client.put(key, b"forged")
     token = client.session.liveliness().declare_token(f"{RUN}/alive/learner/low")
     assert client.ask("control/replay") == []  # and by now the hub has seen all that came before
     assert trusted.ask("sample/low") == []
     assert trusted.alive() == set()
-    assert heard(box, connect(access.TRUSTED), "events") == {"events"}
+    assert heard(box, connect(permissions.TRUSTED), "events") == {"events"}
     token.undeclare()
 
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_a_name_on_no_list_hears_nothing(connect, name):
-    trusted, client = connect(access.TRUSTED), connect(name)
-    control, box = connect(access.MONITOR).hear("stats/actor/0"), client.hear("**", *TO_ACTOR_0, *TO_MONITOR)
+    trusted, client = connect(permissions.TRUSTED), connect(name)
+    control, box = connect(permissions.MONITOR).hear("stats/actor/0"), client.hear("**", *TO_ACTOR_0, *TO_MONITOR)
     assert client.ask("weights/low") == []
     heard(control, trusted, "stats/actor/0")
     for key in (*TO_ACTOR_0, *TO_MONITOR):
@@ -230,29 +230,29 @@ def test_a_name_on_no_list_hears_nothing(connect, name):
 
 
 def test_without_a_certificate_of_the_authority_nobody_connects(hub, folder, tmp_path):
-    certificates.make(tmp_path, access.HUB, [access.TRUSTED], [HOST], days=1)
+    certificates.make(tmp_path, permissions.HUB, [permissions.TRUSTED], [HOST], days=1)
     for endpoint, identity in (
         (hub.endpoint, None),
         (hub.endpoint.replace("tls", "tcp"), None),
-        (hub.endpoint, Identity.load(tmp_path, access.TRUSTED)),
+        (hub.endpoint, Identity.load(tmp_path, permissions.TRUSTED)),
     ):
         with pytest.raises(zenoh.ZError):
             Client(endpoint, identity)
     with pytest.raises(TransportError, match=r"no hub answers at .* or not to certificate .*trusted\.pem"):
-        ZenohTransport(hub.endpoint, Identity.load(tmp_path, access.TRUSTED), connect_timeout_s=0.5)
+        ZenohTransport(hub.endpoint, Identity.load(tmp_path, permissions.TRUSTED), connect_timeout_s=0.5)
 
 
 @pytest.mark.parametrize("pretender", ["actor-0", "elsewhere", "other authority"])
 def test_a_hub_that_cannot_prove_to_be_the_hub_of_its_host_gets_no_client(folder, tmp_path, pretender):
-    mine = Identity.load(folder, access.TRUSTED)
+    mine = Identity.load(folder, permissions.TRUSTED)
     if pretender == "actor-0":
         shown = Identity.load(folder, pretender)
     else:
         if pretender == "elsewhere":
             for file in ("ca.pem", "ca.key"):
                 (tmp_path / file).write_bytes((folder / file).read_bytes())
-        certificates.make(tmp_path, access.HUB, [], ["hub.example" if pretender == "elsewhere" else HOST], days=1)
-        shown = Identity.load(tmp_path, access.HUB)
+        certificates.make(tmp_path, permissions.HUB, [], ["hub.example" if pretender == "elsewhere" else HOST], days=1)
+        shown = Identity.load(tmp_path, permissions.HUB)
     with ZenohHub(free_endpoint("tls"), shown) as hub, pytest.raises(TransportError, match="no hub answers"):
         ZenohTransport(hub.endpoint, mine, connect_timeout_s=0.5)
 

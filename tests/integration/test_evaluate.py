@@ -5,11 +5,11 @@ import sys
 import psutil
 import pytest
 
-from zsdist import cli
+from zsdist.common import cli
 from zsdist.config import Config
-from zsdist.evaluation.entrants import Entrant
+from zsdist.evaluation.contenders import Entrant
 from zsdist.evaluation.workers import drive_all
-from zsdist.sim import families
+from zsdist.sim.scenes import families
 
 pytestmark = pytest.mark.integration
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from zsdist import cli, pretrain
+from zsdist import pretrain
+from zsdist.common import cli
 from zsdist.config import CameraConfig, VisionConfig
 from zsdist.errors import RunError, WeightsError
 from zsdist.pretraining import pictures

@@ -1,7 +1,8 @@
 import pytest
 
-from zsdist import certs, cli
-from zsdist.roles import access
+from zsdist import certs
+from zsdist.common import cli
+from zsdist.roles import permissions
 from zsdist.transport.certificates import Identity
 
 
@@ -16,8 +17,8 @@ def test_every_role_of_a_run_finds_its_certificate(capsys, tmp_path):
     assert status == 0
     roles = [("hub", "0"), ("scheduler", "0"), ("replay", "0"), ("learner", "low"), ("supervisor", "0")]
     for role, identifier in [*roles, ("monitor", "0"), ("actor", "0"), ("actor", "1")]:
-        Identity.load(tmp_path / "made", access.certificate_of(role, identifier))
-    hosts = Identity.load(tmp_path / "made", access.HUB).hosts()
+        Identity.load(tmp_path / "made", permissions.certificate_of(role, identifier))
+    hosts = Identity.load(tmp_path / "made", permissions.HUB).hosts()
     assert {"127.0.0.1", "localhost", "10.1.2.3"} <= set(hosts)
     assert "10.1.2.3" in printed.out and "ca.key" in printed.out
 

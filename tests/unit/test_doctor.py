@@ -3,10 +3,11 @@ import socket
 
 import pytest
 
-from zsdist import cli, doctor
+from zsdist import doctor
+from zsdist.common import cli
 from zsdist.doctor import Finding, Verdict
 from zsdist.errors import ZsdistError
-from zsdist.roles import access
+from zsdist.roles import permissions
 from zsdist.transport import certificates
 
 
@@ -109,7 +110,7 @@ def verdicts(folder, endpoint=None):
 
 
 def test_certificates_are_looked_at_one_by_one_and_tried_out(tmp_path):
-    certificates.make(tmp_path, access.HUB, access.client_names(1), ["127.0.0.1"], days=90)
+    certificates.make(tmp_path, permissions.HUB, permissions.client_names(1), ["127.0.0.1"], days=90)
     well = verdicts(tmp_path)
     names = {f"certificate {name}" for name in ("hub", "trusted", "monitor", "actor-0")}
     assert set(well) == names | {"certificate of the hub's host", "zenoh over TLS"}
@@ -129,7 +130,7 @@ def test_certificates_are_looked_at_one_by_one_and_tried_out(tmp_path):
 
 def test_certificates_that_end_soon_are_a_warning_and_none_at_all_a_failure(tmp_path):
     assert list(verdicts(tmp_path).values()) == [Verdict.FAIL]
-    certificates.make(tmp_path, access.HUB, [], ["127.0.0.1"], days=5)
+    certificates.make(tmp_path, permissions.HUB, [], ["127.0.0.1"], days=5)
     assert verdicts(tmp_path) == {"certificate hub": Verdict.WARN}
 
 

@@ -5,13 +5,14 @@ import numpy as np
 import pytest
 from fakes import FakeVisualAct, LatticeEnv
 
-from zsdist import cli, evaluate
+from zsdist import evaluate
+from zsdist.common import cli
 from zsdist.evaluation import report as reports
 from zsdist.evaluation.baselines import BASELINES
-from zsdist.evaluation.entrants import VARIANTS, Entrant
+from zsdist.evaluation.contenders import VARIANTS, Entrant
 from zsdist.evaluation.episodes import Examiner
 from zsdist.evaluation.workers import drive_all
-from zsdist.sim import families, scene
+from zsdist.sim.scenes import families, scene
 
 KEYS = [
     "policy", "weights_sha256", "scenes", "episodes", "seed", "success", "collision", "timeout", "spl", "soft_spl",

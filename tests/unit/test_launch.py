@@ -4,10 +4,11 @@ import json
 import pytest
 from rich.console import Console
 
-from zsdist import cli, config, launch
+from zsdist import config, launch
+from zsdist.common import cli
 from zsdist.errors import RunError
 from zsdist.run import directory
-from zsdist.vision.identity import VisionIdentity
+from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.wire.messages import State
 
 

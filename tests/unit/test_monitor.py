@@ -8,8 +8,9 @@ import pytest
 from rehearsal import SEEN
 from sockets import free_endpoint
 
-from zsdist import cli, config, monitor
-from zsdist.roles import access
+from zsdist import config, monitor
+from zsdist.common import cli
+from zsdist.roles import permissions
 from zsdist.run.program import Place, Setting
 from zsdist.transport import certificates
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport
@@ -98,7 +99,7 @@ def test_a_run_that_is_not_there_is_named(capsys, hub, speaker, monkeypatch):
 
 
 def test_a_monitor_finds_its_certificate_in_the_runs_configuration_or_where_it_is_told(capsys, tmp_path):
-    certificates.make(tmp_path / "tls", access.HUB, access.client_names(1), ["127.0.0.1"], days=1)
+    certificates.make(tmp_path / "tls", permissions.HUB, permissions.client_names(1), ["127.0.0.1"], days=1)
     folder = tmp_path / "runs" / "demo"
     folder.mkdir(parents=True)
     settings = config.load(None, (f"transport.tls={tmp_path / 'tls'}", f"transport.endpoint={free_endpoint('tls')}"))

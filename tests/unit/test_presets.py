@@ -4,7 +4,7 @@ import pytest
 
 from zsdist.config import Config, dump, known_keys, load
 from zsdist.errors import ConfigError
-from zsdist.sim.manifest import MANIFEST
+from zsdist.sim.scenes.manifest import MANIFEST
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 PRESETS = sorted((*CONFIGS.glob("*.yaml"), *CONFIGS.glob("baselines/*.yaml")))

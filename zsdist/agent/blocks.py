@@ -8,10 +8,10 @@ import numba
 import numpy as np
 
 from zsdist.agent.situation import Situation
-from zsdist.planning import ways
+from zsdist.planning import reachability
 from zsdist.planning.footprint import CELLS_A_WORD
 from zsdist.planning.grid import HEADINGS, STEPS
-from zsdist.planning.ways import Ways
+from zsdist.planning.reachability import Ways
 
 NEIGHBOURS = HEADINGS  # choice k is the neighbour k eighths of a turn to the left of the car's heading
 GOAL_CHOICE = NEIGHBOURS
@@ -72,11 +72,11 @@ def choices(situation: Situation) -> Choices:
 
 
 def _leading_on(situation: Situation) -> np.ndarray:
-    """States, of `zsdist.planning.ways`, from which a free way leads to the goal without the car's present block."""
+    """States from which a free way leads to the goal without the car's present block."""
     here = np.zeros_like(situation.goals)
     here[situation.grid.block_cells(*situation.block)] = True
-    elsewhere = Ways(situation.ways.words | ways.places(here))
-    return elsewhere.states_to(ways.places(situation.goals))
+    elsewhere = Ways(situation.ways.words | reachability.places(here))
+    return elsewhere.states_to(reachability.places(situation.goals))
 
 
 @numba.njit(cache=True)

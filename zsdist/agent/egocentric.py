@@ -5,8 +5,8 @@ import math
 import numba
 import numpy as np
 
-from zsdist.agent.reach import forwards
 from zsdist.planning.footprint import ADVANCES, TURNS
+from zsdist.planning.forward_search import forwards
 from zsdist.planning.grid import STEPS
 
 DIRECTIONS = 16  # about the car, counter-clockwise from its heading

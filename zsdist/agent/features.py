@@ -23,7 +23,7 @@ from zsdist.agent.egocentric import (
     clearances,
     line,
 )
-from zsdist.agent.learning import way_costs
+from zsdist.agent.reward_shaping import way_costs
 from zsdist.agent.situation import Situation
 from zsdist.planning.grid import FINE_PER_CELL
 from zsdist.planning.lattice import ends

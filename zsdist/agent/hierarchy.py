@@ -8,13 +8,14 @@ from functools import partial
 
 import numpy as np
 
-from zsdist.agent import features, guide, learning, reach, shield
+from zsdist.agent import features, guide, reward_shaping, shield
 from zsdist.agent.blocks import GOAL_CHOICE, choices
-from zsdist.agent.learning import Track
 from zsdist.agent.options import End, Option
+from zsdist.agent.reward_shaping import Track
 from zsdist.agent.situation import Situation
 from zsdist.config import Config
 from zsdist.dqn import network
+from zsdist.planning import forward_search
 from zsdist.planning.belief import BeliefMap
 from zsdist.planning.cost_field import CostField
 from zsdist.planning.footprint import successor
@@ -22,7 +23,7 @@ from zsdist.planning.grid import HEADINGS, Grid
 from zsdist.planning.rewards import RewardTerms
 from zsdist.planning.shortest_path import goal_mask
 from zsdist.types import Action, Behaviour, Level, Parameters, Pose, Trajectory, View
-from zsdist.vision.limited import limited
+from zsdist.vision.ray_ablation import limited
 
 START_DISC_M = 1.5  # about the start, known to be free
 
@@ -71,7 +72,7 @@ class HierarchicalAgent:
     def __init__(self, config: Config) -> None:
         self._config = config
         self._grid = Grid.from_config(config.grid)
-        self._costs = learning.way_costs(self._grid)
+        self._costs = reward_shaping.way_costs(self._grid)
         self._finished: list[Trajectory] = []
 
     def begin(
@@ -229,7 +230,7 @@ class HierarchicalAgent:
             seen=self._belief.seen(),
             ways=judgement.ways,
             squeezed=judgement.gave_way,
-            drive_m=reach.metres_from(judgement.ways.blocked, state, self._costs),
+            drive_m=forward_search.metres_from(judgement.ways.blocked, state, self._costs),
             visits=self._visits,
             block_visits=self._block_visits,
             tries=self._tries,
@@ -359,9 +360,9 @@ class HierarchicalAgent:
             now, here, there = self._situation, _index(before), _index(self._situation)
             reached = terminated and terms.goal == self._config.reward.goal
             collided = terminated and not reached
-            to_goal = learning.progress_m(self._cost_to_goal, here, there)
-            to_subgoal = learning.progress_m(self._cost_to_subgoal(option), here, there)
-            step = learning.Step(
+            to_goal = reward_shaping.progress_m(self._cost_to_goal, here, there)
+            to_subgoal = reward_shaping.progress_m(self._cost_to_subgoal(option), here, there)
+            step = reward_shaping.Step(
                 revisits=int(self._visits[there]) - 1,
                 reentries=int(self._block_visits[now.block[::-1]]) - 1 if now.block != before.block else 0,
                 squeezed=now.squeezed,

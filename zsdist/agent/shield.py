@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zsdist.planning import squares, ways
+from zsdist.planning import bitmaps, reachability
 from zsdist.planning.belief import BeliefMap
 from zsdist.planning.footprint import ACTIONS, MARGIN_M, FootprintTable, successor
 from zsdist.planning.grid import Grid
+from zsdist.planning.reachability import Ways
 from zsdist.planning.shortest_path import live_states
-from zsdist.planning.ways import Ways
 from zsdist.types import Action, LatticeState
 
 HIDING_SQUARES = 3  # unseen ground that is nowhere farther from seen ground is a sliver, in which no obstacle hides
@@ -105,18 +105,18 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, visits: np.
         goals: `(cells, cells)` bool.
         visits: `(cells, cells, 8)`, how often the car was in each state, this time included.
     """
-    places, been = ways.places(goals), ways.packed(visits > 0)
-    occupied = cache(lambda above: squares.rows(belief.occupied(above)))
+    places, been = reachability.places(goals), reachability.packed(visits > 0)
+    occupied = cache(lambda above: bitmaps.rows(belief.occupied(above)))
     read = cache(lambda reading: _hits(belief, reading, occupied(reading.above)))
     cautious = cache(lambda near, returning: _returning(read(near), places) if returning else read(near))
     for rung in CAREFUL_RUNGS + DARING_RUNGS:
         hits = cautious(rung.near, rung.returning).among(been, read(rung.far))
         live = hits.states_to(places)
-        if ways.holds(live, state):
+        if reachability.holds(live, state):
             break
     else:
         hits = read(USUAL)
-        live = ways.packed(live_states(hits.blocked))
+        live = reachability.packed(live_states(hits.blocked))
     return _judgement(hits, live, state, rung != CAREFUL_RUNGS[0])
 
 
@@ -144,13 +144,13 @@ def _table(grid: Grid, margin_m: float) -> FootprintTable:
 
 def _hits(belief: BeliefMap, reading: Reading, occupied: np.ndarray) -> Ways:
     if reading.unseen:
-        occupied = occupied | _hides(squares.rows(belief.seen()), reading.deep)
+        occupied = occupied | _hides(bitmaps.rows(belief.seen()), reading.deep)
     return Ways.on(occupied, _table(belief.grid, reading.margin_m))
 
 
 def _hides(seen: np.ndarray, deep: bool) -> np.ndarray:
     """Unseen squares in which an obstacle may be: within `HIDING_SQUARES` of unseen ground that seen ground is not."""
-    return (squares.shrunk if deep else squares.opened)(~seen, HIDING_SQUARES)
+    return (bitmaps.shrunk if deep else bitmaps.opened)(~seen, HIDING_SQUARES)
 
 
 def _returning(hits: Ways, goals: np.ndarray) -> Ways:

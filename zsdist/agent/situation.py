@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from zsdist.planning.grid import Grid
-from zsdist.planning.ways import Ways
+from zsdist.planning.reachability import Ways
 from zsdist.types import LatticeState
 
 

@@ -12,8 +12,8 @@ from zsdist.config import Config
 from zsdist.evaluation.drivers import Driver, LearnedDriver, Observed, See, Sees
 from zsdist.planning import potential, shortest_path
 from zsdist.planning.grid import Grid
-from zsdist.sim.scene import Scene
-from zsdist.sim.solvability import footprints
+from zsdist.sim.scenes.scene import Scene
+from zsdist.sim.scenes.solvability import footprints
 from zsdist.types import Action, Level, Pose
 
 ARRIVAL_SLACK_M = 0.10  # A* aims this far inside the success radius: that near to a cell's centre the car ends

@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from zsdist.errors import RunError
-from zsdist.evaluation import ledger
-from zsdist.evaluation.ledger import Line
+from zsdist.evaluation import episode_store
+from zsdist.evaluation.episode_store import Line
 from zsdist.evaluation.metrics import spl
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.evaluation.statistics import bootstrap_95
@@ -95,7 +95,7 @@ def _episodes(file: Path) -> tuple[dict[_Drive, list[EpisodeRecord]], str, list[
     Several policies are training seeds of one method. Of each only what it was last driven with counts, and only under
     the shield where some of it was.
     """
-    lines = ledger.read(file)
+    lines = episode_store.read(file)
     if not lines:
         raise RunError(f"{file} holds no episode; allowed are files that --out wrote")
     notes = []

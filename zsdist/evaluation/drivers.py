@@ -11,7 +11,7 @@ from zsdist.agent.hierarchy import Decision, HierarchicalAgent, q_functions
 from zsdist.agent.situation import Situation
 from zsdist.config import Config
 from zsdist.planning.rewards import RewardTerms
-from zsdist.sim.scene import Scene
+from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Level, Parameters, Pose, View
 
 VisualAct = Callable[[np.ndarray, np.ndarray, np.ndarray], Sequence[View]]

@@ -9,15 +9,15 @@ import numpy as np
 
 from zsdist.config import Config
 from zsdist.evaluation.drivers import Driver, Observed, Sees, Thought
+from zsdist.evaluation.oracle_view import true_view
 from zsdist.evaluation.records import EpisodeRecord, path_length_m
-from zsdist.evaluation.sight import true_view
 from zsdist.planning import shortest_path
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
 from zsdist.planning.rewards import RewardTerms
-from zsdist.sim.collision import clearance_m
-from zsdist.sim.scene import Scene
-from zsdist.sim.solvability import footprints
+from zsdist.sim.physics.collision import clearance_m
+from zsdist.sim.scenes.scene import Scene
+from zsdist.sim.scenes.solvability import footprints
 from zsdist.types import Outcome, Pose
 
 

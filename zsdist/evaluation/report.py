@@ -13,15 +13,15 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from zsdist.evaluation.entrants import FULL, Entrant
-from zsdist.evaluation.identity import code_sha256
-from zsdist.evaluation.ledger import Ledger
+from zsdist.evaluation.contenders import FULL, Entrant
+from zsdist.evaluation.episode_store import Ledger
+from zsdist.evaluation.fingerprint import code_sha256
 from zsdist.evaluation.metrics import spl, summarise
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.evaluation.selection import select
 from zsdist.evaluation.statistics import runs_95
 from zsdist.evaluation.workers import drive_all
-from zsdist.sim.families import FAMILIES
+from zsdist.sim.scenes.families import FAMILIES
 from zsdist.types import Outcome
 
 PLAIN_EVERY_S = 5.0

@@ -5,8 +5,8 @@ from pathlib import Path
 from zsdist.config import Config
 from zsdist.errors import SceneError
 from zsdist.planning.grid import Grid
-from zsdist.sim import families, scene
-from zsdist.sim.scene import Scene
+from zsdist.sim.scenes import families, scene
+from zsdist.sim.scenes.scene import Scene
 
 DEFAULT_EPISODES = 50
 SEED_STRIDE = 1000  # seeds of evaluations are this many scenes apart

@@ -9,20 +9,20 @@ from types import MappingProxyType
 import gymnasium
 import numpy as np
 
-from zsdist import workers as pool
+from zsdist.common import process_pool as pool
 from zsdist.config import Config
+from zsdist.evaluation.contenders import Entrant
 from zsdist.evaluation.drivers import Sees, VisualAct
-from zsdist.evaluation.entrants import Entrant
 from zsdist.evaluation.episodes import Examiner
 from zsdist.evaluation.records import EpisodeRecord
-from zsdist.sim.exact import make_env
-from zsdist.sim.scene import Scene
+from zsdist.sim.physics.kinematic import make_env
+from zsdist.sim.scenes.scene import Scene
 from zsdist.vision.visual_act import VisualAct as PretrainedVisualAct
 
 
 @dataclass(frozen=True)
 class Simulation:
-    """What episodes are driven in; `make_env` has the arguments of `zsdist.sim.exact.make_env`."""
+    """What episodes are driven in; `make_env` has the arguments of `zsdist.sim.physics.kinematic.make_env`."""
 
     make_env: Callable[..., gymnasium.Env] = make_env
     load_vision: Callable[[Config], VisualAct] = lambda config: PretrainedVisualAct.load(config.vision, config.camera)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
-from zsdist.planning import squares
+from zsdist.planning import bitmaps
 from zsdist.planning.grid import FINE_PER_CELL, HEADINGS, STEPS, Grid
 from zsdist.types import Action, LatticeState
 
@@ -68,7 +68,7 @@ class FootprintTable:
         self._surroundings = (
             grid.fine_border + FINE_PER_CELL // 2 - self._reach,
             FINE_PER_CELL * grid.cells + 2 * self._reach,
-            across // squares.SQUARES_A_WORD + math.ceil(2 * self._reach / squares.SQUARES_A_WORD),
+            across // bitmaps.SQUARES_A_WORD + math.ceil(2 * self._reach / bitmaps.SQUARES_A_WORD),
         )
 
     def swept(self, heading: int, action: int) -> np.ndarray:
@@ -89,7 +89,7 @@ class FootprintTable:
         size, cells = self.grid.fine_size, self.grid.cells
         if occupancy.shape != (size, size):
             raise ValueError(f"occupancy has the shape {occupancy.shape}; allowed is {(size, size)}")
-        return unpacked(self.words(squares.rows(occupancy))).reshape(cells, cells, HEADINGS, ACTIONS)
+        return unpacked(self.words(bitmaps.rows(occupancy))).reshape(cells, cells, HEADINGS, ACTIONS)
 
     def words(self, occupancy: np.ndarray) -> np.ndarray:
         """The same as bits, of `squares.rows`: `(8 * 5, words, cells)` uint64, by heading and action, word, row.
@@ -97,7 +97,7 @@ class FootprintTable:
         Bit j of a row's word w is its cell `CELLS_A_WORD * w + j`; what lies beyond the last cell is not to be taken.
         """
         return _hits(
-            squares.window(occupancy, *self._surroundings), self._runs, self._made_of, self._off_grid, self._reach
+            bitmaps.window(occupancy, *self._surroundings), self._runs, self._made_of, self._off_grid, self._reach
         )
 
     def _advance(self, heading: int, half_l: float, half_w: float) -> np.ndarray:

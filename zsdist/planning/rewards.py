@@ -1,4 +1,4 @@
-"""The paper's rewards, term by term; what the levels learn from by default is shaped in `zsdist.agent.learning`."""
+"""Rewards of the paper, term by term. By default the levels learn from `zsdist.agent.reward_shaping` instead."""
 
 import math
 from typing import NamedTuple

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any, Self
 
 from zsdist import config as configuration
-from zsdist import files
+from zsdist.common import atomic_files
 from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
-from zsdist.sim.families import FAMILIES
-from zsdist.sim.manifest import MANIFEST
+from zsdist.sim.scenes.families import FAMILIES
+from zsdist.sim.scenes.manifest import MANIFEST
 from zsdist.vision.folder import METADATA_FILE
 
 JOB_FILE = "pretraining.json"
@@ -65,7 +65,7 @@ def create(folder: Path, job: Job) -> None:
         raise RunError(f"--out {folder} holds finished weights; allowed is a new folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        files.replace(folder / JOB_FILE, json.dumps(job.to_json(), indent=1).encode())
+        atomic_files.replace(folder / JOB_FILE, json.dumps(job.to_json(), indent=1).encode())
     except OSError as error:
         raise RunError(f"--out {folder} cannot be made: {error.strerror or error}") from error
 

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zsdist import files
-from zsdist import workers as pool
+from zsdist.common import atomic_files
+from zsdist.common import process_pool as pool
 from zsdist.errors import RunError
 from zsdist.pretraining.job import Job
 from zsdist.pretraining.rows import Rows
@@ -89,7 +89,7 @@ def make_all(
     for source in sources(job):
         if not any(_source_of(name) == source for name in there):
             raise RunError(f"there was no time for pictures of {source!r}; allowed are more --minutes")
-    files.replace(folder / LIST_FILE, json.dumps(there).encode())
+    atomic_files.replace(folder / LIST_FILE, json.dumps(there).encode())
 
 
 class _Worker:

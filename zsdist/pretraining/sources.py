@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from zsdist.datasets.captioned import DescribedView, described_views
+from zsdist.datasets.labelled import LabelledView, labelled_views
+from zsdist.datasets.masked import masked_views
 from zsdist.pretraining.batches import BATCH, batched
 from zsdist.pretraining.job import PURPOSE, Job
-from zsdist.sim.described import DescribedView, described_views
-from zsdist.sim.manifest import MANIFEST
-from zsdist.sim.masked import masked_views
-from zsdist.sim.views import LabelledView, labelled_views
+from zsdist.sim.scenes.manifest import MANIFEST
 from zsdist.vision.cityscapes.files import frames
 from zsdist.vision.cityscapes.views import CityView, cityscapes_masked_views, cityscapes_views
 from zsdist.vision.encoders.base import Encoder, resample

@@ -18,7 +18,7 @@ import safetensors.torch
 import torch
 from torch import nn
 
-from zsdist import files
+from zsdist.common import atomic_files
 from zsdist.errors import RunError
 from zsdist.pretraining.calibrating import calibrate
 from zsdist.pretraining.job import Job
@@ -156,12 +156,12 @@ class Stages:
             for figures in trainer:
                 with self._history.open("a") as file:
                     file.write(json.dumps({"stage": stage, **figures}) + "\n")
-                files.replace(stands, trainer.state())
+                atomic_files.replace(stands, trainer.state())
                 self._watch.epoch(stage, figures, recipe.epochs)
         except RunError as error:
             raise RunError(f"stage {stage!r}: {error}") from error
         finish()
-        files.replace(ended, safetensors.torch.save(network.state_dict()))
+        atomic_files.replace(ended, safetensors.torch.save(network.state_dict()))
         stands.unlink(missing_ok=True)
 
 
@@ -171,7 +171,7 @@ def strike_out(history: Path, stage: str, epoch: int) -> None:
         return
     lines = [json.loads(line) for line in history.read_text().splitlines() if line.endswith("}")]
     kept = [line for line in lines if line["stage"] != stage or line["epoch"] <= epoch]
-    files.replace(history, "".join(json.dumps(line) + "\n" for line in kept).encode())
+    atomic_files.replace(history, "".join(json.dumps(line) + "\n" for line in kept).encode())
 
 
 def best_epochs(history: Path) -> dict[str, dict[str, float]]:

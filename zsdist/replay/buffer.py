@@ -11,9 +11,9 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from zsdist import halves
+from zsdist.common import half_precision
 from zsdist.errors import RunError
-from zsdist.replay import returns
+from zsdist.replay import n_step_returns
 from zsdist.replay.priorities import Priorities
 from zsdist.types import NO_GUIDE, Batch, Behaviour, Trajectories, Trajectory, count_transitions
 
@@ -50,7 +50,7 @@ class RingBuffer:
         state_size: features of a state, `D`.
         actions: number of actions, `A`.
         capacity: transitions held at most.
-        n_step: transitions of a trajectory that are stored as one return, at most (`zsdist.replay.returns`).
+        n_step: transitions of a trajectory that are stored as one return, at most (`zsdist.replay.n_step_returns`).
         priorities: of `capacity` rows, by which they are drawn; None: uniformly.
     """
 
@@ -97,7 +97,9 @@ class RingBuffer:
             return 0, {}
         joined = trajectories if isinstance(trajectories, Trajectories) else Trajectories.join(trajectories)
         if joined.columns["states"].dtype == np.float32:
-            joined = replace(joined, columns=joined.columns | {"states": halves.narrow(joined.columns["states"])})
+            joined = replace(
+                joined, columns=joined.columns | {"states": half_precision.narrow(joined.columns["states"])}
+            )
         if reason := self._malformed(joined, offered):
             return 0, {reason: offered}
         offer = _Offer.of(joined)
@@ -247,7 +249,7 @@ class RingBuffer:
         columns, masks = offer.columns, offer.masks[offer.rows]
         own, a = np.arange(len(offer.rows)), self._actions
         actions, guides, discounts = columns["actions"], columns["guides"], columns["discounts"]
-        finite = halves.finite_rows(offer.states)
+        finite = half_precision.finite_rows(offer.states)
         guided = (guides >= 0) & (guides < a) & masks[own, np.clip(guides, 0, a - 1)]
         checks = {
             "successor": offer.known,
@@ -329,7 +331,7 @@ class _Offer(NamedTuple):
 
     def joined(self, steps: int, sound: np.ndarray) -> Self:
         """The same with rewards, discounts and successors over up to `steps` sound transitions."""
-        rewards, discounts, successors = returns.n_step(
+        rewards, discounts, successors = n_step_returns.n_step(
             steps, self.rows, self.successors, self.columns["rewards"], self.columns["discounts"], sound
         )
         columns = self.columns | {"rewards": rewards, "discounts": discounts}

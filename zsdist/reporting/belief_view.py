@@ -9,7 +9,7 @@ import numpy as np
 from zsdist.evaluation.drivers import Thought
 from zsdist.planning.footprint import CAR_LENGTH_M, CAR_WIDTH_M
 from zsdist.planning.grid import Grid
-from zsdist.sim.scene import Scene
+from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Pose
 
 UNSEEN, FREE, OCCUPIED = (205, 209, 214), (255, 255, 255), (58, 64, 74)

@@ -10,7 +10,7 @@ from zsdist.planning.footprint import CAR_LENGTH_M, CAR_WIDTH_M
 from zsdist.reporting.viewpoint import lifted_camera
 from zsdist.sim.camera.appearance import Appearance, Texture, of_scene
 from zsdist.sim.camera.primitives import ARENA_HALF_M, Part, Primitives, primitives_of
-from zsdist.sim.scene import Obstacle, Scene
+from zsdist.sim.scenes.scene import Obstacle, Scene
 from zsdist.types import Pose
 
 BEHIND_M, HEIGHT_M, PITCH_DEG, FIELD_OF_VIEW_DEG = 5.6, 6.6, 40.0, 75.0  # above the trees

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zsdist.evaluation.entrants import Entrant
+from zsdist.evaluation.contenders import Entrant
 from zsdist.evaluation.episodes import Moment
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.evaluation.selection import select
@@ -13,7 +13,7 @@ from zsdist.evaluation.workers import Simulation, make_examiner
 from zsdist.reporting.guidance import Drive, guidance_of
 from zsdist.reporting.maps import Track
 from zsdist.run.checkpoint import Policy
-from zsdist.sim.scene import Scene
+from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Level
 
 UNSEEN_SHOWN = 6

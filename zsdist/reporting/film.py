@@ -14,8 +14,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from zsdist.config import Config
 from zsdist.errors import RunError, WeightsError
+from zsdist.evaluation.contenders import Entrant
 from zsdist.evaluation.drivers import Sees
-from zsdist.evaluation.entrants import Entrant
 from zsdist.evaluation.episodes import Moment
 from zsdist.evaluation.workers import Simulation, make_examiner
 from zsdist.planning.footprint import ADVANCES
@@ -25,7 +25,7 @@ from zsdist.reporting.attention import attended
 from zsdist.reporting.belief_view import BeliefView
 from zsdist.reporting.chase import ChaseCamera
 from zsdist.sim.camera import make_camera
-from zsdist.sim.scene import Scene
+from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Action, Pose
 from zsdist.vision.labels import DIRECTIONS
 

@@ -9,19 +9,20 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patheffects import withStroke
 
-from zsdist.agent import features, reach
+from zsdist.agent import features
 from zsdist.agent.blocks import GOAL_CHOICE, NEIGHBOURS, choices
-from zsdist.agent.learning import way_costs
+from zsdist.agent.reward_shaping import way_costs
 from zsdist.agent.situation import Situation
 from zsdist.config import Config
 from zsdist.dqn import network
 from zsdist.evaluation.drivers import VisualAct
+from zsdist.planning import forward_search
 from zsdist.planning.grid import HEADINGS, STEPS
 from zsdist.reporting import style
 from zsdist.reporting.maps import Track, draw_ends, draw_scene, draw_track, square
-from zsdist.sim.scene import Scene
+from zsdist.sim.scenes.scene import Scene
 from zsdist.types import LatticeState, Parameters, Pose
-from zsdist.vision.limited import limited
+from zsdist.vision.ray_ablation import limited
 
 COLOURS = "viridis"
 ARROW_SHARE = 0.36  # of a block's side
@@ -150,7 +151,7 @@ def _anew(known: Situation, state: LatticeState, advice: np.ndarray) -> Situatio
         known,
         state=state,
         advice=advice,
-        drive_m=reach.metres_from(known.blocked, state, way_costs(known.grid)),
+        drive_m=forward_search.metres_from(known.blocked, state, way_costs(known.grid)),
         visits=np.zeros_like(known.visits),
         block_visits=np.zeros_like(known.block_visits),
         tries=np.zeros_like(known.tries),

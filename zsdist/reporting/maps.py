@@ -15,8 +15,8 @@ from matplotlib.transforms import Affine2D
 from zsdist.planning.grid import FINE_PER_CELL, Grid
 from zsdist.reporting import style
 from zsdist.reporting.viewpoint import lifted_camera
-from zsdist.sim.kinds import GROUNDS, KINDS
-from zsdist.sim.scene import Scene
+from zsdist.sim.scenes.kinds import GROUNDS, KINDS
+from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Outcome, Pose
 
 COLUMNS = 3

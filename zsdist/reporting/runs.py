@@ -12,8 +12,8 @@ import numpy as np
 from zsdist import config
 from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
-from zsdist.evaluation import ledger
-from zsdist.evaluation.entrants import FULL
+from zsdist.evaluation import episode_store
+from zsdist.evaluation.contenders import FULL
 from zsdist.evaluation.metrics import summarise
 from zsdist.types import Level
 
@@ -220,8 +220,8 @@ def _summed_up(file: Path) -> list[Row]:
     """What the episodes in a file of `zsdist.evaluate --out` come to, those of the newest code of each evaluation."""
     if not any('"scene_hash"' in line for line in _text(file).splitlines()[:1]):
         return []
-    lines = ledger.read(file)
-    groups: dict[tuple, dict[int, ledger.Line]] = {}
+    lines = episode_store.read(file)
+    groups: dict[tuple, dict[int, episode_store.Line]] = {}
     for line in lines:
         asked = tuple(line.about[key] for key in _ASKED)
         groups.setdefault(asked, {})

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zsdist.evaluation.entrants import FULL, HYBRID
+from zsdist.evaluation.contenders import FULL, HYBRID
 from zsdist.evaluation.statistics import bootstrap_95, runs_95, wilson_95
 from zsdist.reporting.convergence import converged, fluctuation, per_action, per_episode
 from zsdist.reporting.markdown import missing, table

@@ -8,13 +8,13 @@ import numpy as np
 from zsdist.agent.hierarchy import QFunctions, q_functions
 from zsdist.dqn import network
 from zsdist.dqn.exploration import epsilon
+from zsdist.driving.episode import Car, Errand
+from zsdist.driving.perception import Sight
 from zsdist.errors import RunError, WeightsError
 from zsdist.protocol.outbox import Outbox
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
-from zsdist.roles.cars import Car, Errand
-from zsdist.roles.contents import ActorOrders, DriveJobs
+from zsdist.roles.schemas import ActorOrders, DriveJobs
 from zsdist.roles.shapes import SHAPES
-from zsdist.roles.sight import Sight
 from zsdist.types import Level, Parameters
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import EPISODES, EVALUATION, Ack, Candidate, Jobs, Orders, Push, Records, WeightsMessage

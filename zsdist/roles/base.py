@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 
 from zsdist.config import Config
 from zsdist.errors import DecodeError
-from zsdist.roles import contents
-from zsdist.roles.contents import Content
+from zsdist.roles import schemas
+from zsdist.roles.schemas import Content
 from zsdist.transport.base import Mailbox, Message, Transport
 from zsdist.wire import addresses, codec, keys
 from zsdist.wire.messages import AnyMessage, Jobs, Orders, Records
@@ -108,7 +108,7 @@ class Role(ABC):
                 continue  # an actor's own, under the key that its jobs come by
             if orders.sender_epoch < self._orders_epoch:
                 self.refuse("stale")
-            elif (content := self.checked(contents.read, models[type(orders)], orders.content)) is not None:
+            elif (content := self.checked(schemas.read, models[type(orders)], orders.content)) is not None:
                 self._orders_epoch = orders.sender_epoch
                 yield content
 

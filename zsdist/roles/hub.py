@@ -3,7 +3,7 @@
 import resource
 
 from zsdist.roles.base import STATISTICS_EVERY_S, Context, Role
-from zsdist.roles.snapshot import Fields
+from zsdist.telemetry.snapshot import Fields
 
 
 class Hub(Role):

@@ -5,10 +5,10 @@ from collections import deque
 
 from zsdist.dqn import network
 from zsdist.dqn.learner import DqnLearner
-from zsdist.roles import contents
+from zsdist.roles import schemas
 from zsdist.roles.base import Context, Role
-from zsdist.roles.contents import LearnerOrders, StateRequest
-from zsdist.roles.merge import BEST, DISTILLED, RECENT, Phase
+from zsdist.roles.scheduler.merge import BEST, DISTILLED, RECENT, Phase
+from zsdist.roles.schemas import LearnerOrders, StateRequest
 from zsdist.types import Batch, Level, Parameters, Weights
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import (
@@ -92,7 +92,7 @@ class Learner(Role):
         learned = self._learn(now)
         self._publish(now)
         for message, ask in self.messages(self._checkpoints, Orders):
-            if self.checked(contents.read, StateRequest, ask.content) is None:
+            if self.checked(schemas.read, StateRequest, ask.content) is None:
                 continue
             if self.updates != self._published_updates:  # what a checkpoint holds has a version of its own
                 self._publish_weights(now)

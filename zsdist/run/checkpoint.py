@@ -10,7 +10,7 @@ from zsdist.dqn import network
 from zsdist.errors import ConfigError, WeightsError
 from zsdist.run import directory, program
 from zsdist.types import Level, Parameters
-from zsdist.vision.identity import VisionIdentity
+from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.wire.messages import State
 
 

@@ -11,10 +11,11 @@ from collections.abc import Callable
 from operator import attrgetter
 from pathlib import Path
 
-from zsdist import __version__, config, files
+from zsdist import __version__, config
+from zsdist.common import atomic_files
 from zsdist.config import Config
 from zsdist.errors import ConfigError, DecodeError, RunError
-from zsdist.vision.identity import VisionIdentity
+from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.wire import codec
 from zsdist.wire.messages import State
 
@@ -110,7 +111,7 @@ def key_name(folder: Path) -> str:
 def rewrite_config(folder: Path, settings: Config) -> None:
     """Writes `config.yaml`: the resolved configuration, with the version that wrote it."""
     head = f"# zsdist {__version__}, seed {settings.seed}\n"
-    files.replace(folder / "config.yaml", (head + config.dump(settings)).encode())
+    atomic_files.replace(folder / "config.yaml", (head + config.dump(settings)).encode())
 
 
 def newest_checkpoint(folder: Path) -> Path:
@@ -162,12 +163,12 @@ def issue_epochs(folder: Path, count: int) -> range:
     """
     path = folder / "epochs"
     first = int(path.read_text()) if path.exists() else secrets.randbelow(2**31) * 2**20
-    files.replace(path, str(first + count).encode())
+    atomic_files.replace(path, str(first + count).encode())
     return range(first, first + count)
 
 
 class RunDirectory:
-    """The scheduler's ledger on disk (see `zsdist.roles.scheduler.Ledger`)."""
+    """The scheduler's ledger on disk (see `zsdist.roles.scheduler.role.Ledger`)."""
 
     def __init__(self, folder: Path, vision: VisionIdentity, earlier_s: float = 0.0) -> None:
         """Opens the files of `folder`.
@@ -213,7 +214,7 @@ class RunDirectory:
             shutil.rmtree(left_over, ignore_errors=True)
         partial.mkdir(parents=True)
         for name, payload in payloads.items():
-            files.write(partial / f"{name}.state", payload)
+            atomic_files.write(partial / f"{name}.state", payload)
         hashes = {name: hashlib.sha256(payload).hexdigest() for name, payload in payloads.items()}
         manifest = {
             "zsdist": __version__,
@@ -221,12 +222,12 @@ class RunDirectory:
             "vision": self._vision.written(),
             "sha256": hashes,
         }
-        files.write(partial / "manifest.json", json.dumps(manifest, indent=1).encode())
-        files.settle(partial)
+        atomic_files.write(partial / "manifest.json", json.dumps(manifest, indent=1).encode())
+        atomic_files.settle(partial)
         if final.exists():  # of as many episodes; aside in one step, so that a kill leaves no part of one
             final.rename(aside)
         partial.rename(final)
-        files.settle(final.parent)
+        atomic_files.settle(final.parent)
         shutil.rmtree(aside, ignore_errors=True)
         for old in sorted(final.parent.glob("[0-9]*"))[:-CHECKPOINTS_KEPT]:
             shutil.rmtree(old)
@@ -237,7 +238,7 @@ class RunDirectory:
 
     def summary(self, fields: dict) -> None:
         """Writes `summary.json` and closes the books."""
-        files.replace(self.folder / "summary.json", json.dumps(fields, indent=1, allow_nan=False).encode())
+        atomic_files.replace(self.folder / "summary.json", json.dumps(fields, indent=1, allow_nan=False).encode())
         for file in (self._episodes, self._metrics):
             file.flush()
         self._board.flush()
@@ -253,4 +254,4 @@ def _strike_out(path: Path, is_later: Callable[[dict], bool]) -> None:
                 kept.append(line)
         except (ValueError, KeyError):
             continue  # the line a killed process did not finish
-    files.replace(path, "".join(line + "\n" for line in kept).encode())
+    atomic_files.replace(path, "".join(line + "\n" for line in kept).encode())

@@ -11,32 +11,33 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zsdist import source
 from zsdist.agent import features
 from zsdist.agent.hierarchy import HierarchicalAgent, q_functions
+from zsdist.common import code_hash
 from zsdist.config import Config
 from zsdist.dqn import network
+from zsdist.driving.episode import CameraEnv, Car, Errand
+from zsdist.driving.perception import Sight, VisualAct
 from zsdist.errors import ConfigError, SceneError, WeightsError
 from zsdist.planning.grid import Grid
 from zsdist.replay.buffer import row_bytes
-from zsdist.roles import access, shards
+from zsdist.roles import permissions
 from zsdist.roles.actor import Actor
 from zsdist.roles.base import Context, Role
-from zsdist.roles.cars import CameraEnv, Car, Errand
 from zsdist.roles.hub import Hub
-from zsdist.roles.replay import Replay
-from zsdist.roles.scheduler import Scheduler
+from zsdist.roles.replay import shards
+from zsdist.roles.replay.role import Replay
+from zsdist.roles.scheduler.role import Scheduler
 from zsdist.roles.shapes import SHAPES
-from zsdist.roles.sight import Sight, VisualAct
 from zsdist.run.directory import RunDirectory
-from zsdist.sim import families, scene
 from zsdist.sim.env import CarNavigation
-from zsdist.sim.scene import Scene
+from zsdist.sim.scenes import families, scene
+from zsdist.sim.scenes.scene import Scene
 from zsdist.transport.base import Transport
 from zsdist.transport.certificates import Identity
 from zsdist.transport.zenoh import PORTS_TRIED, ZenohHub, ZenohTransport
 from zsdist.types import Level, Parameters
-from zsdist.vision.identity import VisionIdentity
+from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.vision.reading_cache import ReadingCache
 from zsdist.vision.visual_act import VisualAct as PretrainedVisualAct
 from zsdist.wire.messages import State
@@ -155,9 +156,9 @@ def check_certificates(config: Config) -> None:
     """Finds the certificates of all roles that live on this machine; raises `TransportError` as `Identity.load`."""
     if config.transport.tls is None:
         return
-    here = [access.HUB, access.TRUSTED]
+    here = [permissions.HUB, permissions.TRUSTED]
     if config.run.address is None:
-        here += map(access.actor_name, range(config.run.actors))
+        here += map(permissions.actor_name, range(config.run.actors))
     for name in here:
         Identity.load(config.transport.tls, name)
 
@@ -227,13 +228,13 @@ class Setting:
 
     def open_hub(self, endpoint: str | None = None) -> ZenohHub:
         """The router, at `endpoint`; None: at the configured one, or the next free port above it."""
-        grants, tries = access.access_list(self.config.run.actors), PORTS_TRIED if endpoint is None else 1
+        grants, tries = permissions.access_list(self.config.run.actors), PORTS_TRIED if endpoint is None else 1
         endpoint = endpoint or self.config.transport.endpoint
-        return ZenohHub(endpoint, self._identity(access.HUB), grants, ports_tried=tries)
+        return ZenohHub(endpoint, self._identity(permissions.HUB), grants, ports_tried=tries)
 
     def connect(self, place: Place, endpoint: str) -> ZenohTransport:
         """A role's connection to the hub, with its certificate where the run has certificates."""
-        return ZenohTransport(endpoint, self._identity(access.certificate_of(place.role, place.id)))
+        return ZenohTransport(endpoint, self._identity(permissions.certificate_of(place.role, place.id)))
 
     def _identity(self, name: str) -> Identity | None:
         folder = self.config.transport.tls
@@ -285,7 +286,7 @@ class Setting:
 def _seen_by(config: Config, visual_act: VisualAct) -> str:
     """All that a reading depends on besides scene and lattice state, as far as runs of a machine may differ in it."""
     settings = config.model_dump_json(include={"grid", "camera"})
-    code = source.sha256("zsdist.sim.env", "zsdist.vision.visual_act")
+    code = code_hash.sha256("zsdist.sim.env", "zsdist.vision.visual_act")
     libraries = (f"{name} {version(name)}" for name in ("numpy", "numba", "onnxruntime", "pybullet", "torch"))
     return "/".join((visual_act.encoder_sha256, visual_act.weights_sha256, settings, code, *libraries))
 

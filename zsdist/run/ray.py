@@ -12,10 +12,10 @@ import ray
 from ray.exceptions import RayActorError, RayError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-from zsdist.allocator import keep_freed_memory
 from zsdist.errors import RunError, ZsdistError
 from zsdist.roles.base import HEARTBEAT_S, Role
 from zsdist.run import program
+from zsdist.run.allocator import keep_freed_memory
 from zsdist.run.directory import issue_epochs
 from zsdist.run.program import Parts, Place, Setting, Watch
 from zsdist.transport.base import Transport

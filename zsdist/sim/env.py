@@ -13,10 +13,10 @@ from zsdist.errors import ConfigError
 from zsdist.planning.grid import Grid
 from zsdist.planning.lattice import NOWHERE, flat_state, successors
 from zsdist.planning.rewards import RewardTerms, obstacle_avoidance, target_distance, target_reached
-from zsdist.sim import families
 from zsdist.sim.camera import Camera, make_camera
-from zsdist.sim.scene import Scene
-from zsdist.sim.world import World
+from zsdist.sim.physics.world import World
+from zsdist.sim.scenes import families
+from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Action, Pose
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from zsdist import files
+from zsdist.common import atomic_files
 from zsdist.config import CameraConfig
 from zsdist.errors import WeightsError
 from zsdist.vision.encoders.base import Encoder
@@ -153,7 +153,7 @@ def write(path: Path, modules: Mapping[str, bytes], metadata: Mapping[str, Any])
     try:
         path.mkdir(parents=True, exist_ok=True)
         for name, content in (*modules.items(), (METADATA_FILE, text.encode())):
-            files.replace(path / name, content)
+            atomic_files.replace(path / name, content)
     except OSError as error:
         raise WeightsError(f"weights {path} cannot be written: {error.strerror or error}") from error
     return Folder(path, full)

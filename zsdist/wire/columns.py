@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from zsdist import halves
+from zsdist.common import half_precision
 from zsdist.errors import DecodeError
 from zsdist.types import NO_GUIDE, Batch, Behaviour, Level, Trajectories, Trajectory
 
@@ -161,11 +161,11 @@ def check_priorities(columns: Mapping[str, np.ndarray]) -> None:
 def to_batch(columns: Mapping[str, np.ndarray], actions: int) -> Batch:
     """The batch of checked columns."""
     return Batch(
-        states=halves.widen(columns["states"]),
+        states=half_precision.widen(columns["states"]),
         actions=columns["actions"].astype(np.int64),
         rewards=columns["rewards"],
         discounts=columns["discounts"],
-        next_states=halves.widen(columns["next_states"]),
+        next_states=half_precision.widen(columns["next_states"]),
         next_masks=_unpack_masks(columns["next_masks"], actions),
         masks=_unpack_masks(columns["masks"], actions),
         guides=columns["guides"].astype(np.int64),
@@ -187,7 +187,7 @@ def require_columns(columns: Mapping[str, np.ndarray], schema: Mapping[str, tupl
 
 def require_finite(column: np.ndarray, name: str) -> None:
     """Raises `DecodeError` where a float column holds NaN or infinity."""
-    if not (halves.all_finite(column) if column.dtype == np.float16 else np.isfinite(column).all()):
+    if not (half_precision.all_finite(column) if column.dtype == np.float16 else np.isfinite(column).all()):
         raise DecodeError("nonfinite", f"column {name!r}")
 
 
@@ -204,7 +204,7 @@ def _narrow(column: np.ndarray, name: str, dtype: type) -> np.ndarray:
     elif column.dtype.kind != "f":
         raise DecodeError("dtype", f"{name} is {column.dtype}")
     elif column.dtype == np.float32 and dtype == np.float16:
-        return halves.narrow(column)
+        return half_precision.narrow(column)
     with np.errstate(over="ignore"):  # what overflows becomes infinite, and the check for that follows
         return column.astype(dtype)
 

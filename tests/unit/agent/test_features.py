@@ -3,14 +3,15 @@ import math
 import numpy as np
 import pytest
 
-from zsdist.agent import features, reach
+from zsdist.agent import features
 from zsdist.agent.blocks import GOAL_CHOICE, HIGH_ACTIONS, choices
-from zsdist.agent.learning import way_costs
+from zsdist.agent.reward_shaping import way_costs
 from zsdist.agent.situation import Situation
+from zsdist.planning import forward_search
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
+from zsdist.planning.reachability import Ways
 from zsdist.planning.shortest_path import goal_mask
-from zsdist.planning.ways import Ways
 from zsdist.types import LatticeState, Level
 
 GRID = Grid()
@@ -84,7 +85,7 @@ def situation(parts):
         ways=Ways.of(blocked),
         squeezed=False,
         goals=goal_mask(GRID, parts["goal"], 0.6),
-        drive_m=reach.metres_from(blocked, parts["state"], way_costs(GRID)),
+        drive_m=forward_search.metres_from(blocked, parts["state"], way_costs(GRID)),
         **parts,
     )
 

@@ -1,13 +1,14 @@
 import numpy as np
 
-from zsdist.agent import guide, learning, reach
+from zsdist.agent import guide, reward_shaping
 from zsdist.agent.blocks import GOAL_CHOICE, choices
 from zsdist.agent.situation import Situation
 from zsdist.config import AgentConfig
+from zsdist.planning import forward_search
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
+from zsdist.planning.reachability import Ways
 from zsdist.planning.shortest_path import cost_to_go, goal_mask
-from zsdist.planning.ways import Ways
 from zsdist.types import Action, LatticeState
 
 GRID = Grid()
@@ -32,7 +33,7 @@ def situation(occupied=None, state=EAST, goal=(8.0, -1.9), seen=True, advice=(0.
         ways=Ways.of(blocked),
         squeezed=False,
         goals=goal_mask(GRID, goal, 0.6),
-        drive_m=reach.metres_from(blocked, state, learning.way_costs(GRID)),
+        drive_m=forward_search.metres_from(blocked, state, reward_shaping.way_costs(GRID)),
         visits=visits,
         block_visits=np.zeros((4, 4), np.int32),
         tries=np.zeros((4, 4), np.int32),
@@ -72,7 +73,7 @@ def test_explored_share_counts_the_seen_cells_of_a_block():
 
 
 def choose(known):
-    costs = learning.way_costs(GRID)
+    costs = reward_shaping.way_costs(GRID)
     field = cost_to_go(known.blocked, goal_mask(GRID, known.goal, 0.6), costs)
     return guide.high_choice(known, choices(known), field, costs)
 

@@ -11,7 +11,7 @@ from zsdist.agent.hierarchy import HierarchicalAgent
 from zsdist.config import Config
 from zsdist.dqn import network
 from zsdist.planning.rewards import RewardTerms
-from zsdist.sim import families
+from zsdist.sim.scenes import families
 from zsdist.types import NO_GUIDE, Behaviour, Level, Pose
 
 CONFIG = Config()

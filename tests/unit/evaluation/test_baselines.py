@@ -6,9 +6,9 @@ from zsdist.config import Config
 from zsdist.evaluation.baselines import BASELINES
 from zsdist.evaluation.drivers import Observed, Sees
 from zsdist.evaluation.episodes import Examiner
-from zsdist.evaluation.sight import by_camera, by_truth
-from zsdist.sim import families
-from zsdist.sim.scene import Obstacle, Scene, Start
+from zsdist.evaluation.oracle_view import by_camera, by_truth
+from zsdist.sim.scenes import families
+from zsdist.sim.scenes.scene import Obstacle, Scene, Start
 from zsdist.types import Outcome, Pose
 
 CONFIG = Config()

@@ -6,11 +6,11 @@ from fakes import RECORD
 from zsdist.config import Config
 from zsdist.dqn import network
 from zsdist.errors import RunError
-from zsdist.evaluation import ledger
+from zsdist.evaluation import episode_store
 from zsdist.evaluation.comparison import compare
-from zsdist.evaluation.entrants import Entrant
+from zsdist.evaluation.contenders import Entrant
 from zsdist.roles.shapes import SHAPES
-from zsdist.sim import families
+from zsdist.sim.scenes import families
 from zsdist.types import Outcome
 
 SCENES = [families.draw("iid", "test", index) for index in range(6)]
@@ -31,7 +31,7 @@ def write_learned(file, records, policy, weights=0, **kind):
 
 
 def put(file, records, entrant, policy, weights_sha256, seed):
-    book = ledger.Ledger(file, entrant, policy, weights_sha256, "iid", seed, SCENES)
+    book = episode_store.Ledger(file, entrant, policy, weights_sha256, "iid", seed, SCENES)
     for index, record in enumerate(records):
         book.add(index, record)
     return file
@@ -98,7 +98,7 @@ def test_scenes_in_which_something_moves_have_no_spl(tmp_path):
 
 def test_lines_of_older_code_are_left_out_and_said(tmp_path, monkeypatch):
     a = write(tmp_path / "a", [FAILED] * 6)
-    monkeypatch.setattr(ledger, "code_sha256", lambda: "newer")
+    monkeypatch.setattr(episode_store, "code_sha256", lambda: "newer")
     write(a, [RECORD] * 3)
     comparison = compare(a, write(tmp_path / "b", [RECORD] * 6, "random"))
     assert comparison.result["figures"]["success"]["a"] == 1.0 and comparison.result["episodes"] == 3

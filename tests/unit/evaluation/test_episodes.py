@@ -6,15 +6,15 @@ import pytest
 from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist.config import Config, load
+from zsdist.evaluation.contenders import VARIANTS
 from zsdist.evaluation.drivers import Driver, LearnedDriver, Sees
-from zsdist.evaluation.entrants import VARIANTS
 from zsdist.evaluation.episodes import Course, Examiner
-from zsdist.evaluation.sight import TRUE_EDGES_M, by_camera
+from zsdist.evaluation.oracle_view import TRUE_EDGES_M, by_camera
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
 from zsdist.run import program
-from zsdist.sim import families
-from zsdist.sim.scene import Obstacle, Scene, Start
+from zsdist.sim.scenes import families
+from zsdist.sim.scenes.scene import Obstacle, Scene, Start
 from zsdist.types import Action, Level, Outcome
 
 CONFIG = Config()

@@ -5,7 +5,7 @@ import pytest
 from zsdist.config import Config, load
 from zsdist.errors import SceneError
 from zsdist.evaluation.selection import select
-from zsdist.sim import families, scene
+from zsdist.sim.scenes import families, scene
 
 CONFIG = Config()
 

@@ -3,7 +3,7 @@ import heapq
 import numpy as np
 import pytest
 
-from zsdist.agent.learning import way_costs
+from zsdist.agent.reward_shaping import way_costs
 from zsdist.planning.cost_field import CostField
 from zsdist.planning.footprint import successor
 from zsdist.planning.grid import Grid

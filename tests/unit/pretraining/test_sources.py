@@ -1,9 +1,9 @@
 import numpy as np
 
 from zsdist.config import CameraConfig, Config
+from zsdist.datasets import masked
 from zsdist.pretraining.job import Job
 from zsdist.pretraining.sources import Shard, make, scene_numbers, shards, sources
-from zsdist.sim import masked
 
 
 def job(**changes):

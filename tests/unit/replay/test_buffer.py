@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from zsdist.errors import RunError
-from zsdist.replay import pieces
+from zsdist.replay import segments
 from zsdist.replay.buffer import REASONS, RingBuffer, row_bytes
 from zsdist.replay.priorities import SMALLEST_ERROR, Priorities
 from zsdist.types import Level, Trajectory
@@ -340,7 +340,7 @@ def test_a_ring_comes_back_as_it_was_from_its_layout_and_the_rows_of_each_piece(
             rows = ring.newest(folded)
             kept.append((ring.written - len(rows["actions"]), rows))
             folded = ring.written
-    before, after = ring.state(), pieces.joined(ring.layout(), len(ring), kept)
+    before, after = ring.state(), segments.joined(ring.layout(), len(ring), kept)
     assert before.keys() == after.keys()
     for name, column in before.items():
         np.testing.assert_array_equal(column, after[name])
@@ -353,4 +353,4 @@ def test_a_ring_of_which_a_piece_is_missing_is_refused():
     ring = RingBuffer(STATE_SIZE, ACTIONS, 20)
     ring.insert([trajectory(6)])
     with pytest.raises(RunError, match="journal has 2 of 6 rows"):
-        pieces.joined(ring.layout(), len(ring), [(4, ring.newest(4))])
+        segments.joined(ring.layout(), len(ring), [(4, ring.newest(4))])

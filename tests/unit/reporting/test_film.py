@@ -7,14 +7,14 @@ from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist import config
 from zsdist.errors import RunError
+from zsdist.evaluation.contenders import Entrant
 from zsdist.evaluation.drivers import LearnedDriver, Sees
-from zsdist.evaluation.entrants import Entrant
 from zsdist.evaluation.episodes import Examiner
-from zsdist.evaluation.sight import by_camera
+from zsdist.evaluation.oracle_view import by_camera
 from zsdist.evaluation.workers import Simulation
 from zsdist.reporting import film
 from zsdist.run import program
-from zsdist.sim.scene import Obstacle, Scene, Start
+from zsdist.sim.scenes.scene import Obstacle, Scene, Start
 from zsdist.types import Action, Level, Pose
 from zsdist.vision.visual_act import Look
 

@@ -8,10 +8,10 @@ from zsdist.config import Config
 from zsdist.dqn import network
 from zsdist.evaluation.drivers import LearnedDriver, Sees
 from zsdist.evaluation.episodes import Examiner
-from zsdist.evaluation.sight import by_camera
+from zsdist.evaluation.oracle_view import by_camera
 from zsdist.reporting import guidance
 from zsdist.run import program
-from zsdist.sim.scene import Obstacle, Scene, Start
+from zsdist.sim.scenes.scene import Obstacle, Scene, Start
 from zsdist.types import Level
 
 CONFIG = Config()

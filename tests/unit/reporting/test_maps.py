@@ -5,9 +5,9 @@ from matplotlib.image import imread
 from zsdist.planning.grid import Grid
 from zsdist.reporting import maps, style
 from zsdist.reporting.maps import Track
-from zsdist.sim import families
-from zsdist.sim.kinds import KINDS
-from zsdist.sim.scene import Obstacle, Scene, Start
+from zsdist.sim.scenes import families
+from zsdist.sim.scenes.kinds import KINDS
+from zsdist.sim.scenes.scene import Obstacle, Scene, Start
 from zsdist.types import Outcome
 
 GRID = Grid()

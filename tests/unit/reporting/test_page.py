@@ -9,7 +9,7 @@ from rehearsal import rehearse, start
 from zsdist.errors import RunError
 from zsdist.evaluation.workers import Simulation
 from zsdist.reporting import page, runs
-from zsdist.sim import families, scene
+from zsdist.sim.scenes import families, scene
 
 FAKE = Simulation(lambda config, **_: LatticeEnv(config=config), lambda config: FakeVisualAct())
 

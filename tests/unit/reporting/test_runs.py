@@ -6,12 +6,12 @@ from made_runs import RESULT, WEIGHTS_SHA256, make_run
 
 from zsdist.config import Config
 from zsdist.errors import RunError
-from zsdist.evaluation import ledger
-from zsdist.evaluation.entrants import Entrant
-from zsdist.evaluation.identity import code_sha256
+from zsdist.evaluation import episode_store
+from zsdist.evaluation.contenders import Entrant
+from zsdist.evaluation.fingerprint import code_sha256
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.reporting import runs
-from zsdist.sim import families
+from zsdist.sim.scenes import families
 from zsdist.types import Outcome
 
 
@@ -130,7 +130,7 @@ def test_episodes_on_file_are_summed_up_by_who_drove_what_and_older_code_is_left
     scenes = [families.draw("iid", "test", index) for index in range(3)]
     file, entrant = tmp_path / "episodes.jsonl", Entrant(Config(), baseline="random")
     record = EpisodeRecord("made", Outcome.SUCCESS, 10, 8, 6.0, 5.0, 0.0, 0.4, True, (1.0,) * 10, 0, ())
-    book = ledger.Ledger(file, entrant, "random", None, "iid", 0, scenes)
+    book = episode_store.Ledger(file, entrant, "random", None, "iid", 0, scenes)
     book.add(0, replace(record, outcome=Outcome.COLLISION))
     old = file.read_text().replace(code_sha256(), "0" * 16)
     book.add(1, record)

@@ -4,10 +4,10 @@ import pytest
 
 from zsdist.config import parse
 from zsdist.dqn import network
+from zsdist.driving.perception import Sight
 from zsdist.roles.actor import Actor
 from zsdist.roles.base import Context
 from zsdist.roles.shapes import SHAPES
-from zsdist.roles.sight import Sight
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import Level, Weights
 from zsdist.wire import codec, keys

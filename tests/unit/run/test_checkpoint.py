@@ -5,7 +5,8 @@ from dataclasses import replace
 import pytest
 from rehearsal import SEEN, kinematic
 
-from zsdist import cli, config, evaluate, launch
+from zsdist import config, evaluate, launch
+from zsdist.common import cli
 from zsdist.errors import WeightsError
 from zsdist.run import directory, program
 from zsdist.run.directory import RunDirectory

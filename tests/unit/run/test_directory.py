@@ -10,7 +10,7 @@ from zsdist.errors import RunError, WeightsError
 from zsdist.run import directory
 from zsdist.run.checkpoint import load_policy
 from zsdist.run.directory import RunDirectory
-from zsdist.vision.identity import VisionIdentity
+from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.wire.messages import State
 
 SEEN = VisionIdentity("clip/b", "a" * 64, "head", "b" * 64)

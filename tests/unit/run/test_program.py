@@ -22,7 +22,7 @@ def test_what_other_weights_see_is_another_vision(name, seen_by):
     assert program._seen_by(Config(), other) != seen_by
 
 
-@pytest.mark.parametrize("made_by", ["zsdist.source.sha256", "zsdist.run.program.version"])
+@pytest.mark.parametrize("made_by", ["zsdist.common.code_hash.sha256", "zsdist.run.program.version"])
 def test_what_other_code_or_libraries_see_is_another_vision(made_by, seen_by, monkeypatch):
     monkeypatch.setattr(made_by, lambda *_: "another")
     assert program._seen_by(Config(), FakeVisualAct()) != seen_by

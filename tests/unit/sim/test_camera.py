@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 
 from zsdist.config import CameraConfig
+from zsdist.datasets.degradation import worn
 from zsdist.sim.camera import make_camera
 from zsdist.sim.camera.appearance import of_scene, varied
 from zsdist.sim.camera.optics import mount
 from zsdist.sim.camera.primitives import ARENA_HALF_M, primitives_of
 from zsdist.sim.camera.shading import shadow_corners, sunshine
-from zsdist.sim.camera.variation import worn
-from zsdist.sim.kinds import KINDS, SEGMENT_GROUND, SEGMENT_SKY, SEGMENT_WALL
-from zsdist.sim.raycast import ray_distances
-from zsdist.sim.scene import Obstacle, Scene, Start
+from zsdist.sim.physics.raycast import ray_distances
+from zsdist.sim.scenes.kinds import KINDS, SEGMENT_GROUND, SEGMENT_SKY, SEGMENT_WALL
+from zsdist.sim.scenes.scene import Obstacle, Scene, Start
 from zsdist.types import Pose
 
 SIZE = 96

@@ -11,8 +11,8 @@ import zsdist  # noqa: F401  registers the environment
 from zsdist.config import Config, parse
 from zsdist.errors import ConfigError
 from zsdist.sim.env import CarNavigation
-from zsdist.sim.families import FAMILIES
-from zsdist.sim.scene import Obstacle, Scene, Start
+from zsdist.sim.scenes.families import FAMILIES
+from zsdist.sim.scenes.scene import Obstacle, Scene, Start
 from zsdist.types import Action, Pose
 
 CONFIG = parse({"camera": {"size_px": 32}, "sim": {"max_steps": 6}, "scenes": {"train_scenes": 3}})

@@ -9,12 +9,12 @@ from zsdist.sim.camera import make_camera
 from zsdist.sim.camera.appearance import Pattern, of_scene, varied
 from zsdist.sim.camera.optics import mount
 from zsdist.sim.camera.primitives import primitives_of
-from zsdist.sim.families import FAMILIES, generate
-from zsdist.sim.families_canvas import turned
-from zsdist.sim.families_layout import ROAD_HALF_M, road_of
-from zsdist.sim.kinds import SEGMENT_GROUND
-from zsdist.sim.manifest import split_seed
-from zsdist.sim.scene import Obstacle, Scene, Start
+from zsdist.sim.scenes.families import FAMILIES, generate
+from zsdist.sim.scenes.families_canvas import turned
+from zsdist.sim.scenes.families_layout import ROAD_HALF_M, road_of
+from zsdist.sim.scenes.kinds import SEGMENT_GROUND
+from zsdist.sim.scenes.manifest import split_seed
+from zsdist.sim.scenes.scene import Obstacle, Scene, Start
 from zsdist.types import Pose
 
 SIZE = 96

@@ -9,8 +9,8 @@ import safetensors.torch
 import torch
 
 from zsdist.config import CameraConfig, VisionConfig
+from zsdist.datasets.labelled import labelled_views
 from zsdist.errors import ImageError, WeightsError
-from zsdist.sim.views import labelled_views
 from zsdist.vision.encoders.lite0 import FEATURES, INPUT_PX, SIDE, EfficientNetLite0
 from zsdist.vision.folder import HEAD_FILE, METADATA_FILE, PROJECTION_FILE, STUDENT_FILE, read, write
 from zsdist.vision.models import STUDENT_PX

@@ -7,7 +7,7 @@ import numpy as np
 from zsdist.config import CameraConfig
 from zsdist.sim.camera.appearance import of_scene
 from zsdist.sim.camera.caster import CasterCamera, Look
-from zsdist.sim.scene import Scene
+from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Pose
 
 __all__ = ["Camera", "Look", "make_camera"]

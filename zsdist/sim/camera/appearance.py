@@ -12,9 +12,9 @@ from enum import IntEnum
 import numpy as np
 
 from zsdist.sim.camera.primitives import ARENA_HALF_M, Part, Primitives
-from zsdist.sim.families_layout import ROAD_HALF_M, Road, road_of
-from zsdist.sim.kinds import GROUNDS, KINDS, WALL_COLOUR
-from zsdist.sim.scene import Obstacle, Scene
+from zsdist.sim.scenes.families_layout import ROAD_HALF_M, Road, road_of
+from zsdist.sim.scenes.kinds import GROUNDS, KINDS, WALL_COLOUR
+from zsdist.sim.scenes.scene import Obstacle, Scene
 
 
 class Texture(IntEnum):

@@ -15,8 +15,8 @@ from zsdist.sim.camera.primitives import ARENA_HALF_M, Primitives, primitives_of
 from zsdist.sim.camera.shading import shade, shadow_corners
 from zsdist.sim.camera.shadows import shadow_map
 from zsdist.sim.camera.textures import noise_pyramid
-from zsdist.sim.kinds import SEGMENT_GROUND, SEGMENT_SKY
-from zsdist.sim.scene import Scene
+from zsdist.sim.scenes.kinds import SEGMENT_GROUND, SEGMENT_SKY
+from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Pose
 
 Look = Callable[[Scene, Primitives], Appearance]

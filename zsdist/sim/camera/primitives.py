@@ -5,15 +5,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from zsdist.sim.kinds import (
-    CROWN_SHARE,
-    KINDS,
-    SEGMENT_WALL,
-    TOP_SHARE,
-    TRUNK_HEIGHT_M,
-    WALL_HEIGHT_M,
-)
-from zsdist.sim.scene import Obstacle, Scene
+from zsdist.sim.scenes.kinds import CROWN_SHARE, KINDS, SEGMENT_WALL, TOP_SHARE, TRUNK_HEIGHT_M, WALL_HEIGHT_M
+from zsdist.sim.scenes.scene import Obstacle, Scene
 
 ARENA_HALF_M = 12.5
 WALL_THICKNESS_M = 0.3

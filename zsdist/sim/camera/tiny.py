@@ -14,8 +14,8 @@ from zsdist.sim.camera.appearance import Appearance, of_scene
 from zsdist.sim.camera.caster import Look
 from zsdist.sim.camera.optics import mount
 from zsdist.sim.camera.primitives import Form, Primitives, primitives_of
-from zsdist.sim.kinds import SEGMENT_GROUND, SEGMENT_SKY
-from zsdist.sim.scene import Scene
+from zsdist.sim.scenes.kinds import SEGMENT_GROUND, SEGMENT_SKY
+from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Pose
 
 _NEAR_M, _FAR_M = 0.05, 100.0

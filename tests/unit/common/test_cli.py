@@ -1,0 +1,67 @@
+import argparse
+import os
+import signal
+
+import pytest
+
+from zsdist.common import cli
+from zsdist.errors import ConfigError
+
+
+def leave(main, arguments=()):
+    parser = cli.Parser(prog="zsdist.command")
+    parser.add_argument("--actors", type=int)
+    with pytest.raises(SystemExit) as exit_:
+        cli.execute(main, parser, arguments)
+    return exit_.value.code
+
+
+def refuse(_options):
+    raise ConfigError("run.actors is 0:\nallowed is 1 or more")
+
+
+def interrupt(_options):
+    raise KeyboardInterrupt
+
+
+def test_the_status_of_the_command_is_the_status_of_the_process():
+    assert leave(lambda options: options.actors, ["--actors", "7"]) == 7
+
+
+def test_an_error_is_one_line_and_status_2(capsys):
+    assert leave(refuse) == 2
+    assert capsys.readouterr().err == "zsdist.command: error: run.actors is 0: allowed is 1 or more\n"
+
+
+def test_debug_shows_the_traceback():
+    with pytest.raises(ConfigError):
+        cli.execute(refuse, cli.Parser(prog="zsdist.command"), ["--debug"])
+
+
+def test_a_wrong_option_is_one_line_and_status_2(capsys):
+    assert leave(refuse, ["--actors", "many"]) == 2
+    complaint = capsys.readouterr().err
+    assert complaint.count("\n") == 1 and "--actors" in complaint and "many" in complaint
+
+
+def test_ctrl_c_is_status_130():
+    assert leave(interrupt) == 130
+
+
+def test_sigterm_means_what_ctrl_c_means_and_only_while_the_command_runs():
+    before = signal.getsignal(signal.SIGTERM)
+    assert leave(lambda options: os.kill(os.getpid(), signal.SIGTERM)) == 130
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+@pytest.mark.parametrize(("kind", "least"), [(cli.count, 1), (cli.natural, 0)])
+def test_whole_numbers_below_the_least_are_refused_with_it(kind, least):
+    assert kind(str(least)) == least
+    for wrong in (str(least - 1), "many", "1.5", ""):
+        with pytest.raises(argparse.ArgumentTypeError, match=f"allowed is a whole number of {least} or more"):
+            kind(wrong)
+
+
+def test_a_defect_keeps_its_traceback():
+    with pytest.raises(ZeroDivisionError):
+        cli.execute(lambda options: 1 // 0, cli.Parser(), [])

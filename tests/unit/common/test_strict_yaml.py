@@ -1,0 +1,27 @@
+import pytest
+import yaml
+
+from zsdist import config
+from zsdist.common import strict_yaml
+from zsdist.errors import ConfigError
+
+TWICE = "run:\n  episodes: 3\n  actors: 2\n  episodes: 4\n"
+
+
+def test_a_key_that_is_there_twice_is_refused_with_its_line():
+    with pytest.raises(strict_yaml.KeyTwice, match="line 4: key 'episodes' is there twice"):
+        strict_yaml.load(TWICE)
+    with pytest.raises(strict_yaml.KeyTwice, match="line 1: key 'a' is there twice"):
+        strict_yaml.load("{a: 1, a: 1}")
+
+
+@pytest.mark.parametrize("text", ["a: 1\nb: {a: 2}\nc: [{a: 3}, {a: 4}]", "", "7", "a: 2024-05-06"])
+def test_everything_else_is_read_as_plain_yaml(text):
+    assert strict_yaml.load(text) == yaml.safe_load(text)
+
+
+def test_a_configuration_file_with_a_key_twice_is_refused_in_one_line(tmp_path):
+    file = tmp_path / "config.yaml"
+    file.write_text(TWICE)
+    with pytest.raises(ConfigError, match=r"config\.yaml is not valid YAML: line 4: key 'episodes' is there twice"):
+        config.load(file)

@@ -1,0 +1,117 @@
+import math
+
+import numpy as np
+import pytest
+
+from zsdist.config import CameraConfig
+from zsdist.datasets.labelled import free_pose, label, labelled_views
+from zsdist.errors import SceneError
+from zsdist.sim.camera import make_camera
+from zsdist.sim.camera.primitives import ARENA_HALF_M
+from zsdist.sim.physics.collision import touching
+from zsdist.sim.scenes.kinds import KINDS, SEGMENT_GROUND, SEGMENT_SKY
+from zsdist.sim.scenes.scene import Obstacle, Scene, Start
+from zsdist.types import Pose
+from zsdist.vision.rays import RAYS, ray_angles_rad
+
+CAMERA = CameraConfig(size_px=64)
+
+
+def scene(*obstacles):
+    return Scene("test", "grass", Start(-8.0, -8.0, 0.0), (4.0, 3.0), obstacles)
+
+
+def views(count=12, seed=5, split="vision", **options):
+    return list(labelled_views(["street", "iid"], split, count, seed, CAMERA, **options))
+
+
+@pytest.mark.parametrize("varied", [False, True])
+def test_views_have_the_promised_shapes_and_ranges(varied):
+    for view in views(varied=varied):
+        assert view.image.shape == (64, 64, 3) and view.image.dtype == np.uint8
+        assert view.ray_clearance_m.shape == (RAYS,) and view.ray_clearance_m.dtype == np.float32
+        assert (view.ray_clearance_m >= 0).all() and (view.ray_clearance_m <= CAMERA.range_m).all()
+        assert view.clearance_m.min() == view.ray_clearance_m.min()
+        assert view.dynamic.shape == (3,) and view.dynamic.dtype == bool
+        assert abs(view.goal_bearing_rad) <= math.pi
+        assert view.image.std() > 0
+
+
+def test_varied_views_are_drawn_by_both_renderers(monkeypatch):
+    asked = []
+
+    def camera(config, look):
+        asked.append((config.back_end, config.height_m))
+        return make_camera(config, look)
+
+    monkeypatch.setattr("zsdist.datasets.labelled.make_camera", camera)
+    drawn = views(count=96, seed=8, varied=True)
+    assert {back_end for back_end, _ in asked} == {"caster", "pybullet"}
+    assert len({height for _, height in asked}) == len(asked) == 12
+    assert len(drawn) == 96
+
+
+def test_the_same_arguments_give_the_same_views_and_another_seed_gives_others():
+    for varied in (False, True):
+        once, again = views(varied=varied), views(varied=varied)
+        assert all((a.image == b.image).all() and a.pose == b.pose for a, b in zip(once, again, strict=True))
+    assert views(seed=6)[0].pose != views(seed=5)[0].pose
+
+
+def test_splits_share_no_scene():
+    assert not {v.scene_hash for v in views(split="vision")} & {v.scene_hash for v in views(split="test")}
+
+
+def test_an_unknown_split_is_refused():
+    with pytest.raises(SceneError, match="holiday"):
+        views(split="holiday")
+
+
+def test_labels_of_a_person_ahead_and_a_tree_at_the_left():
+    world = scene(Obstacle("person", 4.0, 0.0, 0.3), Obstacle("tree", 4.0, 3.0, 1.0))
+    truth = label(world, Pose(0.0, 0.0, 0.0), CAMERA)
+    assert truth["clearance_m"][0] == pytest.approx(3.0 - 0.3, abs=0.02)
+    assert truth["clearance_m"][1] == pytest.approx(math.hypot(3.0, 3.0) - 1.0, abs=0.02)
+    assert truth["clearance_m"][2] == CAMERA.range_m
+    assert truth["dynamic"].tolist() == [True, False, False]
+    assert truth["goal_bearing_rad"] == pytest.approx(math.atan2(3.0, 4.0))
+    assert truth["goal_distance_m"] == pytest.approx(5.0)
+
+
+def test_labels_follow_people_who_walk():
+    world = scene(Obstacle("person", 4.0, 0.0, 0.3, path=((4.0, 0.0), (4.0, 2.0)), speed_mps=1.0))
+    ahead = label(world, Pose(0.0, 0.0, 0.0), CAMERA)
+    aside = label(world, Pose(0.0, 0.0, 0.0), CAMERA, np.array([[4.0, 2.0]]))
+    assert ahead["dynamic"].tolist() == [True, False, False]
+    assert aside["dynamic"].tolist() == [False, True, False]
+
+
+def test_free_poses_touch_nothing_and_often_stand_close_to_something():
+    world = scene(Obstacle("tree", 0.0, 0.0, 1.0), Obstacle("box", 5.0, 5.0, None, (6.0, 0.4, 2.0), 30.0))
+    rng = np.random.default_rng(0)
+    poses = [free_pose(world, rng) for _ in range(200)]
+    assert not any(touching(p, world.circles(), world.boxes(), arena_m=2 * ARENA_HALF_M) for p in poses)
+    assert np.mean([label(world, p, CAMERA)["ray_clearance_m"].min() < 4.0 for p in poses]) > 0.4
+
+
+def test_ray_labels_are_where_the_picture_has_obstacles_meet_the_ground():
+    """In each ray's pixel column, the lowest obstacle pixel lies at the height that the label's distance gives."""
+    config = CameraConfig(size_px=256)
+    camera = make_camera(config)
+    world = scene(Obstacle("pole", 3.0, 1.0, 0.3), Obstacle("box", 4.0, -1.0, None, (1.0, 2.0, 2.0), 20.0))
+    distance = label(world, Pose(0.0, 0.0, 0.0), config)["ray_clearance_m"]
+    _, _, segments = camera.render_labelled(world, Pose(0.0, 0.0, 0.0))
+    kinds = [KINDS[name].segment_id for name in ("pole", "box")]
+    width = 256 // RAYS
+    checked = 0
+    for ray, angle in enumerate(ray_angles_rad(RAYS, math.pi / 2)):
+        columns = segments[:, ray * width + width // 2 - 1 : ray * width + width // 2 + 1]
+        seen = np.flatnonzero(np.isin(columns, kinds).any(1))
+        assert bool(len(seen)) == (distance[ray] < config.range_m)
+        if len(seen):
+            depth = distance[ray] * math.cos(angle)
+            assert seen.max() + 1 == pytest.approx(128 + 128 * config.height_m / depth, abs=3)
+            checked += 1
+        else:
+            assert set(np.unique(columns[-20:])) <= {SEGMENT_GROUND, SEGMENT_SKY}
+    assert checked >= 6

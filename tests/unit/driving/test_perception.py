@@ -1,0 +1,140 @@
+import math
+
+import numpy as np
+import pytest
+from fakes import FakeVisualAct, LatticeEnv
+
+from zsdist.agent.hierarchy import HierarchicalAgent
+from zsdist.config import Config
+from zsdist.driving.episode import Car, Errand
+from zsdist.driving.perception import Sight
+from zsdist.planning.grid import Grid
+from zsdist.sim.scenes import families
+from zsdist.sim.scenes.scene import Obstacle, Scene
+from zsdist.types import Level, Pose
+from zsdist.vision.reading_cache import SET_BYTES, ReadingCache
+
+STILL = families.draw("iid", "train", 0)
+PERSON = Obstacle("person", 8.0, 8.0, 0.3, path=((8.0, 8.0), (9.0, 8.0)), speed_mps=0.5)
+STANDING = Obstacle("person", 8.0, 8.0, 0.3)
+
+
+class Counted(FakeVisualAct):
+    """Remembers how many pictures it read at once."""
+
+    def __init__(self):
+        super().__init__()
+        self.batches = []
+
+    def read(self, images):
+        self.batches.append(len(images))
+        return super().read(images)
+
+
+@pytest.fixture
+def visual_act(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    return Counted()
+
+
+def sight(visual_act, cached=True, vision="vision"):
+    cache = ReadingCache(100 * SET_BYTES, vision) if cached else None
+    return Sight(visual_act, Grid(), cache)
+
+
+def car(scene=STILL, moved=(0.0, 0.0, 0.0), **errand):
+    """At the start of an errand in `scene`, aside of the lattice by so many metres and radians."""
+    env = LatticeEnv()
+    car = Car(env, HierarchicalAgent(Config()))
+    car.begin(Errand(scene, 1, 0.5, True, (1,), **errand), dict.fromkeys(Level, 0))
+    pose = Pose(*(value + aside for value, aside in zip(env.grid.pose(env.state), moved, strict=True)))
+    car._observation["pose"] = np.array(pose)
+    asked, picture = [], env.picture
+    env.picture = lambda place=None: asked.append(place) or picture(place or pose)
+    car.asked = asked
+    return car
+
+
+def with_obstacle(obstacle):
+    return Scene("scene", STILL.ground, STILL.start, STILL.goal, (*STILL.obstacles, obstacle))
+
+
+def test_a_picture_is_rendered_and_read_once_for_all_cars_and_episodes(visual_act):
+    first, again, other = car(), car(), car(with_obstacle(STANDING))
+    sees = sight(visual_act)
+    fresh = sees.views([first, other])
+    known = sees.views([other, again])
+    assert visual_act.batches == [1, 1]  # each by itself
+    assert len(first.asked) == len(other.asked) == 1 and again.asked == []
+    assert sees.statistics() == {"cache_hits": 2, "cache_misses": 2, "cache_bypasses": 0}
+    for one, two in zip(fresh, reversed(known), strict=True):
+        np.testing.assert_array_equal(one.ray_probabilities, two.ray_probabilities)
+        np.testing.assert_array_equal(one.advice, two.advice)
+
+
+def test_another_actor_of_the_machine_finds_what_was_read(visual_act):
+    one, other = sight(visual_act), sight(visual_act)
+    one.views([car()])
+    other.views([car()])
+    assert visual_act.batches == [1] and other.hits == 1
+
+
+def test_what_a_car_sees_does_not_depend_on_who_looked_before(visual_act):
+    near = (0.06, -0.05, math.radians(3))
+    before = sight(visual_act).views([car(moved=near)])
+    sees = sight(visual_act, vision="as if nobody had looked")
+    sees.views([car(moved=(-0.05, 0.02, -0.05))])
+    (after,) = sees.views([car(moved=near)])
+    np.testing.assert_array_equal(before[0].ray_probabilities, after.ray_probabilities)
+    np.testing.assert_array_equal(before[0].advice, after.advice)
+
+
+def test_the_advice_is_for_the_goal_at_hand(visual_act):
+    sees = sight(visual_act)
+    there, elsewhere = car(), car()
+    elsewhere._observation["goal"] = -elsewhere._observation["goal"]
+    (one,), (other,) = sees.views([there]), sees.views([elsewhere])
+    assert sees.hits == 1
+    np.testing.assert_array_equal(one.clearance_m, other.clearance_m)
+    assert np.abs(one.advice - other.advice).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda: car(candidate="recent"),
+        lambda: car(with_obstacle(PERSON)),
+        lambda: car(moved=(0.08, 0.08, 0.0)),
+        lambda: car(moved=(0.0, 0.0, math.radians(-5.5))),
+    ],
+    ids=["evaluation drive", "somebody walks", "aside of the lattice", "turned off the lattice"],
+)
+def test_nothing_is_remembered_nor_recalled_where_it_must_not_be(visual_act, made):
+    sees = sight(visual_act)
+    for _ in range(2):
+        looking = made()
+        sees.views([looking])
+        assert looking.asked == [None]  # at the true pose
+    assert visual_act.batches == [1, 1]
+    assert sees.hits == sees.misses == 0
+    assert sees.bypasses == (2 if looking.errand.trains else 0)
+    sees.views([car()])
+    assert sees.misses == 1  # nothing had been kept
+
+
+def test_an_evaluation_drive_looks_where_a_training_episode_has_looked_before(visual_act):
+    sees = sight(visual_act)
+    sees.views([car()])
+    drive = car(candidate="recent")
+    sees.views([drive])
+    assert drive.asked == [None] and visual_act.batches == [1, 1] and sees.hits == 0
+
+
+def test_without_a_cache_every_picture_is_taken_at_the_true_pose_and_nothing_is_counted(visual_act):
+    sees = sight(visual_act, cached=False)
+    looking = car()
+    sees.views([looking])
+    sees.views([looking])
+    assert looking.asked == [None, None] and visual_act.batches == [1, 1]
+    assert sees.statistics() == {}
+    sees.close()

@@ -1,0 +1,100 @@
+import dataclasses
+import json
+
+import pytest
+from fakes import RECORD
+
+from zsdist.config import Config, load
+from zsdist.errors import RunError
+from zsdist.evaluation import episode_store
+from zsdist.evaluation.contenders import Entrant
+from zsdist.evaluation.episode_store import Ledger
+from zsdist.sim.scenes import families
+
+ASTAR = Entrant(Config(), baseline="astar")
+SCENES = [families.draw("iid", "test", index) for index in range(3)]
+
+
+def opened(file, entrant=ASTAR, seed=0, chosen=SCENES, policy="astar", scenes="iid"):
+    return Ledger(file, entrant, policy, None, scenes, seed, list(chosen))
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "episodes.jsonl"
+    book = opened(path)
+    book.add(0, RECORD)
+    book.add(2, dataclasses.replace(RECORD, steps=7))
+    return path
+
+
+def test_what_was_written_is_known_again(file):
+    again = opened(file)
+    assert again.known == {0: RECORD, 2: dataclasses.replace(RECORD, steps=7)} and again.stale == 0
+
+
+def test_fewer_scenes_take_what_there_is_of_them(file):
+    assert list(opened(file, chosen=SCENES[:2]).known) == [0]
+
+
+def test_other_code_makes_lines_stale(file, monkeypatch):
+    monkeypatch.setattr(episode_store, "code_sha256", lambda: "another")
+    assert (opened(file).known, opened(file).stale) == ({}, 2)
+
+
+def test_other_settings_make_lines_stale(file):
+    entrant = Entrant(load(overrides=("sim.max_steps=20",)), baseline="astar")
+    assert (opened(file, entrant).known, opened(file, entrant).stale) == ({}, 2)
+
+
+def test_lines_of_other_policies_scenes_and_seeds_are_neither_known_nor_stale(file):
+    others = (
+        opened(file, Entrant(Config(), baseline="random"), policy="random"),
+        opened(file, seed=1),
+        opened(file, scenes="ood-layout", chosen=[families.draw("ood-layout", "test", 0)]),
+    )
+    assert [(book.known, book.stale) for book in others] == [({}, 0)] * 3
+
+
+def test_a_line_that_was_cut_off_as_it_was_written_is_taken_out(file):
+    with file.open("a") as out:
+        out.write('{"code": "abc')
+    assert len(opened(file).known) == 2
+    opened(file).add(1, RECORD)
+    assert len(opened(file).known) == 3
+
+
+def test_reading_leaves_the_file_as_it_is_even_where_its_last_line_is_being_written(file):
+    with file.open("a") as out:
+        out.write('{"code": "abc')
+    before = file.read_bytes()
+    assert len(episode_store.read(file)) == 2
+    assert file.read_bytes() == before
+
+
+@pytest.mark.parametrize("content", ["seed: 1", '{"ended": "complete"\n}', "line 1\nlast line", '{"code": 7'])
+def test_a_file_of_something_else_without_a_last_newline_is_refused_and_left_as_it_is(tmp_path, content):
+    file = tmp_path / "other"
+    file.write_text(content)
+    with pytest.raises(RunError, match="no episode of an evaluation"):
+        opened(file)
+    assert file.read_text() == content
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("index", "1"), ("index", -1), ("steps", "many"), ("poses", [["a", 0, 0]]), ("path_m", float("nan"))],
+)
+def test_a_line_with_a_value_that_none_has_is_refused(file, name, value):
+    line = json.loads(file.read_text().splitlines()[0])
+    file.write_text(json.dumps(line | {name: value}) + "\n")
+    with pytest.raises(RunError, match="line 1 is no episode"):
+        episode_store.read(file)
+
+
+@pytest.mark.parametrize("line", ["{}", "nonsense", "[1, 2]", '{"outcome": "victory"}'])
+def test_a_file_of_something_else_is_refused_by_line(tmp_path, line):
+    file = tmp_path / "other.jsonl"
+    file.write_text(line + "\n")
+    with pytest.raises(RunError, match=r"other\.jsonl, line 1 is no episode"):
+        opened(file)

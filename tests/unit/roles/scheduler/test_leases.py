@@ -1,0 +1,44 @@
+from zsdist.roles.scheduler.leases import Leases
+
+
+def test_every_number_is_finished_once_although_actors_die():
+    leases = Leases()
+    for round_number in range(200):
+        for actor in ("a", "b"):
+            leases.grant(actor, capacity=3, barrier=50)
+        if round_number % 7 == 3:
+            leases.give_back("a")
+            continue
+        for actor in ("a", "b"):
+            for number in leases.of(actor)[:1]:
+                assert leases.finish(number, actor)
+    assert leases.finished == set(range(1, 51))
+    assert not leases.holders
+
+
+def test_no_number_above_the_barrier_is_leased():
+    leases = Leases()
+    leases.grant("a", capacity=10, barrier=4)
+    assert leases.of("a") == [1, 2, 3, 4]
+
+
+def test_a_number_given_back_goes_out_again_and_its_first_holder_no_longer_counts():
+    leases = Leases()
+    leases.grant("a", capacity=1, barrier=10)
+    assert leases.give_back("a") == [1]
+    leases.grant("b", capacity=1, barrier=10)
+    assert leases.of("b") == [1]
+    assert not leases.finish(1, "a")
+    assert leases.finish(1, "b")
+
+
+def test_a_resumed_run_goes_on_after_what_is_finished():
+    leases = Leases({1, 2, 4})
+    leases.grant("a", capacity=3, barrier=100)
+    assert leases.of("a") == [3, 5, 6]
+
+
+def test_what_was_finished_out_of_order_before_an_interruption_counts_towards_the_barrier():
+    leases = Leases({1, 2, 7})
+    leases.grant("a", capacity=10, barrier=5)
+    assert leases.of("a") == [3, 4]

@@ -1,0 +1,43 @@
+"""The access list against the key space: what real sockets hold in tests/integration/test_access.py, for every key."""
+
+import pytest
+
+from zsdist.roles import permissions
+from zsdist.transport import access as transport_access
+from zsdist.transport.memory import matches
+from zsdist.wire import keys
+
+GRANTS = {grant.name: grant for grant in permissions.access_list(3)}
+
+
+def covers(patterns, key):
+    return any(matches(pattern, key) for pattern in patterns)
+
+
+def test_each_actor_may_push_as_itself_alone():
+    for mine in range(3):
+        for other in range(3):
+            key = keys.push("run", "low", permissions.actor_name(other), 7)
+            assert covers(GRANTS[permissions.actor_name(mine)].publish, key) == (mine == other)
+
+
+@pytest.mark.parametrize("name", ["hub", "monitor", "actor-0", "actor-2"])
+def test_nobody_but_the_trusted_serves_asks_or_speaks_of_weights_and_orders(name):
+    grant = GRANTS[name]
+    assert grant.serve == grant.request == ()
+    for key in (keys.weights("run", "low"), keys.candidate("run", "low", "1-best"), keys.control("run", "actor")):
+        assert not covers(grant.publish, key)
+
+
+def test_a_rule_of_zenohs_names_one_certificate_and_only_what_it_was_granted():
+    settings = transport_access.settings(GRANTS.values())
+    assert settings["default_permission"] == "deny" and settings["enabled"] is True
+    assert {tuple(subject["cert_common_names"]) for subject in settings["subjects"]} == {(name,) for name in GRANTS}
+    rules = {rule["id"]: rule for rule in settings["rules"]}
+    assert all(rule["permission"] == "allow" and "delete" not in rule["messages"] for rule in rules.values())
+    for policy in settings["policies"]:
+        (name,) = policy["subjects"]
+        puts = [rules[rule] for rule in policy["rules"] if rules[rule]["messages"] == ["put"]]
+        for rule in puts:
+            granted = GRANTS[name].publish if rule["flows"] == ["ingress"] else GRANTS[name].subscribe
+            assert tuple(rule["key_exprs"]) == granted

@@ -1,0 +1,88 @@
+"""Content is what its model says, to the type, or it is refused; what roles send passes."""
+
+import pytest
+from wire_messages import ACTOR, EPISODE, JOBS, LEARNER, REPLAY, RESULT, SUPERVISION
+
+from zsdist.errors import DecodeError
+from zsdist.roles import schemas
+from zsdist.wire.messages import EPISODES, EVALUATION, Records, State
+
+SOUND = [
+    (schemas.ActorOrders, ACTOR),
+    (schemas.ReplayOrders, REPLAY),
+    (schemas.LearnerOrders, LEARNER),
+    (schemas.Supervision, SUPERVISION),
+    (schemas.StateRequest, {"ask": "state"}),
+    (schemas.DriveJobs, JOBS),
+    (schemas.EpisodeRecord, EPISODE),
+    (schemas.DriveRecord, RESULT),
+]
+
+
+@pytest.mark.parametrize(("model", "content"), SOUND, ids=lambda value: getattr(value, "__name__", ""))
+def test_sound_content_is_read_and_nothing_may_be_missing_or_of_another_type(model, content):
+    assert schemas.read(model, content)
+    for name in content.keys() - {"options"}:
+        for changed in ({key: value for key, value in content.items() if key != name}, content | {name: {"x": None}}):
+            with pytest.raises(DecodeError) as refused:
+                schemas.read(model, changed)
+            assert refused.value.reason == "content"
+
+
+@pytest.mark.parametrize(
+    ("model", "changed"),
+    [
+        (schemas.ActorOrders, ACTOR | {"more": 1}),
+        (schemas.ActorOrders, ACTOR | {"finished": True}),
+        (schemas.ActorOrders, ACTOR | {"finished": 1.0}),
+        (schemas.ActorOrders, ACTOR | {"closing": 0}),
+        (schemas.ActorOrders, ACTOR | {"epochs": {"actor-0": -1}}),
+        (schemas.ActorOrders, ACTOR | {"epochs": {"a/b": 1}}),
+        (schemas.ActorOrders, ACTOR | {"leases": {"actor-0": [0]}}),
+        (schemas.ActorOrders, ACTOR | {"leases": {"actor-0": [1] * 300}}),
+        (schemas.ActorOrders, ACTOR | {"merge": 2**62}),
+        (schemas.ReplayOrders, REPLAY | {"buffer_size": 0}),
+        (schemas.ReplayOrders, REPLAY | {"batch_size": "16"}),
+        (schemas.LearnerOrders, LEARNER | {"phase": "dance"}),
+        (schemas.LearnerOrders, LEARNER | {"candidates": ["worst"]}),
+        (schemas.StateRequest, {"ask": "money"}),
+        (schemas.DriveJobs, JOBS | {"drives": [["recent"]]}),
+        (schemas.DriveJobs, JOBS | {"drives": [["recent", 0.5]]}),
+        (schemas.EpisodeRecord, EPISODE | {"outcome": "victory"}),
+        (schemas.EpisodeRecord, EPISODE | {"return": 1e300}),
+        (schemas.EpisodeRecord, EPISODE | {"epsilon": 2.0}),
+        (schemas.EpisodeRecord, EPISODE | {"path": [[0.0]]}),
+        (schemas.EpisodeRecord, EPISODE | {"options": [1]}),
+        (schemas.EpisodeRecord, EPISODE | {"scene": "s" * 2000}),
+        (schemas.EpisodeRecord, EPISODE | {"episode": 2**40}),
+    ],
+)
+def test_what_is_almost_content_is_refused(model, changed):
+    with pytest.raises(DecodeError, match=model.__name__):
+        schemas.read(model, changed)
+
+
+def test_a_frame_of_records_holds_only_those_of_its_actor_and_stream():
+    def frame(stream, *records):
+        return Records(stream, "actor-0", 1, 0, len(records), False, records)
+
+    assert len(schemas.drives(frame(EPISODES, EPISODE, EPISODE))) == 2
+    assert len(schemas.drives(frame(EVALUATION, RESULT))) == 1
+    for stream, record, reason in (
+        (EPISODES, RESULT, "content"),
+        (EVALUATION, EPISODE, "content"),
+        (EPISODES, EPISODE | {"actor": "actor-1"}, "actor"),
+    ):
+        with pytest.raises(DecodeError) as refused:
+            schemas.drives(frame(stream, record))
+        assert refused.value.reason == reason
+
+
+def test_a_state_without_books_or_versions_is_refused():
+    shelf = {"open": 0, "books": {"produced": 1}, "more": []}
+    learner = {"version": 1, "updates": 1, "merge": 0, "sha256": "0" * 64}
+    assert len(schemas.parts(State("replay", {"low": shelf, "high": shelf}, {}))) == 2
+    assert schemas.parts(State("learner-low", learner, {}))
+    for state in (State("replay", {"low": {}}, {}), State("learner-low", learner | {"sha256": 1}, {})):
+        with pytest.raises(DecodeError):
+            schemas.parts(state)

@@ -1,0 +1,23 @@
+import resource
+import sys
+
+import numpy as np
+import pytest
+
+from zsdist.run.allocator import KEEP_BYTES, keep_freed_memory
+
+
+def made_and_freed():
+    for block in [np.ones(KEEP_BYTES // 2, np.uint8) for _ in range(3)]:
+        block[0] = 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the allocator that is told is glibc's")
+def test_large_blocks_that_were_freed_are_not_asked_of_the_kernel_again():
+    keep_freed_memory()
+    made_and_freed()
+    keep_freed_memory()  # may be said again
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(10):
+        made_and_freed()
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before < KEEP_BYTES // 4096

@@ -1,0 +1,45 @@
+from dataclasses import replace
+
+import pytest
+
+from zsdist.errors import WeightsError
+from zsdist.vision.fingerprint import VisionIdentity
+
+TRAINED = VisionIdentity("clip/b", "a" * 64, "head", "b" * 64)
+
+
+def test_the_same_is_allowed_without_a_word():
+    assert TRAINED.check("runs/x", replace(TRAINED)) is None
+
+
+@pytest.mark.parametrize("change", [{"encoder": "clip/c"}, {"encoder_sha256": "c" * 64}])
+def test_another_encoder_is_refused_naming_both(change):
+    here = replace(TRAINED, **change)
+    with pytest.raises(WeightsError, match="runs/x was trained on encoder") as refusal:
+        TRAINED.check("runs/x", here)
+    for one in (TRAINED, here):
+        assert one.encoder in str(refusal.value) and one.encoder_sha256[:16] in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_another_head_on_the_same_encoder_is_said_in_one_line():
+    line = TRAINED.check("runs/x", replace(TRAINED, weights_sha256="d" * 64))
+    assert "head bbbb" in line and "head dddd" in line and "\n" not in line
+
+
+def test_another_student_is_said_and_a_student_in_place_of_a_head_is_refused():
+    student = VisionIdentity("student", "e" * 64, "student", "e" * 64)
+    other = replace(student, encoder_sha256="f" * 64, weights_sha256="f" * 64)
+    assert "student eeee" in student.check("runs/x", other)
+    with pytest.raises(WeightsError, match=r"'clip/b'.*'student'"):
+        TRAINED.check("runs/x", student)
+
+
+def test_what_is_written_reads_back():
+    assert VisionIdentity.read(TRAINED.written()) == TRAINED
+
+
+@pytest.mark.parametrize("wrong", [None, [], {}, TRAINED.written() | {"more": "x"}, TRAINED.written() | {"encoder": 3}])
+def test_anything_else_is_refused(wrong):
+    with pytest.raises(ValueError, match="vision is"):
+        VisionIdentity.read(wrong)

@@ -1,0 +1,1 @@
+"""Labelled pictures for pretraining, drawn from the simulated world."""

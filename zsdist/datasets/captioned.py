@@ -1,0 +1,150 @@
+"""Described pictures: what each of 14 x 14 cells of a picture shows, and a caption, to learn words from."""
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from zsdist.config import CameraConfig
+from zsdist.datasets.degradation import worn
+from zsdist.datasets.labelled import drawn_scenes, free_pose, people_on_paths
+from zsdist.sim.camera import Camera, appearance, make_camera
+from zsdist.sim.scenes.kinds import KINDS, SEGMENT_GROUND, SEGMENT_SKY, SEGMENT_WALL
+from zsdist.sim.scenes.manifest import Split
+from zsdist.sim.scenes.scene import Scene
+from zsdist.types import Pose
+from zsdist.vision.words.vocabulary import CONCEPTS, SIDES, caption
+
+CELLS = 14  # to a side, as the default encoder's tokens
+TOLD_SHARE = 0.02  # of the picture that a kind must cover to be told of
+MOST_TOLD = 3  # kinds in a caption
+DOMINANT_SHARE = 0.06  # of the picture that the dominant kind must cover,
+DOMINANT_TIMES = 2.0  # and so many times as much as any other kind
+_NATURAL_SHARE = 0.75  # of varied pictures have the kinds' own colours: grounds are told apart by little else
+_MOUNT_JITTER_M = 0.15
+_TILT_JITTER_RAD = 0.05
+
+
+@dataclass(frozen=True)
+class DescribedView:
+    """A picture and what it shows, for C concepts in the order of `vocabulary.CONCEPTS`.
+
+    Attributes:
+        image: `(size_px, size_px, 3)` uint8.
+        cells: `(14, 14, C)` float16, share of each cell that shows the concept; a cell's shares sum to 1.
+        caption: of the whole picture, of training words.
+        dominant: index of the kind that by far covers most among the kinds (`dominant_kind`); -1: there is none.
+        ground: index of the concept that the ground is.
+        scene: name of the scene.
+        scene_hash: `Scene.hash()`, by which pictures of one scene can be kept together.
+    """
+
+    image: np.ndarray
+    cells: np.ndarray
+    caption: str
+    dominant: int
+    ground: int
+    scene: str
+    scene_hash: str
+
+
+def described_views(
+    families: Sequence[str], split: Split, count: int, seed: int, camera: CameraConfig, varied: bool = False
+) -> Iterator[DescribedView]:
+    """Described pictures, the same for the same arguments; the families take turns, a scene gives several.
+
+    Args:
+        families: their names, as of `families.FAMILIES`.
+        split: which range of the families' seeds the scenes come from; an unknown one raises `SceneError`.
+        count: of pictures.
+        seed: of scenes, places, looks and captions.
+        camera: resolution, field of view, mount and range.
+        varied: mount, tilt and picture quality drawn, and the colours of one picture in four (for training); else
+            each scene looks as it does when driven through.
+    """
+    rng = np.random.default_rng([seed, 4, *split.encode()])
+    for _, scene, number in drawn_scenes(families, split, count, rng):
+        yield from _views_of(scene, number, rng, camera, varied)
+
+
+def describe(segments: np.ndarray, ground: str, rng: np.random.Generator) -> tuple[np.ndarray, str, int]:
+    """What a picture shows: `cells`, `caption` and `dominant` of a `DescribedView`.
+
+    Args:
+        segments: `(size_px, size_px)` uint8 as a camera gives them.
+        ground: of the scene.
+        rng: of the caption.
+    """
+    concepts = _concept_of_segment(ground)[segments]
+    cells = cell_shares(concepts, CELLS)
+    kinds = cells[:, :, : len(KINDS)].mean((0, 1))
+    told = [kind for kind in np.argsort(-kinds) if kinds[kind] >= TOLD_SHARE][:MOST_TOLD]
+    seen = [(CONCEPTS[kind], _side(cells[:, :, kind])) for kind in told]
+    return cells.astype(np.float16), caption(seen, ground, rng), dominant_kind(kinds)
+
+
+def cell_shares(concepts: np.ndarray, side: int) -> np.ndarray:
+    """Share of each concept in each of `side` x `side` cells, `(side, side, C)` float32.
+
+    Args:
+        concepts: `(px, px)` indices of concepts; px is `side` or more.
+        side: cells to a side.
+    """
+    cell = np.arange(len(concepts)) * side // len(concepts)
+    numbers = (cell[:, None] * side + cell) * len(CONCEPTS) + concepts
+    counts = np.bincount(numbers.ravel(), minlength=side * side * len(CONCEPTS)).reshape(side, side, len(CONCEPTS))
+    return (counts / counts.sum(-1, keepdims=True)).astype(np.float32)
+
+
+def dominant_kind(shares: np.ndarray) -> int:
+    """The kind that is what a picture is of, by the shares `(kinds,)` of the picture that each covers; -1: none is."""
+    second, first = np.argsort(shares)[-2:]
+    return int(first) if shares[first] >= max(DOMINANT_SHARE, DOMINANT_TIMES * shares[second]) else -1
+
+
+def _views_of(
+    scene: Scene, count: int, rng: np.random.Generator, config: CameraConfig, varied: bool
+) -> Iterator[DescribedView]:
+    with contextlib.closing(_varied_camera(config, rng) if varied else make_camera(config)) as camera:
+        for _ in range(count):
+            people = people_on_paths(scene, rng)
+            pose: Pose = free_pose(scene, rng, people)
+            roll, pitch = rng.uniform(-_TILT_JITTER_RAD, _TILT_JITTER_RAD, 2) if varied else (0.0, 0.0)
+            image, _, segments = camera.render_labelled(scene, pose, roll, pitch, people)
+            cells, sentence, dominant = describe(segments, scene.ground, rng)
+            yield DescribedView(
+                image=worn(image, rng) if varied else image,
+                cells=cells,
+                caption=sentence,
+                dominant=dominant,
+                ground=CONCEPTS.index(scene.ground),
+                scene=scene.name,
+                scene_hash=scene.hash(),
+            )
+
+
+def _varied_camera(config: CameraConfig, rng: np.random.Generator) -> Camera:
+    natural = rng.random() < _NATURAL_SHARE
+    height = config.height_m + rng.uniform(-_MOUNT_JITTER_M, _MOUNT_JITTER_M)
+
+    def look(scene, primitives):  # noqa: ANN001, ANN202 (a Look)
+        return appearance.of_scene(scene, primitives) if natural else appearance.varied(scene, primitives, rng)
+
+    return make_camera(config.model_copy(update={"height_m": height}), look)
+
+
+def _concept_of_segment(ground: str) -> np.ndarray:
+    """`(256,)` index of the concept that each segment number shows in a scene with this ground."""
+    table = np.zeros(256, np.int64)
+    table[[SEGMENT_SKY, SEGMENT_GROUND, SEGMENT_WALL]] = [CONCEPTS.index(name) for name in ("sky", ground, "wall")]
+    for kind in KINDS.values():
+        table[kind.segment_id] = CONCEPTS.index(kind.name)
+    return table
+
+
+def _side(shares: np.ndarray) -> str:
+    """In which third of the picture most of something is, by its share of each cell `(14, 14)`."""
+    columns = shares.sum(0)
+    middle = float((columns * (np.arange(CELLS) + 0.5)).sum() / columns.sum()) / CELLS
+    return SIDES[min(int(3 * middle), 2)]

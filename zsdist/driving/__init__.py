@@ -1,0 +1,1 @@
+"""Driving of one episode, for actors and for evaluation."""

@@ -1,0 +1,65 @@
+"""How drivers come by a view: from the camera by the visual-act model, or from the truth."""
+
+import math
+
+import numpy as np
+
+from zsdist.config import CameraConfig
+from zsdist.datasets.labelled import label
+from zsdist.evaluation.drivers import Observed, See, VisualAct
+from zsdist.sim.physics.raycast import ray_distances
+from zsdist.sim.scenes.scene import Scene
+from zsdist.types import Pose, View
+from zsdist.vision.labels import openness, progress, reward_label
+
+TRUE_ANGLES_RAD = np.linspace(math.pi / 4, -math.pi / 4, 91)  # of the true distances: 90 degrees, leftmost first
+TRUE_EDGES_M = np.linspace(0.05, 5.0, 100, dtype=np.float32)  # bins of a true distance, fine beside the map's squares
+
+
+def by_camera(visual_act: VisualAct) -> See:
+    """What the visual-act model says of the observed's image."""
+
+    def see(observed: Observed) -> View:
+        bearing_rad, distance_m = observed.pose.towards(*observed.goal)
+        (view,) = visual_act(observed.image[None], np.array([bearing_rad]), np.array([distance_m]))
+        return view
+
+    return see
+
+
+def by_truth(observed: Observed) -> View:
+    """What a faultless model would say: the true distances in view, and the advice that follows from them."""
+    return observed.truth
+
+
+def true_view(scene: Scene, pose: Pose, camera: CameraConfig, arena_m: float, people: np.ndarray | None) -> View:
+    """The view of a faultless model: each ray's distribution is certain, and the advice is the true label.
+
+    Args:
+        scene: what stands in the arena.
+        pose: of the car.
+        camera: mount and range.
+        arena_m: side of the walled arena.
+        people: `(W, 2)` places of the walking obstacles; None: where they start.
+    """
+    distances_m, _ = ray_distances(
+        scene.circles(people),
+        scene.boxes(),
+        arena_m / 2,
+        pose.x_m + camera.forward_m * math.cos(pose.heading_rad),
+        pose.y_m + camera.forward_m * math.sin(pose.heading_rad),
+        pose.heading_rad + TRUE_ANGLES_RAD,
+        camera.range_m,
+    )
+    truth = label(scene, pose, camera, people)
+    clearance_m, dynamic = truth["clearance_m"], truth["dynamic"].astype(np.float32)
+    bearing, goal_m = np.float32(truth["goal_bearing_rad"]), np.float32(truth["goal_distance_m"])
+    advice = reward_label(openness(clearance_m, dynamic, goal_m), progress(bearing, goal_m)).astype(np.float32)
+    return View(advice, clearance_m, dynamic, certain(distances_m), TRUE_ANGLES_RAD, TRUE_EDGES_M)
+
+
+def certain(distances_m: np.ndarray) -> np.ndarray:
+    """Distances `(R,)` as distributions `(R, K)` over the bins of `TRUE_EDGES_M`, each certain."""
+    bins = np.searchsorted(TRUE_EDGES_M, distances_m, side="right") - 1
+    bins = np.where(distances_m >= TRUE_EDGES_M[-1], len(TRUE_EDGES_M) - 1, np.maximum(bins, 0))
+    return np.eye(len(TRUE_EDGES_M), dtype=np.float32)[bins]

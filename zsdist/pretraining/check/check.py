@@ -1,0 +1,232 @@
+"""A trained visual-act model beside yardsticks that know less or more than it does, on pictures never used to choose.
+
+A part for which the folder of weights lacks something is left out and named under "left_out" with the reason.
+"""
+
+import json
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zsdist.config import CameraConfig, Config, VisionConfig
+from zsdist.errors import RunError, WeightsError
+from zsdist.evaluation.statistics import wilson_95
+from zsdist.pretraining.check import objects, words
+from zsdist.pretraining.check.predictions import CALIBRATED_SHARE, Readings, read
+from zsdist.pretraining.check.sets import SETS, Shot, of_set, wilderness
+from zsdist.sim.scenes.kinds import SIGHT_HEIGHT_M
+from zsdist.vision.encoders import open_encoder
+from zsdist.vision.labels import nearest, openness, progress, reward_label
+from zsdist.vision.rays import RAYS, ray_angles_rad
+from zsdist.vision.scores import action_scores, depth_rays_m, ray_scores
+from zsdist.vision.visual_act import VisualAct
+
+FIGURES = ("best_action_accuracy", "regret", "mae", "miss_rate", "false_alarm_rate")
+YARDSTICKS = ("always_forward", "goal_only", "depth_oracle")
+SET_FIGURES = ("best_action_accuracy", "miss_rate", "false_alarm_rate", "calibration_10", "calibration_10_all_rays")
+OBJECTS = 60
+_TIMED = 40  # pictures, one at a time
+_UNTIMED = 5  # before them, until caches are warm
+
+
+def check(
+    config: Config,
+    images: int,
+    seed: int,
+    out: Path | None,
+    object_count: int = OBJECTS,
+    objects_file: Path | None = None,
+    unseen_kinds: bool = False,
+) -> dict[str, Any]:
+    """Figures of the trained model and of three yardsticks on the same fresh pictures, printed and written as JSON.
+
+    The goals are random and mostly ahead, as they are to a car that drives to one. The yardsticks:
+
+    * `always_forward` says that everything is free and the goal straight ahead, whatever is there;
+    * `goal_only` knows the goal and looks at nothing: every direction is equally open and every ray free;
+    * `depth_oracle` has the true depth image instead of the picture and takes everything to stand still: what
+      remains is what no look at distances from there could tell.
+
+    Args:
+        config: of weights, camera and grid.
+        images: of the wilderness, and of each set.
+        seed: of all that is drawn.
+        out: JSON file to write; None: none.
+        object_count: objects to drive up to; 0: none.
+        objects_file: where each of them is noted, and from where a measurement goes on.
+        unseen_kinds: whether to train projections without some kinds and measure them on those.
+
+    Raises:
+        WeightsError: the weights cannot be used.
+        RunError: a file cannot be written, or an objects file be gone on with.
+    """
+    if out is not None and (out.is_dir() or not out.resolve().parent.is_dir()):
+        raise RunError(f"--json is {str(out)!r}; allowed is a file in a folder that exists")
+    model = VisualAct.load(config.vision, config.camera)
+    depth_rays, left_out = [], {}
+    looks = words.Looks.of(model, config, left_out)
+    rng = np.random.default_rng([seed, 3])
+
+    def also(batch: list[Shot]) -> None:
+        depth_rays.extend(_depth_rays(shot.depth_m, config.camera) for shot in batch)
+        if looks is not None:
+            looks.take(batch)
+
+    wild = read(model, wilderness(images, seed, config.camera), config.vision.ray_quantile, rng, also)
+    say(f"wilderness: {images} pictures read")
+    sets = {}
+    for name in SETS:
+        pictures = of_set(name, images, seed, config.camera)
+        sets[name] = read(model, pictures, config.vision.ray_quantile, rng)
+        say(f"{SETS[name].title}: {images} pictures read")
+    result = {
+        "images": images,
+        **wild.scores(),
+        **yardsticks(wild, np.stack(depth_rays), config.camera),
+        "families": {family: wild.scores(wild.families == family) for family in dict.fromkeys(wild.families.tolist())},
+        "sets": over_sets({name: readings.set_scores() for name, readings in sets.items()}),
+        "objects": {"one_look": one_look([wild, *sets.values()])},
+        **(looks.figures() if looks is not None else {}),
+        **words.words(config, seed, images, unseen_kinds, left_out),
+        "ms_per_image": milliseconds(config, seed, left_out),
+        "seed": seed,
+        "network": config.vision.network,
+        "ray_quantile": config.vision.ray_quantile,
+        "encoder": model.encoder_name,
+        "weights_sha256": model.weights_sha256,
+    }
+    if object_count:
+        driven = objects.measure(model, config, object_count, seed, objects_file, say)
+        result["objects"]["after_drive_up"] = driven
+    else:
+        left_out["objects.after_drive_up"] = "--objects 0"
+    result["left_out"] = left_out
+    result = finite(result)
+    show(result)
+    if out is not None:
+        try:
+            out.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")
+        except OSError as error:
+            raise RunError(f"--json {out} cannot be written: {error.strerror or error}") from error
+    return result
+
+
+def yardsticks(wild: Readings, depth_rays: np.ndarray, camera: CameraConfig) -> dict[str, dict[str, float]]:
+    """The figures of those who do not look, and of the one who measures `depth_rays` `(N, R)`, as of `check`."""
+    gain, goal_m = progress(wild.goal_bearing_rad, wild.goal_distance_m), wild.goal_distance_m[:, None]
+    angles = ray_angles_rad(RAYS, math.radians(camera.field_of_view_deg))
+    clearance_m, still = nearest(depth_rays, np.zeros(depth_rays.shape, bool), angles)
+    free = np.full_like(wild.true_rays_m, camera.range_m)
+    straight = np.tile(reward_label(1.0, progress(0.0, 10.0)), (len(free), 1))
+    readings = (
+        (straight, free),
+        (reward_label(0.5, gain), free),
+        (reward_label(openness(clearance_m, still, goal_m), gain), depth_rays),
+    )
+    return {
+        name: action_scores(rewards, wild.labels) | ray_scores(rays, wild.true_rays_m)
+        for name, (rewards, rays) in zip(YARDSTICKS, readings, strict=True)
+    }
+
+
+def over_sets(scores: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+    """The figures of each set, and their median and worst: of calibration, the one farthest from what it should be."""
+
+    def badness(key: str, value: float) -> float:
+        if key == "best_action_accuracy":
+            return -value
+        return abs(value - CALIBRATED_SHARE) if key.startswith("calibration") else value
+
+    columns = {key: [row[key] for row in scores.values() if math.isfinite(row[key])] for key in SET_FIGURES}
+    known = {key: values for key, values in columns.items() if values}
+    return scores | {
+        "median": {key: float(np.median(values)) for key, values in known.items()},
+        "worst": {key: max(values, key=lambda value, key=key: badness(key, value)) for key, values in known.items()},
+    }
+
+
+def one_look(readings: Iterable[Readings]) -> dict[str, Any]:
+    """Whole objects near by that one look does not see at the working quantile, over all pictures given."""
+    near, unseen = np.sum([each.unseen() for each in readings], axis=0).tolist()
+    return {"objects": near, "unseen": unseen} | (
+        {"share": unseen / near, "confidence_95": list(wilson_95(unseen, near))} if near else {}
+    )
+
+
+def milliseconds(config: Config, seed: int, left_out: dict[str, str]) -> dict[str, float]:
+    """Median milliseconds of a picture that comes alone and was not read before.
+
+    `trunk` is the encoder alone, `head` the whole reading by encoder and head, `student` the whole reading by the
+    student.
+    """
+    pictures = [shot.image[None] for shot in wilderness(_TIMED + _UNTIMED, seed + 1, config.camera)]
+    times = {}
+    for name in ("head", "student"):
+        try:
+            network = VisionConfig(**config.vision.model_dump() | {"network": name})
+            times[name] = _median_ms(VisualAct.load(network, config.camera).read, pictures)
+        except WeightsError as error:
+            left_out[f"ms_per_image.{name}"] = str(error)
+    try:
+        times["trunk"] = _median_ms(open_encoder(config.vision.encoder).tokens, pictures)
+    except WeightsError as error:
+        left_out["ms_per_image.trunk"] = str(error)
+    return times
+
+
+def finite(tree: Any) -> Any:
+    """The same figures without those that are not known (NaN)."""
+    if isinstance(tree, Mapping):
+        return {
+            key: finite(value) for key, value in tree.items() if not (isinstance(value, float) and math.isnan(value))
+        }
+    return tree
+
+
+def say(line: str) -> None:
+    """Progress."""
+    print(line, flush=True)
+
+
+def show(result: dict[str, Any]) -> None:
+    """Prints the figures."""
+    rows = {"model": result} | {name: result[name] for name in YARDSTICKS} | result["families"]
+    _table(rows, FIGURES)
+    _table(result["sets"], SET_FIGURES)
+    for name, figures in result["objects"].items():
+        if "share" in figures:
+            low, high = figures["confidence_95"]
+            print(
+                f"whole objects unseen, {name.replace('_', ' ')}: {figures['unseen']} of {figures['objects']} = "
+                f"{figures['share']:.2%} (95%: {low:.2%} to {high:.2%})"
+            )
+    words.show(result)
+    times = ", ".join(f"{name} {value:.2f}" for name, value in result["ms_per_image"].items())
+    print(f"{result['images']} pictures a set, seed {result['seed']}; ms an image: {times}")
+    for name, reason in result["left_out"].items():
+        print(f"left out: {name}: {reason}")
+
+
+def _table(rows: dict[str, dict[str, float]], keys: tuple[str, ...]) -> None:
+    print("\n" + " " * 22 + "".join(f"{key:>24}" for key in keys))
+    for name, row in rows.items():
+        print(f"{name:22}" + "".join(f"{row[key]:24.3f}" if key in row else f"{'-':>24}" for key in keys))
+
+
+def _median_ms(forward: Callable[[np.ndarray], Any], images: list[np.ndarray]) -> float:
+    times = []
+    for image in images:
+        begin = time.perf_counter()
+        forward(image)
+        times.append(time.perf_counter() - begin)
+    return 1e3 * float(np.median(times[_UNTIMED:]))
+
+
+def _depth_rays(depth_m: np.ndarray, camera: CameraConfig) -> np.ndarray:
+    return depth_rays_m(
+        depth_m, RAYS, math.radians(camera.field_of_view_deg), camera.height_m, camera.range_m, SIGHT_HEIGHT_M
+    )

@@ -1,0 +1,214 @@
+"""Whole objects that stay unseen after the car has driven up to them with its belief map.
+
+An object of a wilderness scene is driven up to in a straight line: `LOOKS` looks from `FIRST_M` to `LAST_M` between
+camera and surface, each a little off the line and turned a little away. Each look goes into a `BeliefMap` as it does
+when the car drives. The object is unseen if at the end no square is believed occupied within `AROUND_M` of the points
+at which the true rays of the looks met it, leaving out squares that another obstacle touches.
+"""
+
+import contextlib
+import dataclasses
+import itertools
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zsdist.config import CameraConfig, Config
+from zsdist.datasets.labelled import rays_met
+from zsdist.errors import RunError
+from zsdist.evaluation.statistics import wilson_95
+from zsdist.planning.belief import BeliefMap
+from zsdist.planning.grid import Grid
+from zsdist.sim.camera import make_camera
+from zsdist.sim.camera.primitives import ARENA_HALF_M
+from zsdist.sim.physics.collision import touching
+from zsdist.sim.scenes.families import generate
+from zsdist.sim.scenes.manifest import OOD_FAMILIES, SPLITS, split_seed
+from zsdist.sim.scenes.scene import Obstacle, Scene
+from zsdist.types import Pose
+from zsdist.vision.rays import RAYS, ray_angles_rad
+from zsdist.vision.visual_act import VisualAct
+
+LOOKS = 30
+FIRST_M, LAST_M = 5.0, 1.2  # from the camera to the object's surface
+ASIDE_M = 0.3  # standard deviation of a look's place across the line
+TURNED_RAD = 0.15  # and of its heading
+AROUND_M = 0.4
+_TRIES = 200  # lines of approach drawn before another scene is taken
+_GOAL_M = 8.0  # a goal straight ahead; what is believed does not depend on it
+
+
+@dataclasses.dataclass(frozen=True)
+class Approach:
+    """The poses from which the obstacle `index` of a scene is looked at."""
+
+    scene: Scene
+    index: int
+    poses: tuple[Pose, ...]
+
+
+def approach(number: int, seed: int, camera: CameraConfig) -> Approach:
+    """The `number`-th approach of a seed, whatever others are made; no pose of it touches anything."""
+    rng = np.random.default_rng([seed, 5, number])
+    for family in itertools.islice(itertools.cycle(OOD_FAMILIES), number % len(OOD_FAMILIES), None):
+        scene = generate(family, split_seed("test", int(rng.integers(len(SPLITS["test"])))))
+        circles, boxes = scene.circles(), scene.boxes()
+        for _ in range(_TRIES if scene.obstacles else 0):
+            index = int(rng.integers(len(scene.obstacles)))
+            poses = _poses(scene.obstacles[index], camera.forward_m, rng)
+            if any(touching(pose, circles, boxes, arena_m=2 * ARENA_HALF_M) for pose in poses):
+                continue
+            if (rays_met(scene, poses[-1], camera)[1] == ray_index(scene, index)).sum() >= 2:
+                return Approach(scene, index, poses)
+    raise AssertionError("families never end")
+
+
+def drive_up(model: VisualAct, drive: Approach, config: Config) -> bool:
+    """Whether the map holds something of the object after all looks of the approach."""
+    with contextlib.closing(make_camera(config.camera)) as eye:
+        images = np.stack([eye.render(drive.scene, pose) for pose in drive.poses])
+    ahead = np.zeros(len(images), np.float32)
+    belief = BeliefMap(Grid.from_config(config.grid))
+    for pose, view in zip(drive.poses, model(images, ahead, ahead + _GOAL_M), strict=True):
+        belief.update(pose, view, config.camera.forward_m)
+    return bool((belief.occupied() & visible_side(drive, belief.grid, config.camera)).any())
+
+
+def visible_side(drive: Approach, grid: Grid, camera: CameraConfig) -> np.ndarray:
+    """Squares `(fine_size, fine_size)` bool within `AROUND_M` of where a look's ray meets the object, others' aside."""
+    angles = ray_angles_rad(RAYS, math.radians(camera.field_of_view_deg))
+    wanted, (xs, ys) = ray_index(drive.scene, drive.index), grid.fine_centres()
+    side = np.zeros((grid.fine_size, grid.fine_size), bool)
+    for pose in drive.poses:
+        distance, hit = rays_met(drive.scene, pose, camera)
+        met = hit == wanted
+        distance = distance[met]
+        heading = pose.heading_rad + angles[met]
+        points_x = pose.x_m + camera.forward_m * math.cos(pose.heading_rad) + distance * np.cos(heading)
+        points_y = pose.y_m + camera.forward_m * math.sin(pose.heading_rad) + distance * np.sin(heading)
+        for x_m, y_m in zip(points_x, points_y, strict=True):
+            side |= (xs[None] - x_m) ** 2 + (ys[:, None] - y_m) ** 2 <= AROUND_M**2
+    standing = tuple(
+        dataclasses.replace(other, path=(), speed_mps=0.0)  # walkers stand at their first place in these pictures
+        for number, other in enumerate(drive.scene.obstacles)
+        if number != drive.index
+    )
+    return side & ~dataclasses.replace(drive.scene, obstacles=standing).occupancy(grid)
+
+
+def ray_index(scene: Scene, index: int) -> int:
+    """The number that `raycast.ray_distances` has for the scene's obstacle `index`: round ones come first."""
+    is_round = [obstacle.radius_m is not None for obstacle in scene.obstacles]
+    same = sum(other == is_round[index] for other in is_round[:index])
+    return same if is_round[index] else sum(is_round) + same
+
+
+def measure(
+    model: VisualAct, config: Config, count: int, seed: int, file: Path | None, say: Callable[[str], None]
+) -> dict[str, Any]:
+    """Share of `count` objects that stay unseen, with Wilson's interval.
+
+    Args:
+        model: that looks.
+        config: of camera and grid.
+        count: objects to drive up to.
+        seed: of scenes and approaches.
+        file: one JSON line an object is appended here, and those that are there already count; None: none is kept.
+        say: progress, a line at a time.
+
+    Raises:
+        RunError: the file cannot be read or written, is damaged, or is of other weights, settings or seed.
+    """
+    of = {
+        "seed": seed,
+        "weights_sha256": model.weights_sha256,
+        "camera": config.camera.back_end,
+    }
+    done = [] if file is None else _resume(file, of)
+    for number in range(len(done), count):
+        drive = approach(number, seed, config.camera)
+        kind = drive.scene.obstacles[drive.index].kind
+        line = {"object": number, "scene": drive.scene.name, "kind": kind, "seen": drive_up(model, drive, config)} | of
+        done.append(line)
+        if file is not None:
+            _append(file, line)
+        if (number + 1) % 20 == 0 or number + 1 == count:
+            say(f"objects driven up to: {number + 1} of {count}, unseen {sum(not each['seen'] for each in done)}")
+    return summary(done[:count])
+
+
+def summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
+    """Figures of objects driven up to, over all and by kind."""
+    unseen = sum(not line["seen"] for line in lines)
+    kinds = sorted({line["kind"] for line in lines})
+    return {
+        "objects": len(lines),
+        "unseen": unseen,
+        "share": unseen / len(lines),
+        "confidence_95": list(wilson_95(unseen, len(lines))),
+        "looks": LOOKS,
+        "kinds": {
+            kind: {
+                "objects": sum(line["kind"] == kind for line in lines),
+                "unseen": sum(line["kind"] == kind and not line["seen"] for line in lines),
+            }
+            for kind in kinds
+        },
+    }
+
+
+def _poses(obstacle: Obstacle, forward_m: float, rng: np.random.Generator) -> tuple[Pose, ...]:
+    """A line of looks at an obstacle from a drawn side; some may touch things."""
+    away = rng.uniform(-math.pi, math.pi)
+    facing = away + math.pi
+    reach = _reach_m(obstacle, away)
+    poses = []
+    for distance in np.linspace(FIRST_M, LAST_M, LOOKS):
+        centre, aside = reach + distance + forward_m, rng.normal(0, ASIDE_M)
+        poses.append(
+            Pose(
+                obstacle.x_m + centre * math.cos(away) - aside * math.sin(away),
+                obstacle.y_m + centre * math.sin(away) + aside * math.cos(away),
+                math.remainder(facing + rng.normal(0, TURNED_RAD), math.tau),
+            )
+        )
+    return tuple(poses)
+
+
+def _reach_m(obstacle: Obstacle, direction_rad: float) -> float:
+    """From an obstacle's centre to its surface."""
+    if obstacle.size_m is None:
+        return obstacle.radius_m
+    side = direction_rad - math.radians(obstacle.heading_deg)
+    length, width, _ = obstacle.size_m
+    return min(length / 2 / max(abs(math.cos(side)), 1e-9), width / 2 / max(abs(math.sin(side)), 1e-9))
+
+
+def _resume(file: Path, of: dict[str, Any]) -> list[dict[str, Any]]:
+    if not file.exists():
+        return []
+    try:
+        lines = [json.loads(line) for line in file.read_text().splitlines()]
+        wrong = [key for line in lines for key in of if line[key] != of[key]]
+        _ = [(line["object"], line["seen"], line["kind"]) for line in lines]
+    except OSError as error:
+        raise RunError(f"--objects-file {file} cannot be read: {error.strerror or error}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise RunError(f"--objects-file {file} is damaged: {error}; name another file or mend it") from error
+    if wrong:
+        raise RunError(f"--objects-file {file} is of another {wrong[0]}; allowed is {of[wrong[0]]!r}, or a new file")
+    if [line["object"] for line in lines] != list(range(len(lines))):
+        raise RunError(f"--objects-file {file} lacks objects between its first and last; name another file")
+    return lines
+
+
+def _append(file: Path, line: dict[str, Any]) -> None:
+    try:
+        with file.open("a") as out:
+            out.write(json.dumps(line) + "\n")
+    except OSError as error:
+        raise RunError(f"--objects-file {file} cannot be written: {error.strerror or error}") from error

@@ -1,0 +1,109 @@
+"""What a model says of many pictures beside the truth about them, and the scores that follow from it."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from zsdist.pretraining.batches import BATCH, batched
+from zsdist.pretraining.check.sets import Shot
+from zsdist.vision.labels import openness, progress, random_goals, reward_label
+from zsdist.vision.rays import RANGE_M, quantile_m
+from zsdist.vision.scores import action_scores, calibration, ray_scores, unseen_objects
+from zsdist.vision.visual_act import VisualAct
+
+CALIBRATED_SHARE = 0.1  # the quantile under which the truth is counted
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What a model said of N pictures of R rays, distances in K bins, for goals drawn for them; and the truth.
+
+    Attributes:
+        advice: `(N, 3)` R_p said.
+        clearance_m: `(N, 3)` said, at the working quantile.
+        ray_probabilities: `(N, R, K)` said.
+        rays_m: `(N, R)` said, at the working quantile.
+        labels: `(N, 3)` true R_p.
+        true_clearance_m: `(N, 3)`.
+        true_rays_m: `(N, R)`.
+        objects: `(N, R)` as of `Shot`.
+        families: `(N,)` str, of the scenes.
+        goal_bearing_rad: `(N,)`.
+        goal_distance_m: `(N,)`.
+    """
+
+    advice: np.ndarray
+    clearance_m: np.ndarray
+    ray_probabilities: np.ndarray
+    rays_m: np.ndarray
+    labels: np.ndarray
+    true_clearance_m: np.ndarray
+    true_rays_m: np.ndarray
+    objects: np.ndarray
+    families: np.ndarray
+    goal_bearing_rad: np.ndarray
+    goal_distance_m: np.ndarray
+
+    def scores(self, of: np.ndarray | slice = slice(None)) -> dict[str, float]:
+        """The five figures of actions and rays, for all pictures or those chosen by `of`."""
+        return action_scores(self.advice[of], self.labels[of]) | ray_scores(self.rays_m[of], self.true_rays_m[of])
+
+    def set_scores(self) -> dict[str, float]:
+        """What a set of pictures is judged by."""
+        scores = self.scores()
+        quantile = quantile_m(self.ray_probabilities, CALIBRATED_SHARE)
+        calibrated = calibration(quantile, self.true_rays_m, RANGE_M)
+        return {
+            "best_action_accuracy": scores["best_action_accuracy"],
+            "miss_rate": scores["miss_rate"],
+            "false_alarm_rate": scores["false_alarm_rate"],
+            "calibration_10": calibrated["short"],
+            "calibration_10_all_rays": calibrated["all"],
+            "rays": int(self.true_rays_m.size),
+            "rays_short_of_range": calibrated["rays"],
+        }
+
+    def unseen(self) -> tuple[int, int]:
+        """How many objects were near, and how many of them were not seen, as `scores.unseen_objects` counts."""
+        return unseen_objects(self.objects, self.rays_m, self.true_rays_m)
+
+
+def read(
+    model: VisualAct,
+    shots: Iterable[Shot],
+    quantile: float,
+    rng: np.random.Generator,
+    also: Callable[[list[Shot]], None] = lambda batch: None,
+) -> Readings:
+    """What `model` says of pictures; they are not kept.
+
+    Args:
+        model: that reads.
+        shots: at least one.
+        quantile: at which distances are taken.
+        rng: draws a goal for each picture, mostly ahead.
+        also: is shown each batch of pictures as it passes.
+    """
+    said, truths = [], []
+    for batch in batched(shots, BATCH):
+        bearing, distance = random_goals(len(batch), rng)
+        views = model(np.stack([shot.image for shot in batch]), bearing, distance)
+        probabilities = np.stack([view.ray_probabilities for view in views])
+        said.append(
+            (
+                np.stack([view.advice for view in views]),
+                np.stack([view.clearance_m for view in views]),
+                probabilities,
+                quantile_m(probabilities, quantile),
+            )
+        )
+        clearance_m, dynamic, rays_m = (
+            np.stack([shot.truth[key] for shot in batch]) for key in ("clearance_m", "dynamic", "ray_clearance_m")
+        )
+        labels = reward_label(openness(clearance_m, dynamic, distance[:, None]), progress(bearing, distance))
+        objects, families = np.stack([shot.objects for shot in batch]), np.array([shot.family for shot in batch])
+        truths.append((labels, clearance_m, rays_m, objects, families, bearing, distance))
+        also(batch)
+    columns = [np.concatenate(column) for rows in (said, truths) for column in zip(*rows, strict=True)]
+    return Readings(*columns)

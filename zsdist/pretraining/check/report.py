@@ -1,0 +1,262 @@
+"""Trained vision as a page of Markdown with pictures, all of it measured on fresh pictures of the test split."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zsdist.config import Config
+from zsdist.errors import RunError
+from zsdist.pretraining.check import figures, words
+from zsdist.pretraining.check.check import FIGURES, SET_FIGURES, over_sets
+from zsdist.pretraining.check.figures import Miss
+from zsdist.pretraining.check.predictions import Readings, read
+from zsdist.pretraining.check.sets import SETS, WILDERNESS, Shot, of_set, wilderness
+from zsdist.reporting.markdown import table
+from zsdist.vision import folder
+from zsdist.vision.folder import HISTORY_FILE
+from zsdist.vision.labels import DIRECTIONS
+from zsdist.vision.rays import RANGE_M, quantile_m
+from zsdist.vision.scores import MISS_M, calibration
+from zsdist.vision.visual_act import VisualAct
+from zsdist.vision.words.table3 import COLUMNS
+
+PAGE = "vision.md"
+SHARES = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95])  # of the reliability curves
+_MISSES = 8  # shown
+_MISSES_OF_A_SET = 2
+_ATTENTION_KINDS = ("tree", "person", "sand_pile", "rock", "car")
+
+
+def write(config: Config, images: int, seed: int, out: Path) -> Path:
+    """Measures, draws and writes the page; returns its path.
+
+    Args:
+        config: of weights and camera.
+        images: of the wilderness, and of each set.
+        seed: of them.
+        out: folder of the page and its pictures; made if it is not there.
+
+    Raises:
+        WeightsError: the weights cannot be used.
+        RunError: the folder cannot be written.
+    """
+    model = VisualAct.load(config.vision, config.camera)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        return _write(model, config, images, seed, out)
+    except OSError as error:
+        raise RunError(f"--out {out} cannot be written: {error.strerror or error}") from error
+
+
+def _write(model: VisualAct, config: Config, images: int, seed: int, out: Path) -> Path:
+    left_out: dict[str, str] = {}
+    looks = words.Looks.of(model, config, left_out)
+    quantile, rng = config.vision.ray_quantile, np.random.default_rng([seed, 3])
+    shots = list(wilderness(images, seed, config.camera))
+    wild = read(model, shots, quantile, rng, looks.take if looks is not None else lambda batch: None)
+    misses = worst_misses(wild, shots, WILDERNESS.title, _MISSES_OF_A_SET)
+    sets = {}
+    for name, pictures in SETS.items():
+        of_it = list(of_set(name, images, seed, config.camera))
+        sets[name] = read(model, of_it, quantile, rng)
+        misses += worst_misses(sets[name], of_it, pictures.title, _MISSES_OF_A_SET)
+    page = [
+        "# Vision",
+        "",
+        f"Weights {model.weights_sha256[:16]} ({config.vision.network}, encoder {model.encoder_name}), {images} "
+        f"pictures a set, seed {seed}, distances at the {quantile:.0%} quantile. No picture was used for any choice.",
+        "",
+        *_losses(config, out),
+        *_actions(wild),
+        *_sets(sets),
+        *_table3(looks.figures() if looks is not None else None, left_out),
+        *_attention(model, shots, looks is not None, left_out, out),
+        *_clearance(wild, sets, out),
+        *_reliability(wild, sets, out),
+        *_misses(misses, config, out),
+    ]
+    path = out / PAGE
+    path.write_text("\n".join(page) + "\n")
+    return path
+
+
+def worst_misses(readings: Readings, shots: Sequence[Shot], title: str, count: int) -> list[Miss]:
+    """Up to `count` pictures with missed rays (as `ray_scores` counts), those of which most was missed first."""
+    missed = (readings.true_rays_m < MISS_M[0]) & (readings.rays_m > MISS_M[1])
+    beyond = np.where(missed, readings.rays_m - readings.true_rays_m, 0.0)
+    order = np.argsort(-beyond.sum(1), kind="stable")[:count]
+    return [
+        Miss(shots[i].image, readings.true_rays_m[i], readings.rays_m[i], int(beyond[i].argmax()), title)
+        for i in order
+        if missed[i].any()
+    ]
+
+
+def reliability(readings: Readings) -> tuple[np.ndarray, np.ndarray]:
+    """Shares of quantiles, and of truths under them among the rays whose quantile is short of the range."""
+    under = [
+        calibration(quantile_m(readings.ray_probabilities, share), readings.true_rays_m, RANGE_M)["short"]
+        for share in SHARES
+    ]
+    return SHARES, np.array(under)
+
+
+def _losses(config: Config, out: Path) -> list[str]:
+    weights = folder.read(folder.locate(config.vision.weights))
+    if not (weights.path / HISTORY_FILE).exists():
+        return ["## Loss (Fig. 5)", "", f"Left out: the weights come without {HISTORY_FILE}.", ""]
+    history = weights.history()
+    if not history:
+        return ["## Loss (Fig. 5)", "", f"Left out: {HISTORY_FILE} is empty.", ""]
+    figures.draw_losses(history, out / "vision-loss.png")
+    return [
+        "## Loss (Fig. 5)",
+        "",
+        "![loss over epochs](vision-loss.png)",
+        "",
+        "The loss of each stage has its own parts and scale; the paper's Fig. 5 is of its own loss and data.",
+        "",
+    ]
+
+
+def _actions(wild: Readings) -> list[str]:
+    scores = wild.scores()
+    rows = [["all", *(f"{scores[key]:.3f}" for key in FIGURES)]]
+    for family in dict.fromkeys(wild.families.tolist()):
+        of_it = wild.scores(wild.families == family)
+        rows.append([family, *(f"{of_it[key]:.3f}" for key in FIGURES)])
+    return ["## Wilderness", "", *table(["family", *(key.replace("_", " ") for key in FIGURES)], rows)]
+
+
+def _sets(sets: dict[str, Readings]) -> list[str]:
+    scores = over_sets({name: readings.set_scores() for name, readings in sets.items()})
+    titles = {name: pictures.title for name, pictures in SETS.items()}
+    rows = [
+        [titles.get(name, f"**{name}**"), *(f"{row[key]:.3f}" if key in row else "-" for key in SET_FIGURES)]
+        for name, row in scores.items()
+    ]
+    return [
+        "## Sets of pictures",
+        "",
+        "Each differs from what the head was trained on in one way. Miss: of the rays with an obstacle nearer than "
+        "1.5 m, those said to be beyond 2.5 m. False alarm: of those free for 3.5 m, said to be under 2 m. "
+        "Calibration: the truth under the 10% quantile, over rays whose quantile is short of the range; it should be "
+        "0.100.",
+        "",
+        *table(["set", *(key.replace("_", " ") for key in SET_FIGURES)], rows),
+    ]
+
+
+def _table3(found: dict[str, Any] | None, left_out: dict[str, str]) -> list[str]:
+    if found is None:
+        return ["## Table 3", "", f"Left out: {left_out['table3']}.", ""]
+    rows = [
+        [name.replace("_", " "), *(f"{row[key]:.4f}" for key in COLUMNS), str(row["images"]), *map(str, row["paper"])]
+        for name, row in found["table3"].items()
+    ]
+    head = ["object", *COLUMNS, "pictures", *(f"paper {key}" for key in COLUMNS)]
+    shares = [
+        [name.replace("_", " "), title, f"{each['share']:.3f}" if each["images"] else "-", str(each["images"])]
+        for title, of in (
+            ("$I_a$ nearest where it is", "object_nearest_in_its_direction"),
+            ("lower in $I_1$ to $I_3$ than in $I_0$", "background_lower_than_whole"),
+        )
+        for name, each in found["attention"][of].items()
+    ]
+    return [
+        "## Table 3",
+        "",
+        "Similarity of the picture ($I_0$) and of what each action looked at ($I_1$ forward, $I_2$ left, $I_3$ right) "
+        "with the word. Ours are means over pictures with the object ahead and nowhere else, or on the ground; the "
+        "paper's are of one setting that its authors measured with CLIP. They stand beside each other and are not the "
+        "same test.",
+        "",
+        *table(head, rows),
+        "Share of pictures in which attention goes where it should:",
+        "",
+        *table(["of", "what", "share", "pictures"], shares),
+    ]
+
+
+def _attention(model: VisualAct, shots: list[Shot], known: bool, left_out: dict[str, str], out: Path) -> list[str]:
+    if not known:
+        return ["## Where each action looks", "", f"Left out: {left_out['attention']}.", ""]
+    chosen = attention_examples(shots)
+    found = model.look(np.stack([shot.image for shot in chosen.values()]))
+    figures.draw_attention(
+        [shot.image for shot in chosen.values()], found.attention, list(chosen), out / "vision-attention.jpg"
+    )
+    return ["## Where each action looks", "", "![attention of each action](vision-attention.jpg)", ""]
+
+
+def attention_examples(shots: Sequence[Shot]) -> dict[str, Shot]:
+    """By kind a picture of one near by, the first of those given in which it takes up six rays or more."""
+    chosen = {}
+    for kind in _ATTENTION_KINDS:
+        segment = words.KINDS[kind].segment_id
+        for shot in shots:
+            rays = shot.truth["ray_segment"] == segment
+            if rays.sum() >= 6 and shot.truth["ray_clearance_m"][rays].min() > 1.0:
+                chosen[kind.replace("_", " ")] = shot
+                break
+    return chosen or {shots[0].family: shots[0]}
+
+
+def _clearance(wild: Readings, sets: dict[str, Readings], out: Path) -> list[str]:
+    every = [wild, *sets.values()]
+    median = np.concatenate([quantile_m(each.ray_probabilities, 0.5) for each in every])
+    true, said = (np.concatenate([getattr(each, name) for each in every]) for name in ("true_rays_m", "rays_m"))
+    true_clearance, clearance = (
+        np.concatenate([getattr(each, name) for each in every]) for name in ("true_clearance_m", "clearance_m")
+    )
+    panels = {
+        f"nearest of {', '.join(DIRECTIONS)}, as planned with": (true_clearance, clearance),
+        "rays, as planned with": (true, said),
+        "rays, median": (true, median),
+    }
+    figures.draw_confusion(panels, out / "vision-clearance.png")
+    return [
+        "## Clearance, true and said",
+        "",
+        "![said against true clearance](vision-clearance.png)",
+        "",
+        "All pictures together. What is planned with is the working quantile, which is cautious: it lies below the "
+        "diagonal by design.",
+        "",
+    ]
+
+
+def _reliability(wild: Readings, sets: dict[str, Readings], out: Path) -> list[str]:
+    curves = {WILDERNESS.title: reliability(wild)} | {
+        SETS[name].title: reliability(each) for name, each in sets.items()
+    }
+    figures.draw_reliability(curves, out / "vision-reliability.png")
+    return [
+        "## Are the distributions honest?",
+        "",
+        "![share of truths under each quantile](vision-reliability.png)",
+        "",
+        "Above the diagonal distances are said to be longer than they are, below it shorter.",
+        "",
+    ]
+
+
+def _misses(misses: list[Miss], config: Config, out: Path) -> list[str]:
+    if not misses:
+        return ["## Worst misses", "", "None: no near ray was said to be beyond 2.5 m.", ""]
+    worst = sorted(misses, key=lambda miss: np.minimum(miss.true_m - miss.said_m, 0.0).sum())[:_MISSES]
+    angle = math.radians(config.camera.field_of_view_deg)
+    figures.draw_misses(worst, angle, config.camera.height_m, out / "vision-misses.jpg")
+    return [
+        "## Worst misses",
+        "",
+        "![the worst misses with their rays](vision-misses.jpg)",
+        "",
+        "In each picture the feet of the rays on the ground, left out where a ray is free and at the lower edge where "
+        "they are below it; under it the same distances. The dotted line is the ray that errs most. At most two "
+        "pictures a set.",
+        "",
+    ]

@@ -1,0 +1,266 @@
+"""What the check says of words: Table 3, where attention goes, and how well pictures are named."""
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from zsdist.config import CameraConfig, Config
+from zsdist.datasets.captioned import described_views
+from zsdist.errors import WeightsError
+from zsdist.pretraining.batches import BATCH, batched
+from zsdist.pretraining.check.sets import Shot
+from zsdist.sim.scenes.kinds import KINDS
+from zsdist.sim.scenes.manifest import MANIFEST
+from zsdist.vision import folder
+from zsdist.vision.encoders import open_encoder
+from zsdist.vision.encoders.base import Encoder
+from zsdist.vision.folder import PROJECTION_FILE, VOCABULARY_FILE
+from zsdist.vision.rays import RAYS, ray_angles_rad
+from zsdist.vision.visual_act import VisualAct
+from zsdist.vision.words.measures import LEFT_OUT, naming_accuracy, words_of_kinds
+from zsdist.vision.words.table3 import COLUMNS, background_share, directions_of, object_share, only_direction, table3
+from zsdist.vision.words.vocabulary import GROUND_WORDS, KIND_WORDS, TABLE3_WORDS, Vocabulary, shipped_words
+
+if TYPE_CHECKING:
+    from zsdist.vision.models.projection import Projection
+    from zsdist.vision.training.projection import WordExamples
+
+PAPER_TABLE3 = {
+    "tree": (0.2607, 0.4121, 0.1298, 0.0736),
+    "person": (0.2473, 0.5223, 0.2954, 0.1371),
+    "asphalt": (0.1849, 0.0718, 0.1035, 0.1302),
+    "sand": (0.3001, 0.1727, 0.0931, 0.1127),
+    "grass": (0.2131, 0.1981, 0.1703, 0.0689),
+}
+"""Similarities of the paper's Table 3 by our concept; of one setting that its authors measured with CLIP."""
+
+UNSEEN_IMAGES = 1600  # described pictures to train on for the figure of unseen kinds
+UNSEEN_EPOCHS = 8
+_HELD_OUT = 160
+
+
+class Looks:
+    """Gathers where each action looked on pictures as they pass, for Table 3 and the shares of attention."""
+
+    def __init__(self, model: VisualAct, words: dict[str, np.ndarray], angles_rad: np.ndarray) -> None:
+        self._model, self._words, self._angles = model, words, angles_rad
+        self._embeddings: list[np.ndarray] = []
+        self._segments: list[np.ndarray] = []
+        self._distances: list[np.ndarray] = []
+        self._grounds: list[str] = []
+
+    @classmethod
+    def of(cls, model: VisualAct, config: Config, left_out: dict[str, str]) -> Self | None:
+        """One that is ready, or None, with the reason in `left_out`, where the weights cannot tell."""
+        reason = _why_not(config)
+        if reason is not None:
+            left_out |= dict.fromkeys(("table3", "attention"), reason)
+            return None
+        return cls(model, word_rows(config), ray_angles_rad(RAYS, math.radians(config.camera.field_of_view_deg)))
+
+    def take(self, batch: list[Shot]) -> None:
+        """Looks at a batch of pictures."""
+        self._embeddings.append(self._model.look(np.stack([shot.image for shot in batch])).embeddings)
+        self._segments += [shot.truth["ray_segment"] for shot in batch]
+        self._distances += [shot.truth["ray_clearance_m"] for shot in batch]
+        self._grounds += [shot.scene.ground for shot in batch]
+
+    def figures(self) -> dict[str, Any]:
+        """`table3` beside the paper's figures, and `attention`: of objects and of grounds."""
+        embeddings = np.concatenate(self._embeddings)
+        segments, distances = np.stack(self._segments), np.stack(self._distances)
+        directions = {
+            kind: only_direction(*directions_of(KINDS[kind].segment_id, segments, distances, self._angles))
+            for kind in KIND_WORDS
+        }
+        grounds = {ground: np.array(self._grounds) == ground for ground in GROUND_WORDS}
+        shown = {kind: where for kind, where in directions.items() if kind in TABLE3_WORDS}
+        rows = table3(embeddings, self._words, shown, grounds)
+        return {
+            "table3": {name: row | {"paper": list(PAPER_TABLE3[name])} for name, row in rows.items()},
+            "attention": {
+                "object_nearest_in_its_direction": {
+                    kind: {
+                        "share": object_share(embeddings, self._words[kind], where),
+                        "images": int((where >= 0).sum()),
+                    }
+                    for kind, where in directions.items()
+                },
+                "background_lower_than_whole": {
+                    ground: {
+                        "share": background_share(embeddings, self._words[ground], where),
+                        "images": int(where.sum()),
+                    }
+                    for ground, where in grounds.items()
+                },
+            },
+        }
+
+
+def word_rows(config: Config) -> dict[str, np.ndarray]:
+    """The word `(D,)` of each kind and ground in the space of pictures: the paper's where it has one."""
+    weights = folder.read(folder.locate(config.vision.weights))
+    vocabulary = Vocabulary.from_bytes(weights.content(VOCABULARY_FILE))
+    names = {name: words.training[0] for name, words in (KIND_WORDS | GROUND_WORDS).items()} | TABLE3_WORDS
+    rows = _texts(shipped_projection(config))(vocabulary.rows(list(names.values())))
+    return dict(zip(names, rows, strict=True))
+
+
+def shipped_projection(config: Config) -> "Projection":
+    """The projection of the weights in use; raises `WeightsError` where it is missing or damaged."""
+    import safetensors
+    import safetensors.torch
+
+    from zsdist.vision.models.projection import projection_of
+
+    weights = folder.read(folder.locate(config.vision.weights))
+    try:
+        return projection_of(safetensors.torch.load(weights.content(PROJECTION_FILE)))
+    except (safetensors.SafetensorError, KeyError, RuntimeError) as error:
+        raise WeightsError(
+            f"weights {weights.path / PROJECTION_FILE} are not those of a projection: "
+            f"{' '.join(str(error).split())[:200]}"
+        ) from error
+
+
+def words(config: Config, seed: int, count: int, unseen_kinds: bool, left_out: dict[str, str]) -> dict[str, Any]:
+    """Accuracy of naming fresh pictures by one word of six, under `words`; chance is 1/6.
+
+    There is one with training words, one with words never seen, and, where it is asked for, one of kinds that the
+    projection has never seen.
+
+    Args:
+        config: of weights, encoder and camera.
+        seed: of pictures and choices.
+        count: pictures.
+        unseen_kinds: whether to train without some kinds, four times, until each was left out once.
+        left_out: takes the names of what cannot be told, with the reason.
+    """
+    reason = _why_not(config)
+    if reason is not None:
+        left_out["words"] = reason
+        return {}
+    encoder = open_encoder(config.vision.encoder)
+    tokens, dominant = [], []
+    for batch in batched(
+        described_views(MANIFEST["word-training"].families, "test", count, seed, config.camera), BATCH
+    ):
+        tokens.append(encoder.tokens(np.stack([view.image for view in batch])).astype(np.float16))
+        dominant += [view.dominant for view in batch]
+    tokens, dominant = np.concatenate(tokens), np.array(dominant)
+    projection = shipped_projection(config)
+    images = _images(projection, tokens)
+    figures = {}
+    for name, use in (("training_words", "training"), ("words_never_seen", "test")):
+        try:
+            rows = _kind_rows(encoder, projection, use)
+        except WeightsError as error:
+            left_out[f"words.{name}"] = str(error)
+            continue
+        figures[name] = naming_accuracy(images, dominant, rows, np.random.default_rng([seed, 6]))
+    if unseen_kinds:
+        figures["unseen_kinds"] = _unseen_kinds(config, encoder, seed, tokens, dominant)
+    else:
+        left_out["words.unseen_kinds"] = "measured with --unseen-kinds"
+    return {"words": figures}
+
+
+def show(result: dict[str, Any]) -> None:
+    """Prints what the check found of words."""
+    if "table3" in result:
+        print("\nTable 3: similarity with the words, ours (the paper's: another setting, with CLIP)")
+        for name, row in result["table3"].items():
+            cells = "  ".join(f"{row[key]:.3f} ({paper:.3f})" for key, paper in zip(COLUMNS, row["paper"], strict=True))
+            print(f"{name:10} {cells}  of {row['images']} pictures")
+        for name, shares in result["attention"].items():
+            known = ", ".join(
+                f"{kind} {found['share']:.2f} ({found['images']})" for kind, found in shares.items() if "share" in found
+            )
+            print(f"{name.replace('_', ' ')}: {known}")
+    for name, found in result.get("words", {}).items():
+        if "accuracy" in found:
+            print(f"one word of six, {name.replace('_', ' ')}: {found['accuracy']:.2f} of {found['images']} pictures")
+
+
+def _unseen_kinds(
+    config: Config, encoder: Encoder, seed: int, tokens: np.ndarray, dominant: np.ndarray
+) -> dict[str, float]:
+    """Naming of kinds that four projections, each trained without some of them, have never seen."""
+    from zsdist.vision.training.projection import WordRecipe, new_projection, train
+
+    texts = shipped_words()
+    vocabulary = Vocabulary(texts, encoder.embed_texts(texts), encoder.text_sha256)
+    examples = _word_examples(encoder, UNSEEN_IMAGES, seed, config.camera)
+    held_out = _word_examples(encoder, _HELD_OUT, seed + 1, config.camera)
+    parts = []
+    for kinds in LEFT_OUT:
+        recipe = WordRecipe(epochs=UNSEEN_EPOCHS, exclude_kinds=kinds)
+        projection = new_projection(examples, seed)
+        rng = np.random.default_rng([seed, 7])
+        for _ in train(projection, examples, held_out, vocabulary, recipe, rng, lambda: 0.0):
+            pass
+        rows = _kind_rows(encoder, projection, "training")
+        parts.append(naming_accuracy(_images(projection, tokens), dominant, rows, rng, kinds))
+        print(f"unseen kinds {', '.join(kinds)}: {parts[-1]['accuracy']:.2f}", flush=True)
+    asked = [part for part in parts if part["images"]]
+    of_kinds = {kind: part[kind] for part in asked for kind in KIND_WORDS if kind in part}
+    images = sum(part["images"] for part in asked)
+    accuracy = sum(part["accuracy"] * part["images"] for part in asked) / images if images else float("nan")
+    return {"accuracy": accuracy, "images": images, **of_kinds}
+
+
+def _word_examples(encoder: Encoder, count: int, seed: int, camera: CameraConfig) -> "WordExamples":
+    from zsdist.vision.training.projection import WordExamples
+
+    purpose = MANIFEST["word-training"]
+    views = described_views(purpose.families, purpose.split, count, seed, camera, varied=True)
+    columns = [
+        (
+            encoder.tokens(np.stack([view.image for view in batch])).astype(np.float16),
+            np.stack([view.cells for view in batch]),
+            encoder.embed_texts([view.caption for view in batch]).astype(np.float16),
+            np.array([view.dominant for view in batch]),
+            np.array([view.ground for view in batch]),
+        )
+        for batch in batched(views, BATCH)
+    ]
+    return WordExamples(*(np.concatenate(column) for column in zip(*columns, strict=True)))
+
+
+def _why_not(config: Config) -> str | None:
+    """Why the weights cannot tell of words; None where they can."""
+    if config.vision.network == "student":
+        return "the student has no attention and no words; vision.network=head has"
+    weights = folder.read(folder.locate(config.vision.weights))
+    missing = [file for file in (PROJECTION_FILE, VOCABULARY_FILE) if not weights.has(file)]
+    return f"weights {weights.path} hold no {' and no '.join(missing)}" if missing else None
+
+
+def _kind_rows(encoder: Encoder, projection: "Projection", use: str) -> dict[str, np.ndarray]:
+    return {kind: _texts(projection)(encoder.embed_texts(texts)) for kind, texts in words_of_kinds(use).items()}
+
+
+def _texts(projection: "Projection") -> Callable[[np.ndarray], np.ndarray]:
+    import torch
+
+    def project(embeddings: np.ndarray) -> np.ndarray:
+        with torch.no_grad():
+            return projection.texts(torch.from_numpy(np.asarray(embeddings, np.float32))).numpy()
+
+    return project
+
+
+def _images(projection: "Projection", tokens: np.ndarray) -> np.ndarray:
+    import torch
+
+    from zsdist.vision.models.projection import image_embedding
+
+    projection.eval()
+    with torch.no_grad():
+        parts = [
+            image_embedding(projection(torch.from_numpy(tokens[start : start + 64].astype(np.float32)))).numpy()
+            for start in range(0, len(tokens), 64)
+        ]
+    return np.concatenate(parts)

@@ -1,0 +1,118 @@
+"""What a finished run is closed with: figures of its training, and the trained policy held against others."""
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from zsdist.config import Config
+from zsdist.evaluation.contenders import FULL, Entrant
+from zsdist.evaluation.report import Report, evaluate
+from zsdist.evaluation.selection import select
+from zsdist.reporting import curves, runs
+from zsdist.reporting.maps import Track, draw_paths
+from zsdist.run.checkpoint import Policy, check_vision, load_policy
+from zsdist.sim.scenes.families import SINGLETON_SCENES
+
+PATHS_SHOWN = 6
+EPISODES_A_DRIVE = 5  # training episodes for each final drive of a policy, so that the end is in proportion
+UNSEEN = "iid"  # family of the scenes that training on others has not met
+SINGLETON = "singleton"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One line of the comparison: who drives where."""
+
+    name: str
+    entrant: Entrant
+    sha256: str | None
+    scenes: str
+    episodes: int
+
+
+def draw_training(folder: Path) -> None:
+    """Rewards and outcomes over training episodes, into `figures/`."""
+    run = runs.read_run(folder)
+    if run.episodes:
+        alone = [runs.Method(run.method, [run], ())]
+        curves.draw_rewards(alone, folder / "figures")
+        curves.draw_outcomes(alone, folder / "figures")
+
+
+def compare(folder: Path, settings: Config, console: Console) -> None:
+    """Drives the trained policy beside others greedily; a table, `evaluation.json` and a picture of the paths."""
+    episodes = min(settings.run.final_evaluation_episodes, settings.run.episodes // EPISODES_A_DRIVE)
+    if not episodes:
+        console.print("no evaluation: the run was too short, or run.final_evaluation_episodes is 0")
+        return
+    trained = load_policy(folder)
+    if note := check_vision(trained):
+        console.print(note, highlight=False, soft_wrap=True)
+    reports = [(trial, _drive(trial, settings.seed)) for trial in _trials(trained, settings, episodes)]
+    (folder / "evaluation.json").write_text(json.dumps([report.result for _, report in reports], indent=1) + "\n")
+    for trial, report in reports:
+        if trial.name == "trained":
+            scenes = select(trial.scenes, settings, trial.episodes, settings.seed)
+            panels = [
+                (scene, [Track(np.array(record.poses)[:, :2], record.outcome, "trained")])
+                for scene, record in list(zip(scenes, report.records, strict=True))[:PATHS_SHOWN]
+            ]
+            draw_paths(panels, settings.grid.arena_m, folder / "figures", f"paths-{trial.scenes}")
+    console.print(_table(reports, settings))
+    told = f"figures: {folder / 'figures'}; those of the paper: python -m zsdist.report {folder}"
+    console.print(told, highlight=False, soft_wrap=True)
+
+
+def _trials(trained: Policy, settings: Config, episodes: int) -> Iterator[Trial]:
+    """The trained networks beside the same networks before training, then beside baselines where nobody has been."""
+    home = settings.scenes.train[0]
+    at_home = min(episodes, SINGLETON_SCENES) if home == SINGLETON else episodes
+    for name, variant in (("trained", FULL), ("untrained", "untrained")):
+        yield Trial(name, Entrant(settings, trained.parameters, variant=variant), trained.sha256, home, at_home)
+    away = UNSEEN if home == SINGLETON else "test"
+    yield Trial("trained", Entrant(settings, trained.parameters), trained.sha256, away, episodes)
+    for baseline in ("random", "potential-field"):
+        yield Trial(baseline, Entrant(settings, baseline=baseline), None, away, episodes)
+
+
+def _drive(trial: Trial, seed: int) -> Report:
+    return evaluate(
+        trial.entrant,
+        policy=trial.name,
+        weights_sha256=trial.sha256,
+        scenes=trial.scenes,
+        episodes=trial.episodes,
+        seed=seed,
+        workers=os.cpu_count() or 1,
+    )
+
+
+def _table(reports: list[tuple[Trial, Report]], settings: Config) -> Table:
+    table = Table(
+        title="greedy evaluation",
+        caption=f"seed {settings.seed}, success within {settings.sim.success_radius_m} m, at most "
+        f"{settings.sim.max_steps} actions; 95% intervals",
+        title_justify="left",
+        caption_justify="left",
+    )
+    for heading in ("scenes", "policy", "n", "success", "collision", "timeout", "SPL"):
+        table.add_column(heading, justify="left" if heading in ("scenes", "policy") else "right")
+    for trial, report in reports:
+        result = report.result
+        low, high = result["confidence_95"]["success"]
+        table.add_row(
+            trial.scenes,
+            trial.name,
+            str(result["episodes"]),
+            f"{result['success']:.2f} ({low:.2f}-{high:.2f})",
+            f"{result['collision']:.2f}",
+            f"{result['timeout']:.2f}",
+            "-" if result["spl"] is None else f"{result['spl']:.2f}",
+        )
+    return table

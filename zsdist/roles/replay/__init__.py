@@ -1,0 +1,1 @@
+"""Replay role: one process of rings, limiters and journals for both levels."""

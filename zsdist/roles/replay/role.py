@@ -1,0 +1,140 @@
+"""The replay role: stores both levels' transitions, sizes itself by the reward, and paces actors and learners.
+
+Its shelves write down what they take in before it acknowledges anything. A replay that died is followed by one whose
+shelves go on from what they find written.
+"""
+
+import shutil
+from pathlib import Path
+
+from zsdist.roles import schemas
+from zsdist.roles.base import HEARTBEAT_S, Context, Role
+from zsdist.roles.replay.level_replay import Shelf
+from zsdist.roles.replay.shards import ROLE, Shard
+from zsdist.roles.schemas import ReplayOrders, StateRequest
+from zsdist.roles.shapes import Shape
+from zsdist.types import Level
+from zsdist.wire import codec, keys
+from zsdist.wire.messages import Orders, Priorities, Push, SampleRequest, State
+
+MAX_WAITING = 256  # requests of a level; a learner has a few at a time
+
+
+class Replay(Role):
+    """Both levels' shelves of one shard behind one set of mailboxes.
+
+    Args:
+        context: who this is.
+        shapes: of each level's transitions.
+        folder: for the shelves' journals, of this replay and those before it in this start of the run.
+        restored: state in a checkpoint; looked at only where the journals are new.
+    """
+
+    def __init__(
+        self, context: Context, shapes: dict[Level, Shape], folder: Path, restored: State | None = None
+    ) -> None:
+        super().__init__(context)
+        run = context.run
+        self.shard = Shard.of(context.config, int(context.id))
+        self.shelves: dict[Level, Shelf] = {}
+        self._folder = folder
+        for level, shape in shapes.items():
+            shelf = Shelf(level, shape, context.config, self.shard, context.epoch, folder / level)
+            shelf.recover((restored.meta[level.value], restored.part(f"{level}/")) if restored else None)
+            self.shelves[level] = shelf
+        self._pushes = self.mailbox("push")
+        self._requests = self.mailbox("sample")
+        self._errors = self.mailbox("priority")
+        self._orders = self.mailbox("orders")
+        self._checkpoints = self.mailbox("checkpoint")
+        for actor in sorted(self.shard.actors or (keys.ANY,)):
+            self.transport.subscribe(keys.push(run, keys.ANY, actor, keys.ANY), self._pushes)
+        for level in self.shelves:
+            self.transport.serve(keys.sample(run, level, self.shard.index), self._requests)
+            if context.config.replay.prioritised:
+                self.transport.subscribe(keys.priority(run, level, self.shard.index), self._errors)
+        self.transport.serve(keys.control(run, self.shard.name), self._checkpoints)
+        self.transport.subscribe(keys.control(run, ROLE), self._orders, retained=True)
+
+    @property
+    def recovered(self) -> int:
+        """Frames read from journals."""
+        return sum(shelf.recovered for shelf in self.shelves.values())
+
+    def work(self, now: float) -> float:
+        """Stores what has come and answers who may be answered; writes it down, then acknowledges and grants credit."""
+        for content in self.orders(self._orders, {Orders: ReplayOrders}):
+            self._follow(content)
+        for message, push in self.messages(self._pushes, Push):
+            self.shelves[push.stream].receive(push, message.payload, now)
+        for _, found in self.messages(self._errors, Priorities):
+            shelf = self.shelves[found.level]
+            shelf.prioritised += shelf.buffer.prioritise(found.serials, found.errors)
+        for message, request in self.messages(self._requests, SampleRequest):
+            waiting = self.shelves[request.level].waiting
+            if len(waiting) < MAX_WAITING:
+                waiting.append((now, message, request.batches))
+            else:
+                self.refuse("requests")
+        for shelf in self.shelves.values():
+            shelf.serve(now)
+            shelf.write_down(now)
+        wake_s = now + HEARTBEAT_S
+        for shelf in self.shelves.values():
+            for ack in shelf.inbox.acks(now, shelf.credit):
+                self.transport.publish(keys.ack(self.context.run, ack.actor), codec.encode(ack))
+            wake_s = min(wake_s, shelf.inbox.next_wake(now) or wake_s)
+        for message, ask in self.messages(self._checkpoints, Orders):
+            if self.checked(schemas.read, StateRequest, ask.content) is not None:
+                message.reply(codec.encode(self.state()))
+        if self.finished:
+            for shelf in self.shelves.values():
+                shelf.journal.close()
+            shutil.rmtree(self._folder, ignore_errors=True)  # the last checkpoint holds everything
+        return wake_s
+
+    def statistics(self) -> dict[str, float | str]:
+        """Books, sizes and pace of both levels, and the journal's size."""
+        fields: dict[str, float | str] = {
+            "journal_bytes": sum(shelf.journal.nbytes for shelf in self.shelves.values()),
+            "recovered_frames": self.recovered,
+        }
+        for level, shelf in self.shelves.items():
+            books = {f"{level}_{name}": count for name, count in shelf.books().items()}
+            fields |= books | {
+                f"{level}_size": len(shelf.buffer),
+                f"{level}_capacity": shelf.buffer.capacity,
+                f"{level}_batch_size": shelf.batch_size,
+                f"{level}_updates_served": shelf.limiter.updates,
+                f"{level}_samples_per_insert": round(shelf.sampled / max(1, shelf.stored), 3),
+                f"{level}_waiting_requests": len(shelf.waiting),
+                f"{level}_bytes": shelf.buffer.nbytes,
+            }
+            if self.config.replay.prioritised:
+                fields[f"{level}_prioritised"] = shelf.prioritised
+            if len(shelf.buffer):
+                fields[f"{level}_oldest_version"] = shelf.buffer.oldest_version
+                fields[f"{level}_oldest_age_versions"] = shelf.buffer.oldest_age_versions
+            fields |= {f"{level}_refused_{reason}": count for reason, count in shelf.inbox.refused.items()}
+        return fields
+
+    def state(self) -> State:
+        """Everything needed to go on."""
+        meta, arrays = {}, {}
+        for level, shelf in self.shelves.items():
+            meta[level.value], columns = shelf.state()
+            arrays |= {f"{level}/{name}": array for name, array in columns.items()}
+        return State(self.shard.name, meta, arrays)
+
+    def _follow(self, content: ReplayOrders) -> None:
+        limits = self.config.replay
+        if content.buffer_size > limits.size_max or content.batch_size > limits.batch_max:
+            self.refuse("size")
+            return
+        for actor, epoch in content.epochs.items():
+            if self.shard.owns(actor):
+                for shelf in self.shelves.values():
+                    shelf.issue(actor, epoch)
+        for shelf in self.shelves.values():
+            shelf.resize(content.buffer_size, content.batch_size)
+        self.finished = content.stop

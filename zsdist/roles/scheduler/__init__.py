@@ -1,0 +1,1 @@
+"""Scheduler role: leases, merges, checkpoints and the end of a run."""

@@ -1,0 +1,334 @@
+"""The physics: one car among the obstacles of a scene, driven action by action along the planning lattice."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from zsdist.errors import SceneError
+from zsdist.planning.footprint import ADVANCES, CAR_LENGTH_M, CAR_WIDTH_M, TURNS, successor
+from zsdist.planning.grid import HEADINGS, Grid
+from zsdist.sim.bullet import pybullet
+from zsdist.sim.physics.car import GROUND_GROUP, OBSTACLE_GROUP, SKIN_GROUP, WHEEL_GROUP, Car, heading_and_speed
+from zsdist.sim.physics.collision import NO_BOXES, NO_CIRCLES, box_clearance, touching
+from zsdist.sim.physics.controller import Manoeuvre, Rates, steer
+from zsdist.sim.scenes.scene import Scene
+from zsdist.sim.scenes.walkers import Walker
+from zsdist.types import LatticeState, Pose
+
+MOST_STEPS = 80  # of one manoeuvre: the slowest take about half
+SETTLE_STEPS = 4  # of the car on its wheels before an episode
+CONTACT_WITHIN_M = 0.15  # with more room by our box test PyBullet need not be asked
+ON_LATTICE_M = 0.10  # a start this near to a lattice state, and with this heading, is on it
+ON_LATTICE_RAD = math.radians(5.0)
+
+_SOLVER_ITERATIONS = 10  # half the time of PyBullet's 50, and the car drives as well
+_HEIGHT_M = 2.0  # of every collision shape: what is lower is still met by the wheels
+_WALL_M = 1.0  # thickness of the arena's walls
+_PER_COMPOUND = 16  # PyBullet silently drops further shapes of an array
+_MOST_SHAPES = 4096  # PyBullet frees no collision shape before its client is closed
+# As articulated bodies without joints, which PyBullet makes unasked, what never moves by itself takes a tenth of each
+# simulation step. The car drives the same to the bit.
+_RIGID = {"useMaximalCoordinates": True}
+_NOBODY = np.empty((0, 2))
+_NOBODY.flags.writeable = False
+_UPRIGHT = [0.0, 0.0, 0.0, 1.0]
+
+
+class DriveResult(NamedTuple):
+    """How a drive ended.
+
+    Attributes:
+        pose: true pose of the car.
+        sim_steps: simulation steps it took.
+        contact: whether the car collided. Our box test on the true pose decides, and PyBullet's contacts confirm it.
+            Where the two disagree (about one pose in two thousand), either counts: a car whose box overlaps has hit
+            something, and one that the solver pushes off an obstacle no longer drives freely.
+        confirmed: whether PyBullet's contacts at this pose say the same as our box test.
+    """
+
+    pose: Pose
+    sim_steps: int
+    contact: bool
+    confirmed: bool
+
+
+class World:
+    """A walled arena in a PyBullet client of its own (DIRECT: no window).
+
+    Episodes do not influence one another: the same scene and actions give bit-equal poses, whatever was driven before.
+
+    Args:
+        grid: planning grid and arena.
+        step_s: of the simulation.
+    """
+
+    def __init__(self, grid: Grid, step_s: float = 0.05) -> None:
+        self.grid = grid
+        self.step_s = step_s
+        self.scene: Scene | None = None
+        self._client = -1
+        self._connect()
+
+    def close(self) -> None:
+        """Ends the physics client; the world cannot be used afterwards."""
+        if self._client >= 0:
+            pybullet.disconnect(physicsClientId=self._client)
+            self._client = -1
+
+    @property
+    def pose(self) -> Pose:
+        """The true pose of the car."""
+        return self._car.motion().pose
+
+    @property
+    def tilt(self) -> tuple[float, float]:
+        """Roll (right side down positive) and pitch (nose down positive) of the car in radians."""
+        return self._car.tilt()
+
+    @property
+    def people(self) -> np.ndarray:
+        """Present places of the walking obstacles, `(P, 2)` metres, in the order of the scene."""
+        if not self._walkers:
+            return _NOBODY
+        return np.array([(walker.x_m, walker.y_m) for walker in self._walkers], dtype=np.float64)
+
+    def reset(self, scene: Scene, start: Pose | None = None) -> int:
+        """Puts the obstacles of `scene` and the car in place, and drives a car that starts off the lattice onto it.
+
+        Where there is no room for that the car stays at its start, and its first action ends on the lattice.
+
+        Args:
+            scene: what to set up. Bodies of the scene before are kept where they are the same.
+            start: of the car; the scene's own without it.
+
+        Returns:
+            Simulation steps driven to reach the lattice.
+
+        Raises:
+            SceneError: an obstacle or a wall stands on the start.
+        """
+        start = scene.start.pose if start is None else start
+        self._furnish(scene)
+        if touching(start, self._circles, self._boxes, arena_m=self.grid.arena_m):
+            place = f"({start.x_m:g}, {start.y_m:g})"
+            raise SceneError(f"scene {scene.name}: an obstacle or a wall stands on the start {place}")
+        self.put(start)
+        for _ in range(SETTLE_STEPS):
+            pybullet.stepSimulation(physicsClientId=self._client)
+        if self._off_lattice(start, self.grid.pose(self.grid.lattice_state(start))):
+            return self._drive_onto_lattice(start)
+        return 0
+
+    def put(self, pose: Pose) -> None:
+        """Stands the car still at `pose`, whatever is there."""
+        self._car.place(pose)
+
+    def drive(self, action: int) -> DriveResult:
+        """Carries out one `Action`, as exactly as the car can, and stops at once at a collision.
+
+        The target is the action's end on the lattice, counted from the lattice state nearest to the true pose, so that
+        errors do not add up. An advance that would leave the grid is not made: the car turns and stays.
+        """
+        state = self.grid.lattice_state(self.pose)
+        end = successor(state, action)
+        advance = bool(ADVANCES[action])
+        if not self.grid.on_grid(end.ix, end.iy):
+            end, advance = LatticeState(state.ix, state.iy, end.heading), False
+        return self._carry_out(Manoeuvre(self.grid.pose(end), advance, bool(TURNS[action]), self.step_s))
+
+    def contact(self) -> bool:
+        """Whether PyBullet finds the car, where it is now, to touch an obstacle."""
+        pybullet.performCollisionDetection(physicsClientId=self._client)
+        return self._car.contact()
+
+    def touches(self) -> bool:
+        """Whether our box test finds the car, where it is now, to touch an obstacle."""
+        return touching(self.pose, self._circles, self._boxes, arena_m=self.grid.arena_m)
+
+    def _carry_out(self, manoeuvre: Manoeuvre) -> DriveResult:
+        car, client, steps = self._car, self._client, 0
+        state, circles, boxes, wall = manoeuvre.state, self._circles, self._boxes, self.grid.arena_m / 2
+        while True:
+            moving = car.moving()
+            heading, room_m, left, right = _watch(state, circles, boxes, wall, *moving)
+            if steps > 0 and (room_m <= 0.0 or (room_m < CONTACT_WITHIN_M and car.contact())):
+                confirmed = self.contact() == (room_m <= 0.0)
+                return DriveResult(Pose(moving[0], moving[1], heading), steps, True, confirmed)
+            if steps == MOST_STEPS or math.isnan(left):
+                return DriveResult(Pose(moving[0], moving[1], heading), steps, False, True)
+            car.command(Rates(left, right))
+            if self._walkers:
+                self._walk(Pose(moving[0], moving[1], heading))
+            pybullet.stepSimulation(client)
+            steps += 1
+
+    def _walk(self, car: Pose) -> None:
+        for walker, row, body in zip(self._walkers, self._walker_rows, self._walker_bodies, strict=True):
+            if walker.walk(car, self.step_s):
+                self._circles[row, :2] = walker.x_m, walker.y_m
+                self._move(body, walker)
+
+    def _off_lattice(self, pose: Pose, target: Pose) -> bool:
+        turn = math.remainder(target.heading_rad - pose.heading_rad, math.tau)
+        return math.dist(pose[:2], target[:2]) > ON_LATTICE_M or abs(turn) > ON_LATTICE_RAD
+
+    def _drive_onto_lattice(self, start: Pose) -> int:
+        for target in self._lattice_nearby(start):
+            way = math.atan2(target.y_m - start.y_m, target.x_m - start.x_m)
+            far = math.dist(start[:2], target[:2]) > ON_LATTICE_M
+            if not self._free_way(start, target, way if far else start.heading_rad):
+                continue
+            steps = 0
+            if far:
+                steps += self._carry_out(Manoeuvre(target._replace(heading_rad=way), True, True, self.step_s)).sim_steps
+            result = self._carry_out(Manoeuvre(target, False, True, self.step_s))
+            if not result.contact:
+                return steps + result.sim_steps
+            self.put(start)
+        return 0
+
+    def _lattice_nearby(self, pose: Pose) -> list[Pose]:
+        """Poses of the lattice states around `pose`, the nearest first."""
+        near = self.grid.lattice_state(pose)
+        cells = [(near.ix + dx, near.iy + dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+        states = [
+            LatticeState(ix, iy, (near.heading + turn) % HEADINGS)
+            for ix, iy in cells
+            if self.grid.on_grid(ix, iy)
+            for turn in (-1, 0, 1)
+        ]
+
+        def effort(target: Pose) -> float:
+            turn = math.remainder(target.heading_rad - pose.heading_rad, math.tau)
+            return math.dist(pose[:2], target[:2]) + abs(turn)
+
+        return sorted((self.grid.pose(state) for state in states), key=effort)
+
+    def _free_way(self, start: Pose, target: Pose, way: float) -> bool:
+        """Whether turning to `way`, going straight to `target` and turning to its heading keeps clear of everything."""
+        poses = [start._replace(heading_rad=angle) for angle in _arc(start.heading_rad, way)]
+        poses += [
+            Pose(start.x_m + share * (target.x_m - start.x_m), start.y_m + share * (target.y_m - start.y_m), way)
+            for share in np.linspace(0.0, 1.0, 20)
+        ]
+        poses += [target._replace(heading_rad=angle) for angle in _arc(way, target.heading_rad)]
+        return not any(touching(pose, self._circles, self._boxes, arena_m=self.grid.arena_m) for pose in poses)
+
+    def _connect(self) -> None:
+        self.close()
+        self._client = client = pybullet.connect(pybullet.DIRECT)
+        pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=self.step_s,
+            numSolverIterations=_SOLVER_ITERATIONS,
+            deterministicOverlappingPairs=1,
+            physicsClientId=client,
+        )
+        plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
+        ground = pybullet.createMultiBody(baseCollisionShapeIndex=plane, **_RIGID, physicsClientId=client)
+        pybullet.setCollisionFilterGroupMask(ground, -1, GROUND_GROUP, WHEEL_GROUP, physicsClientId=client)
+        pybullet.changeDynamics(ground, -1, lateralFriction=1.0, physicsClientId=client)
+        self._car = Car(client)
+        middle = (self.grid.arena_m + _WALL_M) / 2
+        side = self.grid.arena_m + 2 * _WALL_M
+        walls = [(x, y, side, _WALL_M, turn) for x, y, turn in _sides(middle)]
+        # Without a visual shape of its own PyBullet makes a body a mesh of each collision shape, 0.4 ms apiece.
+        self._speck = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=[0.01] * 3, physicsClientId=client)
+        self._shapes = 0
+        self._build(NO_CIRCLES, np.array(walls))
+        self._standing_bodies: list[int] = []
+        self._walkers: list[Walker] = []
+        self._walker_rows: list[int] = []
+        self._walker_bodies: list[int] = []
+        self._circles, self._boxes = NO_CIRCLES, NO_BOXES
+        self.scene = None
+
+    def _furnish(self, scene: Scene) -> None:
+        """Makes the obstacles' bodies, in the scene's order: an order that is always the same keeps replays equal."""
+        if self.scene is None or self.scene.obstacles != scene.obstacles:
+            if self._shapes + len(scene.obstacles) > _MOST_SHAPES:
+                self._connect()
+            for body in self._standing_bodies + self._walker_bodies:
+                pybullet.removeBody(body, physicsClientId=self._client)
+            self._standing_bodies = self._build(scene.standing_circles(), scene.boxes())
+            self._walker_bodies = [
+                body
+                for walker in scene.walkers()
+                for body in self._build(np.array([(0.0, 0.0, walker.radius_m)]), NO_BOXES)
+            ]
+        self.scene = scene
+        self._circles, self._boxes = scene.circles(), scene.boxes()
+        round_ones = [obstacle for obstacle in scene.obstacles if obstacle.radius_m is not None]
+        self._walker_rows = [row for row, obstacle in enumerate(round_ones) if obstacle.walks]
+        self._walkers = [Walker(obstacle) for obstacle in scene.walkers()]
+        for walker, body in zip(self._walkers, self._walker_bodies, strict=True):
+            self._move(body, walker)
+
+    def _move(self, body: int, walker: Walker) -> None:
+        place = [walker.x_m, walker.y_m, 0.0]
+        pybullet.resetBasePositionAndOrientation(body, place, _UPRIGHT, physicsClientId=self._client)
+
+    def _build(self, circles: np.ndarray, boxes: np.ndarray) -> list[int]:
+        """Bodies of many shapes each, which make a simulation step shorter than a body for each shape would."""
+        shapes = [
+            (pybullet.GEOM_CYLINDER, radius, [0.0, 0.0, 0.0], [x, y, _HEIGHT_M / 2], _UPRIGHT)
+            for x, y, radius in circles.tolist()
+        ]
+        for x, y, length, width, heading in boxes.tolist():
+            turned = [0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2)]
+            half = [length / 2, width / 2, _HEIGHT_M / 2]
+            shapes.append((pybullet.GEOM_BOX, 0.0, half, [x, y, _HEIGHT_M / 2], turned))
+        bodies = []
+        for first in range(0, len(shapes), _PER_COMPOUND):
+            chunk = shapes[first : first + _PER_COMPOUND]
+            kinds, radii, halves, places, turns = (list(column) for column in zip(*chunk, strict=True))
+            compound = pybullet.createCollisionShapeArray(
+                shapeTypes=kinds,
+                radii=radii,
+                halfExtents=halves,
+                lengths=[_HEIGHT_M] * len(kinds),
+                collisionFramePositions=places,
+                collisionFrameOrientations=turns,
+                physicsClientId=self._client,
+            )
+            body = pybullet.createMultiBody(
+                baseCollisionShapeIndex=compound,
+                baseVisualShapeIndex=self._speck,
+                **_RIGID,
+                physicsClientId=self._client,
+            )
+            pybullet.setCollisionFilterGroupMask(body, -1, OBSTACLE_GROUP, SKIN_GROUP, physicsClientId=self._client)
+            bodies.append(body)
+        self._shapes += len(shapes)
+        return bodies
+
+
+def _arc(begin: float, end: float) -> np.ndarray:
+    turn = math.remainder(end - begin, math.tau)
+    return begin + np.linspace(0.0, turn, 2 + int(abs(turn) / math.radians(3.0)))
+
+
+def _sides(middle: float) -> list[tuple[float, float, float]]:
+    return [(0.0, middle, 0.0), (0.0, -middle, 0.0), (middle, 0.0, math.pi / 2), (-middle, 0.0, math.pi / 2)]
+
+
+@njit(cache=True)
+def _watch(
+    state: np.ndarray, circles: np.ndarray, boxes: np.ndarray, wall: float, *moving: float
+) -> tuple[float, float, float, float]:
+    """Heading, room in metres, and next wheel rates of a car on a manoeuvre; in one call, 20 times an action.
+
+    Args:
+        state: of the manoeuvre.
+        circles: as of `clearance_m`.
+        boxes: as of `clearance_m`.
+        wall: half the arena's side.
+        *moving: from `Car.moving`.
+    """
+    x_m, y_m = moving[0], moving[1]
+    heading, speed_mps, turn_rate = heading_and_speed(*moving)
+    room_m = box_clearance(x_m, y_m, heading, CAR_LENGTH_M / 2, CAR_WIDTH_M / 2, circles, boxes, wall)
+    left, right = steer(state, x_m, y_m, heading, speed_mps, turn_rate)
+    return heading, room_m, left, right

@@ -1,0 +1,331 @@
+"""Scenes as pure data, and the scene file: YAML, metres, arena centre at the origin, x east, y north."""
+
+import hashlib
+import json
+import math
+import re
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from reprlib import repr as show
+from typing import Any
+
+import numpy as np
+import yaml
+
+from zsdist.common import strict_yaml
+from zsdist.config import GridConfig
+from zsdist.errors import SceneError
+from zsdist.planning.grid import Grid
+from zsdist.sim.physics.collision import clearance_m, rasterise
+from zsdist.sim.scenes.kinds import GROUNDS, KINDS
+from zsdist.types import Pose
+
+DEFAULT_GRID = Grid.from_config(GridConfig())
+MAX_OBSTACLES = 500
+MAX_RADIUS_M = 10.0
+MAX_SIDE_M = 40.0  # longer than the arena's diagonal
+MAX_SPEED_MPS = 10.0
+MAX_NUMBER = 1e4  # of places and headings; what is outside the arena is refused after that
+MAX_FILE_BYTES = 2**20
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where the car begins: `x_m`, `y_m`, and `heading_deg` counter-clockwise from east."""
+
+    x_m: float
+    y_m: float
+    heading_deg: float
+
+    @property
+    def pose(self) -> Pose:
+        """The same as a pose, heading in radians within (-pi, pi]."""
+        return Pose(self.x_m, self.y_m, math.pi - (math.pi - math.radians(self.heading_deg)) % math.tau)
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """One obstacle.
+
+    Attributes:
+        kind: a key of `KINDS`.
+        x_m, y_m: its centre, at the start of the episode.
+        radius_m: of round kinds, else None.
+        size_m: `(length, width, height)` of boxes and cars, length along their heading, else None.
+        heading_deg: of boxes and cars, counter-clockwise from east.
+        path: points `(x_m, y_m)` between which a person walks to and fro, the first its place; empty: it stands.
+        speed_mps: at which it walks.
+    """
+
+    kind: str
+    x_m: float
+    y_m: float
+    radius_m: float | None = None
+    size_m: tuple[float, float, float] | None = None
+    heading_deg: float = 0.0
+    path: tuple[tuple[float, float], ...] = ()
+    speed_mps: float = 0.0
+
+    @property
+    def walks(self) -> bool:
+        """Whether it has a path; only such obstacles move."""
+        return bool(self.path)
+
+    @property
+    def height_m(self) -> float:
+        """Of its body."""
+        return KINDS[self.kind].height_m if self.size_m is None else self.size_m[2]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A start, a goal and what stands between them.
+
+    Attributes:
+        name: identifies the scene in results.
+        ground: a key of `GROUNDS`.
+        start: pose of the car at the beginning.
+        goal: `(x_m, y_m)`.
+        obstacles: in the order of the file.
+    """
+
+    name: str
+    ground: str
+    start: Start
+    goal: tuple[float, float]
+    obstacles: tuple[Obstacle, ...]
+
+    def walkers(self) -> tuple[Obstacle, ...]:
+        """The obstacles with a path, in order; `people` arrays have a row for each."""
+        return tuple(obstacle for obstacle in self.obstacles if obstacle.walks)
+
+    def circles(self, people: np.ndarray | None = None) -> np.ndarray:
+        """Collision circles `(N, 3)`: x, y, radius in metres, of round obstacles in order.
+
+        Args:
+            people: `(P, 2)` present places of the walking ones; without it they are at their first place.
+        """
+        rows, walker = [], 0
+        for obstacle in self.obstacles:
+            if obstacle.radius_m is None:
+                continue
+            x_m, y_m = obstacle.x_m, obstacle.y_m
+            if obstacle.walks:
+                if people is not None:
+                    x_m, y_m = people[walker]
+                walker += 1
+            rows.append((x_m, y_m, obstacle.radius_m))
+        return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+    def standing_circles(self) -> np.ndarray:
+        """`circles` without those that walk, `(N, 3)`."""
+        rows = [(o.x_m, o.y_m, o.radius_m) for o in self.obstacles if o.radius_m is not None and not o.walks]
+        return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+    def boxes(self) -> np.ndarray:
+        """Collision boxes `(M, 5)`: x, y, length, width (m) and heading (rad), without the arena's walls."""
+        rows = [
+            (o.x_m, o.y_m, o.size_m[0], o.size_m[1], math.radians(o.heading_deg))
+            for o in self.obstacles
+            if o.size_m is not None
+        ]
+        return np.array(rows, dtype=np.float64).reshape(-1, 5)
+
+    def occupancy(self, grid: Grid) -> np.ndarray:
+        """True occupied space `[iy, ix]` `(fine_size, fine_size)` bool: squares that a standing obstacle touches.
+
+        Walking people are left out: they stop for the car and never block a way for good.
+        """
+        return rasterise(self.standing_circles(), self.boxes(), grid)
+
+    def hash(self) -> str:
+        """16 hexadecimal digits of everything but the name: equal for scenes that look and drive alike."""
+        content = (self.ground, _fields(self.start), self.goal, [_fields(obstacle) for obstacle in self.obstacles])
+        return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
+
+
+def _fields(item: Start | Obstacle) -> list:
+    return list(vars(item).values())
+
+
+def check(scene: Scene, grid: Grid = DEFAULT_GRID) -> None:
+    """Holds a scene against the arena.
+
+    Raises:
+        SceneError: start or goal off the planning grid, an obstacle's place outside the arena, or an obstacle on the
+            car at its start or over the goal.
+    """
+    half = grid.arena_m / 2
+    for what, x_m, y_m in (("start", scene.start.x_m, scene.start.y_m), ("goal", *scene.goal)):
+        if not grid.contains(x_m, y_m):
+            side = grid.side_m / 2
+            raise SceneError(f"{what} ({x_m:g}, {y_m:g}) is outside the grid; allowed is -{side:g} to below {side:g} m")
+    goal = Pose(*scene.goal, 0.0)
+    for index, obstacle in enumerate(scene.obstacles):
+        label = f"obstacles[{index}], {obstacle.kind} at ({obstacle.x_m:g}, {obstacle.y_m:g}),"
+        for x_m, y_m in ((obstacle.x_m, obstacle.y_m), *obstacle.path):
+            if max(abs(x_m), abs(y_m)) > half:
+                place = f"point ({x_m:g}, {y_m:g})"
+                raise SceneError(f"{label} {place} is outside the arena; allowed is -{half:g} to {half:g} m")
+        alone = Scene("", scene.ground, scene.start, scene.goal, (obstacle,))
+        circles, boxes = alone.circles(), alone.boxes()
+        if clearance_m(scene.start.pose, circles, boxes) <= 0:
+            raise SceneError(f"{label} stands on the start; move one of the two")
+        if not obstacle.walks and clearance_m(goal, circles, boxes, length_m=0.0, width_m=0.0) <= 0:
+            raise SceneError(f"{label} covers the goal; move one of the two")
+
+
+def read(path: str | Path, grid: Grid = DEFAULT_GRID) -> Scene:
+    """The scene of a YAML file, checked in every respect.
+
+    Raises:
+        SceneError: one line with the file's name and the reason.
+    """
+    try:
+        if Path(path).stat().st_size > MAX_FILE_BYTES:
+            raise SceneError(f"file is larger than the {MAX_FILE_BYTES} bytes allowed")
+        tree = strict_yaml.load(Path(path).read_text(encoding="utf-8"))
+        scene = _scene(tree)
+        check(scene, grid)
+    except OSError as error:
+        raise SceneError(f"scene file {path}: {error.strerror or error}") from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: text that is no UTF-8
+        raise SceneError(f"scene file {path} is not valid YAML: {' '.join(str(error).split())}") from error
+    except SceneError as error:
+        raise SceneError(f"scene file {path}: {error}") from error
+    return scene
+
+
+def read_folder(folder: str | Path, grid: Grid = DEFAULT_GRID) -> list[Scene]:
+    """The scenes of every `*.yaml` and `*.yml` file of a folder, in the order of their names; hidden files are none.
+
+    Raises:
+        SceneError: there is no such folder, it holds no scene file, or one of them is wrong.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise SceneError(f"scene folder {folder} is not there or no folder")
+    paths = sorted(path for suffix in ("yaml", "yml") for path in folder.glob(f"[!.]*.{suffix}"))
+    if not paths:
+        raise SceneError(f"scene folder {folder} holds no scene file; allowed are files named *.yaml or *.yml")
+    return [read(path, grid) for path in paths]
+
+
+def write(scene: Scene, path: str | Path) -> None:
+    """Writes a scene as a file that `read` turns into an equal one."""
+    head = {
+        "version": 1,
+        "name": scene.name,
+        "ground": scene.ground,
+        "start": {"x": scene.start.x_m, "y": scene.start.y_m, "heading_deg": scene.start.heading_deg},
+        "goal": {"x": scene.goal[0], "y": scene.goal[1]},
+    }
+    lines = [f"{key}: {_flow(value)}" for key, value in head.items()]
+    lines.append("obstacles:" if scene.obstacles else "obstacles: []")
+    lines += [f"  - {_flow(_entry(obstacle))}" for obstacle in scene.obstacles]
+    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _entry(obstacle: Obstacle) -> dict[str, Any]:
+    entry: dict[str, Any] = {"kind": obstacle.kind, "x": obstacle.x_m, "y": obstacle.y_m}
+    if obstacle.size_m is None:
+        entry["radius_m"] = obstacle.radius_m
+    else:
+        entry |= {"size_m": list(obstacle.size_m), "heading_deg": obstacle.heading_deg}
+    if obstacle.walks:
+        entry |= {"path": [list(point) for point in obstacle.path], "speed_mps": obstacle.speed_mps}
+    return entry
+
+
+def _flow(value: Any) -> str:
+    """A value as YAML on one line."""
+    text = yaml.safe_dump(value, sort_keys=False, default_flow_style=True, width=math.inf, allow_unicode=True)
+    return text.removesuffix("\n").removesuffix("\n...")
+
+
+def _scene(tree: Any) -> Scene:
+    _keys(tree, "the file", ("version", "name", "ground", "start", "goal", "obstacles"))
+    if type(tree["version"]) is not int or tree["version"] != 1:
+        raise SceneError(f"version is {show(tree['version'])}; allowed is 1")
+    name = tree["name"]
+    if not isinstance(name, str) or not re.fullmatch(r"\w[\w. -]{0,99}", name):
+        raise SceneError(f"name is {show(name)}; allowed are up to 100 letters, digits, spaces, '_', '.' and '-'")
+    _one_of(tree["ground"], "ground", GROUNDS)
+    _keys(tree["start"], "start", ("x", "y", "heading_deg"))
+    _keys(tree["goal"], "goal", ("x", "y"))
+    start = Start(*(_number(tree["start"][key], f"start.{key}") for key in ("x", "y", "heading_deg")))
+    goal = (_number(tree["goal"]["x"], "goal.x"), _number(tree["goal"]["y"], "goal.y"))
+    entries = tree["obstacles"]
+    if not isinstance(entries, list) or len(entries) > MAX_OBSTACLES:
+        found = f"{len(entries)} entries" if isinstance(entries, list) else show(entries)
+        raise SceneError(f"obstacles is {found}; allowed is a list of up to {MAX_OBSTACLES}")
+    obstacles = tuple(_obstacle(entry, f"obstacles[{index}]") for index, entry in enumerate(entries))
+    return Scene(name, tree["ground"], start, goal, obstacles)
+
+
+def _obstacle(entry: Any, label: str) -> Obstacle:
+    if not isinstance(entry, dict) or "kind" not in entry:
+        raise SceneError(f"{label} is {show(entry)}; allowed is a mapping with a kind")
+    kind = _one_of(entry["kind"], f"{label}.kind", KINDS)
+    radius_m, size_m = None, None
+    if KINDS[kind].round:
+        walks = KINDS[kind].dynamic and ("path" in entry or "speed_mps" in entry)
+        _keys(entry, f"{label} ({kind})", ("kind", "x", "y", *(("path", "speed_mps") if walks else ())), ("radius_m",))
+        default = KINDS[kind].default_radius_m
+        radius_m = _number(entry.get("radius_m", default), f"{label}.radius_m", above=0.0, most=MAX_RADIUS_M)
+    else:
+        walks = False
+        _keys(entry, f"{label} ({kind})", ("kind", "x", "y", "size_m"), ("heading_deg",))
+        size_m = _numbers(entry["size_m"], f"{label}.size_m", 3, above=0.0, most=MAX_SIDE_M)
+    x_m, y_m = _number(entry["x"], f"{label}.x"), _number(entry["y"], f"{label}.y")
+    heading_deg = _number(entry.get("heading_deg", 0.0), f"{label}.heading_deg")
+    if not walks:
+        return Obstacle(kind, x_m, y_m, radius_m, size_m, heading_deg)
+    path = _path(entry["path"], f"{label}.path", (x_m, y_m))
+    speed_mps = _number(entry["speed_mps"], f"{label}.speed_mps", above=0.0, most=MAX_SPEED_MPS)
+    return Obstacle(kind, x_m, y_m, radius_m, size_m, heading_deg, path, speed_mps)
+
+
+def _path(value: Any, label: str, place: tuple[float, float]) -> tuple[tuple[float, float], ...]:
+    if not isinstance(value, list) or len(value) < 2:
+        raise SceneError(f"{label} is {show(value)}; allowed is a list of two or more points [x, y]")
+    points = tuple(_numbers(point, f"{label}[{i}]", 2) for i, point in enumerate(value))
+    if points[0] != place:
+        raise SceneError(f"{label} begins at {list(points[0])}; allowed is the person's own place, {list(place)}")
+    for i, (one, other) in enumerate(pairwise(points)):
+        if one == other:
+            raise SceneError(f"{label}[{i + 1}] repeats the point before it, {list(other)}")
+    return points
+
+
+def _keys(tree: Any, label: str, needed: tuple[str, ...], optional: tuple[str, ...] = ()) -> None:
+    allowed = (*needed, *optional)
+    if not isinstance(tree, dict):
+        raise SceneError(f"{label} is {show(tree)}; allowed is a mapping with the keys {', '.join(allowed)}")
+    unknown = [key for key in tree if key not in allowed]
+    if unknown:
+        raise SceneError(f"{label} has the unknown key {unknown[0]!r}; allowed are {', '.join(allowed)}")
+    missing = [key for key in needed if key not in tree]
+    if missing:
+        raise SceneError(f"{label} lacks the key {missing[0]!r}")
+
+
+def _one_of(value: Any, label: str, allowed: dict[str, Any]) -> str:
+    if not isinstance(value, str) or value not in allowed:
+        raise SceneError(f"{label} is {show(value)}; allowed are {', '.join(allowed)}")
+    return value
+
+
+def _number(value: Any, label: str, above: float = -MAX_NUMBER, most: float = MAX_NUMBER) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise SceneError(f"{label} is {show(value)}; allowed is a number")
+    if not above < value <= most:  # NaN fails every comparison
+        raise SceneError(f"{label} is {show(value)}; allowed is a number above {above:g}, at most {most:g}")
+    return float(value)
+
+
+def _numbers(value: Any, label: str, count: int, above: float = -MAX_NUMBER, most: float = MAX_NUMBER) -> tuple:
+    if not isinstance(value, list) or len(value) != count:
+        raise SceneError(f"{label} is {show(value)}; allowed is a list of {count} numbers")
+    return tuple(_number(item, f"{label}[{i}]", above, most) for i, item in enumerate(value))

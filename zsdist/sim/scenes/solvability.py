@@ -1,0 +1,40 @@
+"""Whether a scene can be solved, and by which way: A* with the whole truth, over (cell, heading) with the footprint."""
+
+from functools import cache
+
+from zsdist.config import SimConfig
+from zsdist.planning.footprint import FootprintTable
+from zsdist.planning.grid import Grid
+from zsdist.planning.shortest_path import Path, cost_to_go, goal_mask, length_m, metres_cost, path
+from zsdist.sim.scenes.scene import DEFAULT_GRID, Scene
+
+SUCCESS_RADIUS_M = SimConfig().success_radius_m
+
+
+@cache
+def footprints(grid: Grid) -> FootprintTable:
+    """The car's footprint table of a grid, made once a process."""
+    return FootprintTable(grid)
+
+
+def solve(scene: Scene, grid: Grid = DEFAULT_GRID, success_radius_m: float = SUCCESS_RADIUS_M) -> Path | None:
+    """The shortest way from the lattice state nearest to the start to a cell within the success radius of the goal.
+
+    Walking people are left out, since they give way; all standing obstacles count, with the footprint's margin.
+
+    Returns:
+        The way, or None where there is none.
+    """
+    blocked = footprints(grid).blocked(scene.occupancy(grid))
+    costs = metres_cost(grid)
+    field = cost_to_go(blocked, goal_mask(grid, scene.goal, success_radius_m), costs)
+    start = grid.lattice_state(scene.start.pose)
+    if field[start.iy, start.ix, start.heading] == float("inf"):
+        return None
+    return path(field, blocked, start, costs)
+
+
+def shortest_m(scene: Scene, grid: Grid = DEFAULT_GRID, success_radius_m: float = SUCCESS_RADIUS_M) -> float:
+    """Length in metres of the way of `solve`; infinite where there is none."""
+    way = solve(scene, grid, success_radius_m)
+    return float("inf") if way is None else length_m(way.states, grid.cell_size_m)

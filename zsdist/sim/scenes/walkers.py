@@ -1,0 +1,40 @@
+"""People who walk to and fro along their paths and stop for the car."""
+
+import math
+from bisect import bisect_right
+from itertools import accumulate, pairwise
+
+import numpy as np
+
+from zsdist.sim.physics.collision import NO_BOXES, clearance_m
+from zsdist.sim.scenes.scene import Obstacle
+from zsdist.types import Pose
+
+STOP_M = 1.5  # a person whose surface is within this of the car's box stands still
+
+
+class Walker:
+    """One walking person; `x_m`, `y_m` is its present place."""
+
+    def __init__(self, obstacle: Obstacle) -> None:
+        self._points = obstacle.path
+        self._marks = [0.0, *accumulate(math.dist(*leg) for leg in pairwise(self._points))]  # metres to each point
+        self._speed_mps = obstacle.speed_mps
+        self._radius_m = obstacle.radius_m
+        self._walked_m = 0.0
+        self.x_m, self.y_m = self._points[0]
+
+    def walk(self, car: Pose, duration_s: float) -> bool:
+        """Goes on for `duration_s` unless the car is near; whether it moved."""
+        circle = np.array([(self.x_m, self.y_m, self._radius_m)])
+        if clearance_m(car, circle, NO_BOXES) < STOP_M:
+            return False
+        self._walked_m += self._speed_mps * duration_s
+        length = self._marks[-1]
+        along = self._walked_m % (2 * length)
+        along = min(along, 2 * length - along)  # the way back
+        leg = min(bisect_right(self._marks, along), len(self._points) - 1)
+        (x_m, y_m), (next_x_m, next_y_m) = self._points[leg - 1 : leg + 1]
+        share = (along - self._marks[leg - 1]) / (self._marks[leg] - self._marks[leg - 1])
+        self.x_m, self.y_m = x_m + share * (next_x_m - x_m), y_m + share * (next_y_m - y_m)
+        return True

@@ -1,0 +1,1 @@
+"""Statistics of a run as watchers see them."""

@@ -1,0 +1,119 @@
+"""Progress for people: a live table on a terminal, plain lines elsewhere. Reads only what a stranger could read too."""
+
+import sys
+import time
+from types import TracebackType
+
+from rich.console import Console
+from rich.live import Live
+from rich.markup import escape
+from rich.table import Table
+
+from zsdist.telemetry.snapshot import Snapshot
+from zsdist.transport.base import Mailbox, Transport
+from zsdist.types import Level
+from zsdist.wire import keys
+
+LINE_EVERY_S = 5.0
+TABLE_EVERY_S = 0.5
+MAILBOX_BYTES = 8 * 2**20
+
+
+class Display:
+    """Subscribes to a run's statistics on its first `refresh`, and shows them from then on; a context manager.
+
+    Args:
+        run: name of the run on the key space.
+        console: where to; the default is standard output.
+        prefer_lines: plain lines even on a terminal.
+    """
+
+    def __init__(self, run: str, console: Console | None = None, *, prefer_lines: bool = False) -> None:
+        self.run = run
+        self.snapshot = Snapshot()
+        self.console = console or Console(file=sys.stdout)
+        self._mailbox: Mailbox | None = None
+        self._opened_s = time.monotonic()
+        self._next_s = self._opened_s
+        self._live = (
+            Live(console=self.console, auto_refresh=False) if self.console.is_terminal and not prefer_lines else None
+        )
+
+    def __enter__(self) -> "Display":
+        if self._live is not None:
+            self._live.__enter__()
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._live is not None:
+            self._live.__exit__(kind, error, trace)
+
+    def refresh(self, transport: Transport, now: float) -> None:
+        """Takes in what has come; shows it where that is due."""
+        self.take(transport)
+        if time.monotonic() < self._next_s:
+            return
+        if self._live is not None:
+            self._next_s = time.monotonic() + TABLE_EVERY_S
+            self._live.update(self.table(), refresh=True)
+        elif self.snapshot.roles:
+            self._next_s = time.monotonic() + LINE_EVERY_S
+            self.console.print(self.line(), highlight=False, soft_wrap=True, markup=False)
+
+    def take(self, transport: Transport) -> None:
+        """Takes in statistics, events and liveliness, subscribing to them the first time."""
+        if self._mailbox is None:
+            self._mailbox = Mailbox(MAILBOX_BYTES)
+            transport.subscribe(keys.stats(self.run, keys.ANY, keys.ANY), self._mailbox)
+            transport.subscribe(keys.events(self.run), self._mailbox)
+            transport.watch_alive(keys.alive(self.run, keys.ANY, keys.ANY), self._mailbox)
+        self.snapshot.take(self._mailbox.drain())
+
+    def figures(self) -> dict[str, str]:
+        """What is shown, by heading."""
+        snapshot, row = self.snapshot, self.snapshot.row()
+
+        def number(name: str, digits: int = 2) -> str:
+            value = row.get(name)
+            return "-" if value is None else f"{float(value):.{digits}f}"
+
+        counts = " ".join(f"{row.get(name, 0)}" for name in ("success", "collision", "timeout"))
+        levels = [level.value for level in Level]
+        drives = f", {row['drives_left']:.0f} drives left" if "drives_left" in row else ""
+        return {
+            "episodes": f"{row.get('episodes', 0)}/{row.get('episodes_target', '?')}",
+            "stage": f"{row.get('stage', 'starting')}{drives}",
+            "success, last 50": number("recent_success"),
+            "success collision timeout": counts,
+            "return": number("mean_return", 1),
+            "epsilon": number("epsilon"),
+            "env steps": f"{row.get('env_steps', 0):.0f} ({row['env_steps_per_s']:.0f}/s)",
+            **{f"loss {level}": number(f"{level}_loss", 4) for level in levels},
+            "updates": " ".join(f"{level} {row.get(f'{level}_learner_updates', 0)}" for level in levels),
+            "updates/s": " ".join(f"{level} {row.get(f'{level}_updates_per_s', 0):.0f}" for level in levels),
+            "replay": " ".join(f"{level} {row.get(f'replay_{level}_size', 0)}" for level in levels),
+            "batch": f"{row.get('replay_low_batch_size', '-')}",
+            "weight lag": " ".join(f"{level} {lag}" for level, lag in snapshot.lag_versions().items()),
+            "merges": f"{row.get('merges', 0)}",
+            "restarts": f"{row.get('restarts', 0)}",
+            "roles alive": f"{len(snapshot.alive)}",
+            "waiting": "; ".join(snapshot.waits()) or "nothing",
+        }
+
+    def line(self) -> str:
+        """One plain line."""
+        shown = "  ".join(f"{name} {value}" for name, value in self.figures().items())
+        return f"[{time.monotonic() - self._opened_s:6.1f} s] {shown}"
+
+    def table(self) -> Table:
+        """A table for terminals."""
+        table = Table(title=f"zsdist run {self.run}", show_header=False)
+        table.add_column(style="bold")
+        table.add_column(min_width=32)
+        table.add_row("time", f"{time.monotonic() - self._opened_s:.0f} s")
+        for name, value in self.figures().items():
+            table.add_row(name, escape(value))
+        for event in self.snapshot.events[-3:]:
+            told = {name: value for name, value in event.items() if name not in ("time_s", "host", "pid", "id")}
+            table.add_row("event", escape(" ".join(f"{name}={value}" for name, value in told.items())))
+        return table
