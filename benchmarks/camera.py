@@ -18,7 +18,7 @@ import numpy as np
 from rich.progress import track
 
 from zsdist.config import CameraConfig
-from zsdist.datasets.labelled import free_pose
+from zsdist.datasets.sampling import free_pose
 from zsdist.sim.camera import make_camera
 from zsdist.sim.scenes import families
 from zsdist.sim.scenes.scene import Scene

@@ -67,42 +67,42 @@ def main() -> None:
     add("--out", type=Path, metavar="DIR", help="of the episodes (default: a temporary folder)")
     options = parser.parse_args()
     if options.quick:
-        options.entrants, options.episodes = options.entrants[:3], 2
+        options.contenders, options.episodes = options.contenders[:3], 2
     try:
-        called = {name: ENTRANTS[name] for name in options.entrants} | _trained(options.runs)
+        called = {name: ENTRANTS[name] for name in options.contenders} | _trained(options.runs)
     except ConfigError as error:
         parser.error(str(error))
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.out or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         figures = {}
-        for entrant, arguments in called.items():
+        for contender, arguments in called.items():
             for split in options.splits:
-                result = _evaluated(entrant, arguments, split, options.episodes, options.seed, folder)
-                figures |= {f"{entrant}, {split}: {key}": result.get(key) for key in ("success", "collision", "spl")}
+                result = _evaluated(contender, arguments, split, options.episodes, options.seed, folder)
+                figures |= {f"{contender}, {split}: {key}": result.get(key) for key in ("success", "collision", "spl")}
     report("driving", {name: value for name, value in figures.items() if value is not None}, {})
 
 
 def _trained(runs: list[Path]) -> dict[str, tuple[str, ...]]:
     """Entrants by the names of their runs; raises `ConfigError` where a folder holds no run."""
-    entrants: dict[str, tuple[str, ...]] = {}
+    contenders: dict[str, tuple[str, ...]] = {}
     for run in runs:
         name = config.load(run / "config.yaml").run.name
-        entrants[name] = (*entrants.get(name, ()), str(run))
-    return entrants
+        contenders[name] = (*contenders.get(name, ()), str(run))
+    return contenders
 
 
 def _evaluated(
-    entrant: str, arguments: tuple[str, ...], split: str, episodes: int, seed: int, folder: Path
+    contender: str, arguments: tuple[str, ...], split: str, episodes: int, seed: int, folder: Path
 ) -> dict[str, float | None]:
     """The result of one entrant on one split (over training seeds the interquartile mean); what is on file stays."""
     command = [sys.executable, "-m", "zsdist.evaluate", *arguments, "--scenes", split, "--seed", str(seed)]
-    file = "full" if entrant == NO_SHIELD else entrant  # which is driven with the shield as well
+    file = "full" if contender == NO_SHIELD else contender  # which is driven with the shield as well
     command += ["--episodes", str(episodes), "--out", str(folder / f"{file}.jsonl"), "--resume"]
     with tempfile.NamedTemporaryFile(suffix=".json") as told:
         subprocess.run([*command, "--json", told.name], check=True)
         result = json.loads(Path(told.name).read_text())
-    if entrant == NO_SHIELD:
+    if contender == NO_SHIELD:
         return result["without_shield"]
     return result.get("interquartile_mean", result)
 

@@ -165,17 +165,17 @@ def run_case(kind: str, actors: int, updates_per_insert: float, warm_up_s: float
             "replay": replay.step,
             "learner": lambda now: sampler.step(),
         }
-        shelf = replay.shelves[Level.LOW]
+        level_replay = replay.level_replays[Level.LOW]
         granted = config.agent.option_max_steps * config.run.cars_per_actor * actors  # ahead of the learner at first
-        while shelf.stored < granted:
+        while level_replay.stored < granted:
             _turns(steps, warm_up_s)
-        stored, sampled, began_s = shelf.stored, shelf.sampled, time.monotonic()
+        stored, sampled, began_s = level_replay.stored, level_replay.sampled, time.monotonic()
         cpu_s = _turns(steps, measured_s)
         if hub is None:
             del cpu_s["zenoh"]
         return {
-            "transitions": shelf.stored - stored,
-            "samples_per_insert": (shelf.sampled - sampled) / (shelf.stored - stored),
+            "transitions": level_replay.stored - stored,
+            "samples_per_insert": (level_replay.sampled - sampled) / (level_replay.stored - stored),
             "resent_frames": sum(box.statistics()["resent_frames"] for box in crew.outboxes.values()),
             "wall_s": time.monotonic() - began_s,
             "cpu_s": cpu_s,

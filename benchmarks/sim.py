@@ -26,8 +26,8 @@ from _common import report
 
 from zsdist.agent.hierarchy import HierarchicalAgent, q_functions
 from zsdist.config import CameraConfig, Config, VisionConfig
-from zsdist.driving.episode import Car, Errand
-from zsdist.driving.perception import Sight
+from zsdist.driving.episode import Car, EpisodeTask
+from zsdist.driving.perception import Perception
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
 from zsdist.run import program
@@ -49,9 +49,9 @@ Read = Callable[[np.ndarray], object]
 
 
 class Onlooker:
-    """What `Sight` asks of a car in a training episode, of one that has no agent."""
+    """What `Perception` asks of a car in a training episode, of one that has no agent."""
 
-    errand = types.SimpleNamespace(trains=True)
+    task = types.SimpleNamespace(trains=True)
 
     def __init__(self, env: CarNavigation, scene_hash: str) -> None:
         self.scene_hash = scene_hash
@@ -73,7 +73,7 @@ class Design:
     """A car, perhaps with a camera, perhaps with a network that reads its pictures `(1, px, px, 3)`.
 
     Attributes:
-        sight: in place of both: the camera and the network with a memory of readings.
+        perception: in place of both: the camera and the network with a memory of readings.
         parts_ms: CPU time of each action's physics, camera and network.
         rates: RL steps a CPU-second, one a round.
     """
@@ -82,7 +82,7 @@ class Design:
     env: CarNavigation
     camera: bool = True
     read: Read | None = None
-    sight: Sight | None = None
+    perception: Perception | None = None
     parts_ms: list[tuple[float, float, float]] = dataclasses.field(default_factory=list)
     rates: list[float] = dataclasses.field(default_factory=list)
 
@@ -104,8 +104,8 @@ class Design:
             marks.append(time.process_time())
             if self.read is not None:
                 self.read(picture[None])
-            elif self.sight is not None:
-                self.sight.views([onlooker])
+            elif self.perception is not None:
+                self.perception.views([onlooker])
             marks.append(time.process_time())
             self.parts_ms.append(tuple(1e3 * np.diff(marks)))
             spent_s += marks[-1] - marks[0]
@@ -135,12 +135,12 @@ def main() -> None:
     for index in range(-1, rounds):  # the first does not count
         for design in designs:
             scene = draw("singleton", "train", max(index, 0))
-            if design.sight is not None:
+            if design.perception is not None:
                 design.rehearse(scene, index + 1, actions)
             design.drive(scene, index + 1, actions)
     for design in designs:
-        if design.sight is not None:
-            design.sight.close()
+        if design.perception is not None:
+            design.perception.close()
     figures = _figures(designs, actions)
     figures |= _actors(options.weights, warm_episodes, measured)
     figures |= _floor(figures, head)
@@ -178,7 +178,7 @@ def _designs(weights: str) -> tuple[list[Design], Read]:
         Design("caster_224px_trunk", env(), read=encoder.tokens),
         Design("caster_224px_trunk_head", env(), read=model.read),
         Design("tiny_512px_eager", env(512, "pybullet"), read=read_eagerly),
-        Design("warm", env(), camera=False, sight=Sight(model, Grid.from_config(Config().grid), _memory())),
+        Design("warm", env(), camera=False, perception=Perception(model, Grid.from_config(Config().grid), _memory())),
     ]
     if folder.read(folder.locate(weights)).has(folder.STUDENT_FILE):
         student = VisualAct.load(VisionConfig(weights=weights, network="student"), CameraConfig(size_px=STUDENT_PX))
@@ -203,7 +203,7 @@ def _figures(designs: list[Design], actions: int) -> dict[str, float]:
         for part, value, there in zip(
             ("physics", "camera", "network"),
             parts,
-            (True, design.camera, design.read is not None or design.sight is not None),
+            (True, design.camera, design.read is not None or design.perception is not None),
             strict=True,
         ):
             if there:
@@ -243,7 +243,7 @@ def _actors(weights: str, warm_episodes: int, measured: int) -> dict[str, float]
         q_functions({level: program.make_learner(config, level).parameters() for level in Level}),
     )
     grid, figures = Grid.from_config(config.grid), {}
-    crews = {cars: _Crew(config, parts, cars, Sight(parts.visual_act, grid, None), q) for cars in CARS}
+    crews = {cars: _Crew(config, parts, cars, Perception(parts.visual_act, grid, None), q) for cars in CARS}
     times = {cars: [] for cars in CARS}
     for _ in range(6):  # the first, with what is done once, does not count
         for cars, crew in crews.items():
@@ -251,22 +251,22 @@ def _actors(weights: str, warm_episodes: int, measured: int) -> dict[str, float]
     for cars in CARS:
         ms = statistics.median(times[cars][1:])
         figures |= {f"actor_cold_{cars}_cars_ms": ms, f"actor_cold_{cars}_cars_steps_per_cpu_s": 1e3 / ms}
-    sight = Sight(parts.visual_act, grid, _memory())
-    learning = _Crew(config, parts, config.run.cars_per_actor, sight, q)
+    perception = Perception(parts.visual_act, grid, _memory())
+    learning = _Crew(config, parts, config.run.cars_per_actor, perception, q)
     while learning.episodes < warm_episodes:
         learning.drive(config.run.cars_per_actor)
-    figures |= _remembering("learning", learning, sight, measured, warm_episodes)
-    again = _Crew(config, parts, config.run.cars_per_actor, sight, q)
-    figures |= _remembering("warm", again, sight, measured, 0)
-    sight.close()
+    figures |= _remembering("learning", learning, perception, measured, warm_episodes)
+    again = _Crew(config, parts, config.run.cars_per_actor, perception, q)
+    figures |= _remembering("warm", again, perception, measured, 0)
+    perception.close()
     return figures
 
 
-def _remembering(name: str, crew: "_Crew", sight: Sight, steps: int, episodes: int) -> dict[str, float]:
+def _remembering(name: str, crew: "_Crew", perception: Perception, steps: int, episodes: int) -> dict[str, float]:
     """Cost of a step with a memory of readings, and the share of readings that came from it."""
-    before = np.array([sight.hits, sight.misses, sight.bypasses])
+    before = np.array([perception.hits, perception.misses, perception.bypasses])
     ms = crew.drive(steps)
-    hits, *others = np.array([sight.hits, sight.misses, sight.bypasses]) - before
+    hits, *others = np.array([perception.hits, perception.misses, perception.bypasses]) - before
     share = float(hits / (hits + sum(others)))
     print(f"{name}: {ms:.3f} ms a step, {1e3 / ms:.0f} steps/CPU-s, {share:.0%} remembered, {episodes} episodes before")
     return {
@@ -280,9 +280,9 @@ def _remembering(name: str, crew: "_Crew", sight: Sight, steps: int, episodes: i
 class _Crew:
     """An actor's cars without its messages: training episodes by the untrained agent, one after another."""
 
-    def __init__(self, config: Config, parts: program.Parts, cars: int, sight: Sight, q: dict) -> None:
+    def __init__(self, config: Config, parts: program.ActorParts, cars: int, perception: Perception, q: dict) -> None:
         self.episodes = 0
-        self._parts, self._sight, self._q = parts, sight, q
+        self._parts, self._perception, self._q = parts, perception, q
         self._cars = [Car(parts.make_env(), HierarchicalAgent(config)) for _ in range(cars)]
 
     def drive(self, steps: int) -> float:
@@ -290,12 +290,14 @@ class _Crew:
         driven, spent_s = 0, 0.0
         while driven < steps:
             for car in self._cars:
-                if car.errand is None:
+                if car.task is None:
                     self.episodes += 1
-                    scene = self._parts.itinerary.training(self.episodes)
-                    car.begin(Errand(scene, self.episodes, EPSILON, True, (0, self.episodes)), dict.fromkeys(Level, 0))
+                    scene = self._parts.schedule.training(self.episodes)
+                    car.begin(
+                        EpisodeTask(scene, self.episodes, EPSILON, True, (0, self.episodes)), dict.fromkeys(Level, 0)
+                    )
             began = time.process_time()
-            for car, view in zip(self._cars, self._sight.views(self._cars), strict=True):
+            for car, view in zip(self._cars, self._perception.views(self._cars), strict=True):
                 ended = car.over
                 car.advance(view, self._q)
                 car.agent.drain()

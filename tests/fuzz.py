@@ -173,7 +173,7 @@ def seeds() -> dict[str, list[tuple[str, bytes]]]:
     weights = WeightsMessage(1, 0, network.sha256(PARAMETERS), 1.0, Weights(Level.LOW, 1, PARAMETERS))
     candidate = Candidate(1, Level.LOW, 1, "recent", PARAMETERS)
     statistics = {"time_s": 1.0, "role": "actor", "id": "0", "host": "h", "pid": 1, "epoch": 7, "env_steps": 9}
-    shelf = {
+    level_replay = {
         "time_s": 1.0,
         "role": "replay",
         "id": "0",
@@ -211,7 +211,7 @@ def seeds() -> dict[str, list[tuple[str, bytes]]]:
             (keys.weights(RUN, "low"), weights),
             (keys.candidate(RUN, "low", "1-recent"), candidate),
             (keys.stats(RUN, "actor", "0"), json.dumps(statistics).encode()),
-            (keys.stats(RUN, "replay", "0"), json.dumps(shelf).encode()),
+            (keys.stats(RUN, "replay", "0"), json.dumps(level_replay).encode()),
         ],
     }
     return {

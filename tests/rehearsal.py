@@ -8,7 +8,7 @@ from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist import config
 from zsdist.run import directory, inline, program
-from zsdist.run.program import Itinerary, Parts, Setting
+from zsdist.run.program import ActorParts, RunSpec, SceneSchedule
 from zsdist.transport.base import Mailbox
 from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.wire import codec
@@ -33,7 +33,7 @@ SEEN = VisionIdentity.of(FakeVisualAct(), "head")
 
 
 def kinematic(settings):
-    return Parts(lambda: LatticeEnv(config=settings), FakeVisualAct(), Itinerary(settings))
+    return ActorParts(lambda: LatticeEnv(config=settings), FakeVisualAct(), SceneSchedule(settings))
 
 
 class Tap:
@@ -64,22 +64,22 @@ class Tap:
         return kinds
 
 
-def start(folder: Path, *overrides: str) -> Setting:
+def start(folder: Path, *overrides: str) -> RunSpec:
     settings = config.load(None, (*SMALL, *overrides))
     folder = directory.create(folder, settings)
-    return Setting(settings, directory.key_name(folder), folder, {}, SEEN, kinematic)
+    return RunSpec(settings, directory.key_name(folder), folder, {}, SEEN, kinematic)
 
 
-def resume(folder: Path, *overrides: str) -> Setting:
+def resume(folder: Path, *overrides: str) -> RunSpec:
     settings, states = directory.reopen(folder, overrides)
     directory.rewind(folder, settings, states)
-    return Setting(settings, directory.key_name(folder), folder, states, SEEN, kinematic)
+    return RunSpec(settings, directory.key_name(folder), folder, states, SEEN, kinematic)
 
 
-def rehearse(setting: Setting, **hooks) -> dict:
-    epochs = directory.issue_epochs(setting.folder, program.epoch_count(setting.config))
-    inline.run(setting, epochs, **hooks)
-    return json.loads((setting.folder / "summary.json").read_text())
+def rehearse(spec: RunSpec, **hooks) -> dict:
+    epochs = directory.issue_epochs(spec.folder, program.epoch_count(spec.config))
+    inline.run(spec, epochs, **hooks)
+    return json.loads((spec.folder / "summary.json").read_text())
 
 
 def episodes(folder: Path) -> list[dict]:

@@ -192,11 +192,11 @@ class Storm:
 
     def check(self) -> None:
         """Nothing lost, doubled, torn, joined or in another's shard; the books agree with the rings."""
-        shelves = [replay.shelves[Level.LOW] for replay in self.replays]
+        level_replays = [replay.level_replays[Level.LOW] for replay in self.replays]
         rings = []
-        for replay, shelf in zip(self.replays, shelves, strict=True):
-            shelf.buffer.check_valid()
-            rings.append(shelf.buffer.state())
+        for replay, level_replay in zip(self.replays, level_replays, strict=True):
+            level_replay.buffer.check_valid()
+            rings.append(level_replay.buffer.state())
             actors = set(rings[-1]["states"][:, 0].astype(int).tolist())
             assert all(replay.shard.owns(f"actor-{actor}") for actor in actors)
         rows = {name: np.concatenate([ring[name] for ring in rings]) for name in ("states", "next_states", "rewards")}
@@ -214,6 +214,6 @@ class Storm:
             mine = [row for row in held if row[:2] == (driver.index, driver.epoch)]
             assert driver.confirmed <= len(mine) <= driver.outbox.produced, "what was acknowledged is held"
         books = Counter()
-        for shelf in shelves:
-            books.update(shelf.books())
+        for level_replay in level_replays:
+            books.update(level_replay.books())
         assert books["produced"] == books["stored"] == len(held) and books["rejected"] == 0

@@ -36,7 +36,7 @@ RAY_PORT, RAY_CLIENT_PORT = 6379, 10001
 COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 
 
-class Verdict(StrEnum):
+class CheckStatus(StrEnum):
     """How a check came out; `WARN`: it works, with a restriction."""
 
     OK = "ok"
@@ -45,11 +45,11 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckResult:
     """One check: what was found, and what to do where that is not well."""
 
     check: str
-    verdict: Verdict
+    verdict: CheckStatus
     found: str
     advice: str = ""
 
@@ -74,13 +74,13 @@ def main(options: argparse.Namespace) -> int:
             console.print(f"[{colour}]{finding.verdict:4}[/{colour}] {finding.check}: {finding.found}", highlight=False)
             if finding.advice:
                 console.print(f"     {finding.advice}", highlight=False)
-    failed = any(finding.verdict is Verdict.FAIL for finding in findings)
+    failed = any(finding.verdict is CheckStatus.FAIL for finding in findings)
     if options.json:
         print(json.dumps({"ok": not failed, "checks": [asdict(finding) for finding in findings]}, indent=1))
     return 1 if failed else 0
 
 
-def examine(address: str | None, endpoint: str | None, tls: Path | None = None) -> Iterator[Finding]:
+def examine(address: str | None, endpoint: str | None, tls: Path | None = None) -> Iterator[CheckResult]:
     """All checks, one after another; what a check did not expect is a failure of that check, not of the command."""
     yield check_python()
     yield from check_packages()
@@ -95,29 +95,29 @@ def examine(address: str | None, endpoint: str | None, tls: Path | None = None) 
         yield from check_certificates(tls, endpoint)
 
 
-def guarded(name: str, check: Callable[[], Finding]) -> Finding:
+def guarded(name: str, check: Callable[[], CheckResult]) -> CheckResult:
     """A check's finding; a failure with the exception's own words where it raises one."""
     try:
         return check()
     except Exception as error:  # the point of a doctor is to survive any illness
-        return Finding(
-            name, Verdict.FAIL, f"{type(error).__name__}: {' '.join(str(error).split())}", "Run make install."
+        return CheckResult(
+            name, CheckStatus.FAIL, f"{type(error).__name__}: {' '.join(str(error).split())}", "Run make install."
         )
 
 
-def check_python(version: tuple[int, ...] = sys.version_info[:3]) -> Finding:
+def check_python(version: tuple[int, ...] = sys.version_info[:3]) -> CheckResult:
     """The interpreter against what the package requires."""
     text = ".".join(str(part) for part in version)
     try:
         required = importlib.metadata.metadata("zsdist")["Requires-Python"]
     except importlib.metadata.PackageNotFoundError:
-        return Finding("python", Verdict.FAIL, f"{text}; zsdist itself is not installed", "Run make install.")
+        return CheckResult("python", CheckStatus.FAIL, f"{text}; zsdist itself is not installed", "Run make install.")
     if not SpecifierSet(required).contains(text):
-        return Finding("python", Verdict.FAIL, f"{text}; allowed is {required}", "Install with Python 3.11.")
-    return Finding("python", Verdict.OK, f"{text} at {sys.executable}")
+        return CheckResult("python", CheckStatus.FAIL, f"{text}; allowed is {required}", "Install with Python 3.11.")
+    return CheckResult("python", CheckStatus.OK, f"{text} at {sys.executable}")
 
 
-def check_packages(requirements: list[str] | None = None) -> Iterator[Finding]:
+def check_packages(requirements: list[str] | None = None) -> Iterator[CheckResult]:
     """Every required package against its range; one line where all is well."""
     if requirements is None:
         try:
@@ -134,12 +134,12 @@ def check_packages(requirements: list[str] | None = None) -> Iterator[Finding]:
         if version == "missing" or not requirement.specifier.contains(version):
             well = False
             found = f"{version}; allowed is {requirement.specifier}"
-            yield Finding(f"package {requirement.name}", Verdict.FAIL, found, "Run make install.")
+            yield CheckResult(f"package {requirement.name}", CheckStatus.FAIL, found, "Run make install.")
     if well:
-        yield Finding("packages", Verdict.OK, f"{len(needed)} packages within their ranges")
+        yield CheckResult("packages", CheckStatus.OK, f"{len(needed)} packages within their ranges")
 
 
-def check_machine() -> Iterator[Finding]:
+def check_machine() -> Iterator[CheckResult]:
     """Cores, memory and disk."""
     cores = os.cpu_count() or 1
     yield enough("cores", cores, CORES, "", "Expect the default run to take longer.")
@@ -149,14 +149,14 @@ def check_machine() -> Iterator[Finding]:
     yield enough("disk", free_gib, DISK_GIB, " GiB free here", "Make room, or set --run-dir to another disk.")
 
 
-def enough(check: str, found: float, wanted: float, unit: str, advice: str) -> Finding:
+def enough(check: str, found: float, wanted: float, unit: str, advice: str) -> CheckResult:
     """A warning where there is less than wanted."""
     if found >= wanted:
-        return Finding(check, Verdict.OK, f"{found:.3g}{unit}")
-    return Finding(check, Verdict.WARN, f"{found:.3g}{unit}; {wanted:g} are recommended", advice)
+        return CheckResult(check, CheckStatus.OK, f"{found:.3g}{unit}")
+    return CheckResult(check, CheckStatus.WARN, f"{found:.3g}{unit}; {wanted:g} are recommended", advice)
 
 
-def check_camera() -> Finding:
+def check_camera() -> CheckResult:
     """Renders one picture of a scene."""
     from zsdist.sim.camera import make_camera
     from zsdist.sim.scenes import families
@@ -168,11 +168,13 @@ def check_camera() -> Finding:
     image = camera.render(scene, scene.start.pose)
     taken_ms = 1000 * (time.perf_counter() - began_s)
     if image.std() == 0:
-        return Finding("camera", Verdict.FAIL, f"{config.back_end}: the picture is empty", "Try the other back end.")
-    return Finding("camera", Verdict.OK, f"{config.back_end}, {config.size_px} px in {taken_ms:.1f} ms")
+        return CheckResult(
+            "camera", CheckStatus.FAIL, f"{config.back_end}: the picture is empty", "Try the other back end."
+        )
+    return CheckResult("camera", CheckStatus.OK, f"{config.back_end}, {config.size_px} px in {taken_ms:.1f} ms")
 
 
-def check_vision() -> Finding:
+def check_vision() -> CheckResult:
     """Every file of the shipped weights, one reading by encoder and head, one by the student, one look for words."""
     from zsdist.vision import folder
     from zsdist.vision.visual_act import VisualAct
@@ -199,16 +201,16 @@ def check_vision() -> Finding:
                 model.look(image)
     except WeightsError as error:
         advice = "Install the package whole (make install), or make weights: python -m zsdist.pretrain."
-        return Finding("vision", Verdict.FAIL, str(error), advice)
+        return CheckResult("vision", CheckStatus.FAIL, str(error), advice)
     if missing:
         text = "; ".join([*found, f"no {', '.join(missing)}"])
-        return Finding(
-            "vision", Verdict.WARN, text, "What needs them is refused; python -m zsdist.pretrain makes them."
+        return CheckResult(
+            "vision", CheckStatus.WARN, text, "What needs them is refused; python -m zsdist.pretrain makes them."
         )
-    return Finding("vision", Verdict.OK, "; ".join(found))
+    return CheckResult("vision", CheckStatus.OK, "; ".join(found))
 
 
-def check_zenoh() -> Finding:
+def check_zenoh() -> CheckResult:
     """A hub, two clients, and one message there and back."""
     from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 
@@ -216,7 +218,7 @@ def check_zenoh() -> Finding:
         return _message_through("zenoh", hub.endpoint, [ZenohTransport(hub.endpoint) for _ in range(2)])
 
 
-def check_certificates(folder: Path, endpoint: str | None) -> Iterator[Finding]:
+def check_certificates(folder: Path, endpoint: str | None) -> Iterator[CheckResult]:
     """Every certificate in a folder; where the hub's is among them, its host and a message over TLS."""
     from zsdist.roles import permissions
     from zsdist.transport.certificates import AUTHORITY, Identity
@@ -232,26 +234,30 @@ def check_certificates(folder: Path, endpoint: str | None) -> Iterator[Finding]:
         try:
             identity = identities[name] = Identity.load(folder, name)
         except TransportError as error:
-            yield Finding(check, Verdict.FAIL, str(error), renew)
+            yield CheckResult(check, CheckStatus.FAIL, str(error), renew)
             continue
         if identity.key.stat().st_mode & 0o007:
-            yield Finding(check, Verdict.WARN, f"everybody here may read {identity.key}", f"chmod 600 {identity.key}")
+            yield CheckResult(
+                check, CheckStatus.WARN, f"everybody here may read {identity.key}", f"chmod 600 {identity.key}"
+            )
         elif (days := identity.days_left()) < RENEW_DAYS:
-            yield Finding(check, Verdict.WARN, f"valid for another {days} days", renew)
+            yield CheckResult(check, CheckStatus.WARN, f"valid for another {days} days", renew)
         else:
-            yield Finding(check, Verdict.OK, f"valid for another {days} days")
+            yield CheckResult(check, CheckStatus.OK, f"valid for another {days} days")
     if not names:
-        yield Finding(f"certificates {folder}", Verdict.FAIL, "there are none", f"Run python -m zsdist.certs {folder}.")
+        yield CheckResult(
+            f"certificates {folder}", CheckStatus.FAIL, "there are none", f"Run python -m zsdist.certs {folder}."
+        )
     if permissions.HUB not in identities or permissions.TRUSTED not in identities:
         return  # a machine on which actors drive has no use for them
     hosts, wanted = identities[permissions.HUB].hosts(), host_of(endpoint or Config().transport.endpoint)
-    verdict = Verdict.OK if wanted in hosts else Verdict.FAIL
+    verdict = CheckStatus.OK if wanted in hosts else CheckStatus.FAIL
     advice = "" if wanted in hosts else f"Remove hub.pem and hub.key, and run zsdist.certs with --host {wanted}."
-    yield Finding("certificate of the hub's host", verdict, f"{wanted}; it is for {', '.join(hosts)}", advice)
+    yield CheckResult("certificate of the hub's host", verdict, f"{wanted}; it is for {', '.join(hosts)}", advice)
 
     hop = "zenoh over TLS"
 
-    def over_tls() -> Finding:
+    def over_tls() -> CheckResult:
         with ZenohHub(TLS_ENDPOINT, identities[permissions.HUB], permissions.access_list(1)) as hub:
             shown = identities[permissions.TRUSTED]
             return _message_through(hop, hub.endpoint, [ZenohTransport(hub.endpoint, shown) for _ in range(2)])
@@ -259,7 +265,7 @@ def check_certificates(folder: Path, endpoint: str | None) -> Iterator[Finding]:
     yield guarded(hop, over_tls)
 
 
-def _message_through(check: str, endpoint: str, clients: "list[ZenohTransport]") -> Finding:
+def _message_through(check: str, endpoint: str, clients: "list[ZenohTransport]") -> CheckResult:
     """One message from one client to the other, which are closed."""
     from zsdist.transport.base import Mailbox
 
@@ -275,23 +281,25 @@ def _message_through(check: str, endpoint: str, clients: "list[ZenohTransport]")
             client.close()
     if not arrived.is_set():
         advice = "Look for a firewall on the loopback interface."
-        return Finding(check, Verdict.FAIL, f"no message came through {endpoint}", advice)
-    return Finding(check, Verdict.OK, f"a message came through {endpoint}")
+        return CheckResult(check, CheckStatus.FAIL, f"no message came through {endpoint}", advice)
+    return CheckResult(check, CheckStatus.OK, f"a message came through {endpoint}")
 
 
-def check_ray() -> Finding:
+def check_ray() -> CheckResult:
     """Whether the Ray runner can be imported."""
     from zsdist.run import ray  # noqa: F401 (that it can be imported is what is checked)
 
-    return Finding("ray", Verdict.OK, f"version {importlib.metadata.version('ray')}")
+    return CheckResult("ray", CheckStatus.OK, f"version {importlib.metadata.version('ray')}")
 
 
-def check_address(address: str) -> Finding:
+def check_address(address: str) -> CheckResult:
     """Whether something listens at a Ray address."""
     check = f"cluster {address}"
     place = _current_cluster() if address == "auto" else address
     if place is None:
-        return Finding(check, Verdict.FAIL, "no Ray cluster runs on this machine", "Start one: ray start --head.")
+        return CheckResult(
+            check, CheckStatus.FAIL, "no Ray cluster runs on this machine", "Start one: ray start --head."
+        )
     port = RAY_CLIENT_PORT if place.startswith("ray://") else RAY_PORT
     host, _, digits = place.removeprefix("ray://").rpartition(":")
     if not digits.isdecimal():
@@ -300,25 +308,25 @@ def check_address(address: str) -> Finding:
         socket.create_connection((host, int(digits)), timeout=CONNECT_TIMEOUT_S).close()
     except (OSError, OverflowError) as error:
         advice = "Check that the head node runs, and that this port is open between here and there."
-        return Finding(check, Verdict.FAIL, f"{host}:{digits} does not answer: {error}", advice)
-    return Finding(check, Verdict.OK, f"{host}:{digits} answers")
+        return CheckResult(check, CheckStatus.FAIL, f"{host}:{digits} does not answer: {error}", advice)
+    return CheckResult(check, CheckStatus.OK, f"{host}:{digits} answers")
 
 
-def check_endpoint(endpoint: str) -> Finding:
+def check_endpoint(endpoint: str) -> CheckResult:
     """Whether the roles of a cluster could reach the hub's endpoint, and nobody else do harm there."""
     check, advice = f"endpoint {endpoint}", "Set transport.endpoint to this machine's address: tls/HOST:7447."
     host = host_of(endpoint)
     if not host:
-        return Finding(check, Verdict.FAIL, "it is not of the form PROTOCOL/HOST:PORT", advice)
+        return CheckResult(check, CheckStatus.FAIL, "it is not of the form PROTOCOL/HOST:PORT", advice)
     try:
         places = {item[4][0] for item in socket.getaddrinfo(host, None)}
     except OSError as error:
-        return Finding(check, Verdict.FAIL, f"{host} has no address: {error}", advice)
+        return CheckResult(check, CheckStatus.FAIL, f"{host} has no address: {error}", advice)
     if any(place.startswith("127.") or place in ("::1", "0.0.0.0", "::") for place in places):
-        return Finding(check, Verdict.FAIL, "other machines cannot reach it", advice)
+        return CheckResult(check, CheckStatus.FAIL, "other machines cannot reach it", advice)
     if not endpoint.startswith("tls/"):
-        return Finding(check, Verdict.FAIL, "it asks for no certificate, and a run refuses it", advice)
-    return Finding(check, Verdict.OK, f"{', '.join(sorted(places))}; other machines may reach it")
+        return CheckResult(check, CheckStatus.FAIL, "it asks for no certificate, and a run refuses it", advice)
+    return CheckResult(check, CheckStatus.OK, f"{', '.join(sorted(places))}; other machines may reach it")
 
 
 def host_of(endpoint: str) -> str:

@@ -19,8 +19,8 @@ from zsdist.common import cli
 from zsdist.errors import RunError, WeightsError
 from zsdist.evaluation.baselines import BASELINES
 from zsdist.evaluation.comparison import compare
-from zsdist.evaluation.contenders import FULL, VARIANTS, Entrant
-from zsdist.evaluation.drivers import Sees
+from zsdist.evaluation.contenders import FULL, VARIANTS, Contender
+from zsdist.evaluation.drivers import Observability
 from zsdist.evaluation.report import Report, evaluate, show_together, together
 from zsdist.evaluation.selection import select
 from zsdist.run.checkpoint import check_vision, load_policy
@@ -56,9 +56,9 @@ def main(options: argparse.Namespace) -> int:
     console = Console()
     if options.list:
         for name in SHIPPED:
-            print(f"{name:24} a learned policy that comes with the package (sees {Sees.CAMERA})")
+            print(f"{name:24} a learned policy that comes with the package (sees {Observability.CAMERA})")
         for name, baseline in BASELINES.items():
-            print(f"{name:24} {baseline.line} (sees {baseline.sees})")
+            print(f"{name:24} {baseline.line} (sees {baseline.observability})")
         print("variants of a learned policy, --variant NAME:")
         for name, variant in VARIANTS.items():
             print(f"{name:24} {variant.line}")
@@ -77,11 +77,11 @@ def main(options: argparse.Namespace) -> int:
     found = [(name, *find_policy(name, options.config, options.variant)) for name in options.policy]
     _check_together(found, options.no_shield)
     reports = []
-    for name, entrant, sha256 in found:
-        reports.append(_drive(options, name, entrant, sha256))
+    for name, contender, sha256 in found:
+        reports.append(_drive(options, name, contender, sha256))
         reports[-1].show(console)
         if options.video is not None:
-            _film(options, entrant, options.video if len(found) == 1 else options.video / Path(name).name)
+            _film(options, contender, options.video if len(found) == 1 else options.video / Path(name).name)
     if len(reports) == 1:
         _write(options.json, reports[0].result)
         return 0
@@ -91,7 +91,7 @@ def main(options: argparse.Namespace) -> int:
     return 0
 
 
-def find_policy(name: str, config_file: Path | None = None, variant: str = FULL) -> tuple[Entrant, str | None]:
+def find_policy(name: str, config_file: Path | None = None, variant: str = FULL) -> tuple[Contender, str | None]:
     """Who is meant by a POLICY argument, and the hash of its weights (None for a baseline).
 
     Raises:
@@ -104,7 +104,7 @@ def find_policy(name: str, config_file: Path | None = None, variant: str = FULL)
     if name in BASELINES:
         if variant != FULL:
             raise RunError(f"--variant {variant}: baseline {name!r} has no variants; allowed is a learned policy")
-        return Entrant(config.load(config_file), baseline=name), None
+        return Contender(config.load(config_file), baseline=name), None
     if config_file is not None:
         raise RunError(f"--config {config_file}: a learned policy brings its own configuration; leave the option out")
     folder = SHIPPED.get(name, Path(name))
@@ -114,10 +114,10 @@ def find_policy(name: str, config_file: Path | None = None, variant: str = FULL)
     policy = load_policy(folder)
     if note := check_vision(policy):
         print(note, file=sys.stderr)
-    return Entrant(policy.config, policy.parameters, variant=variant), policy.sha256
+    return Contender(policy.config, policy.parameters, variant=variant), policy.sha256
 
 
-def _drive(options: argparse.Namespace, name: str, entrant: Entrant, sha256: str | None) -> Report:
+def _drive(options: argparse.Namespace, name: str, contender: Contender, sha256: str | None) -> Report:
     """The evaluation that was asked for, and beside it, where asked for, the one without the shield."""
     reports = [
         evaluate(
@@ -130,25 +130,25 @@ def _drive(options: argparse.Namespace, name: str, entrant: Entrant, sha256: str
             workers=options.workers,
             out=options.out,
         )
-        for who in (entrant, *((replace(entrant, shielded=False),) if options.no_shield else ()))
+        for who in (contender, *((replace(contender, shielded=False),) if options.no_shield else ()))
     ]
     return reports[0] if len(reports) == 1 else reports[0].beside(reports[1])
 
 
-def _film(options: argparse.Namespace, entrant: Entrant, folder: Path) -> None:
+def _film(options: argparse.Namespace, contender: Contender, folder: Path) -> None:
     """Films the first episodes, which are driven once more for it: what was measured was not slowed."""
     from zsdist.reporting.film import film  # imports matplotlib, which an evaluation does without
 
-    scenes = select(options.scenes, entrant.config, options.episodes, options.seed)[: options.video_episodes]
-    film(entrant, scenes, options.seed, folder, lambda file: print(f"film: {file}", flush=True))
+    scenes = select(options.scenes, contender.config, options.episodes, options.seed)[: options.video_episodes]
+    film(contender, scenes, options.seed, folder, lambda file: print(f"film: {file}", flush=True))
 
 
-def _check_together(found: list[tuple[str, Entrant, str | None]], no_shield: bool) -> None:
+def _check_together(found: list[tuple[str, Contender, str | None]], no_shield: bool) -> None:
     """Holds that those named can be evaluated as they were asked for, before the first of them drives."""
-    for index, (name, entrant, sha256) in enumerate(found):
-        if no_shield and entrant.baseline:
+    for index, (name, contender, sha256) in enumerate(found):
+        if no_shield and contender.baseline:
             raise RunError(f"--no-shield: baseline {name!r} drives one way only; allowed is a learned policy")
-        if entrant.baseline and len(found) > 1:
+        if contender.baseline and len(found) > 1:
             raise RunError(f"several policies are training seeds of one method; baseline {name!r} is allowed alone")
         for other, _, same in found[:index]:
             if same == sha256:

@@ -16,7 +16,7 @@ from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
 from zsdist.reporting import final_evaluation
 from zsdist.run import directory, program
-from zsdist.run.program import Setting
+from zsdist.run.program import RunSpec
 from zsdist.telemetry.display import Display
 from zsdist.vision.fingerprint import VisionIdentity
 
@@ -24,29 +24,27 @@ from zsdist.vision.fingerprint import VisionIdentity
 def main(options: argparse.Namespace) -> int:
     """Trains as the options say; 0 once the work is done, 130 where it was interrupted."""
     console = Console()
-    setting = _resume(options, console) if options.resume else _start(options, console)
-    console.print(
-        f"zsdist run [bold]{setting.folder}[/bold] (seed {setting.config.seed})", highlight=False, soft_wrap=True
-    )
+    spec = _resume(options, console) if options.resume else _start(options, console)
+    console.print(f"zsdist run [bold]{spec.folder}[/bold] (seed {spec.config.seed})", highlight=False, soft_wrap=True)
     with _interruptible() as interruption:
-        summary = _train(setting, interruption, console, prefer_lines=options.plain)
+        summary = _train(spec, interruption, console, prefer_lines=options.plain)
     _check_books(summary)
-    _tell_unlearned(summary, setting.config, console)
-    final_evaluation.draw_training(setting.folder)
+    _tell_unlearned(summary, spec.config, console)
+    final_evaluation.draw_training(spec.folder)
     if summary["ended"] == "interrupted":
         console.print(
             f"interrupted after {summary['episodes']} episodes; everything is saved, go on with\n"
-            f"  python -m zsdist.launch --resume {setting.folder}",
+            f"  python -m zsdist.launch --resume {spec.folder}",
             highlight=False,
             soft_wrap=True,
         )
         return cli.INTERRUPTED
     try:
-        final_evaluation.compare(setting.folder, setting.config, console)
+        final_evaluation.compare(spec.folder, spec.config, console)
     except KeyboardInterrupt:
         console.print(
             "the training is complete and saved; only its evaluation was interrupted. To have one:\n"
-            f"  python -m zsdist.evaluate {setting.folder}",
+            f"  python -m zsdist.evaluate {spec.folder}",
             highlight=False,
             soft_wrap=True,
         )
@@ -87,14 +85,14 @@ def _overrides(options: argparse.Namespace) -> tuple[str, ...]:
     return tuple(overrides)
 
 
-def _start(options: argparse.Namespace, console: Console) -> Setting:
+def _start(options: argparse.Namespace, console: Console) -> RunSpec:
     settings = config.load(options.config, _overrides(options))
     vision = _check_parts(settings, console)
     folder = directory.create(options.run_dir, settings).resolve()
-    return Setting(settings, directory.key_name(folder), folder, {}, vision)
+    return RunSpec(settings, directory.key_name(folder), folder, {}, vision)
 
 
-def _resume(options: argparse.Namespace, console: Console) -> Setting:
+def _resume(options: argparse.Namespace, console: Console) -> RunSpec:
     for name in ("config", "seed", "run_dir"):
         if getattr(options, name) is not None:
             raise ConfigError(
@@ -116,7 +114,7 @@ def _resume(options: argparse.Namespace, console: Console) -> Setting:
         console.print(note, highlight=False, soft_wrap=True)
     folder = options.resume.resolve()
     directory.rewind(folder, settings, states)
-    return Setting(settings, directory.key_name(folder), folder, states, vision)
+    return RunSpec(settings, directory.key_name(folder), folder, states, vision)
 
 
 def _check_parts(settings: Config, console: Console) -> VisionIdentity:
@@ -127,21 +125,21 @@ def _check_parts(settings: Config, console: Console) -> VisionIdentity:
     return program.warm_up(settings)
 
 
-def _train(setting: Setting, interruption: "Interruption", console: Console, *, prefer_lines: bool) -> dict:
-    if setting.config.placement == "ray":  # each takes a second or two to import what the other does without
+def _train(spec: RunSpec, interruption: "Interruption", console: Console, *, prefer_lines: bool) -> dict:
+    if spec.config.placement == "ray":  # each takes a second or two to import what the other does without
         from zsdist.run import ray as runner
     else:
         from zsdist.run import inline as runner
-    epochs = directory.issue_epochs(setting.folder, program.epoch_count(setting.config))
-    (setting.folder / "summary.json").unlink(missing_ok=True)
+    epochs = directory.issue_epochs(spec.folder, program.epoch_count(spec.config))
+    (spec.folder / "summary.json").unlink(missing_ok=True)
     try:
-        with Display(setting.run, console, prefer_lines=prefer_lines) as display:
-            runner.run(setting, epochs, interrupted=interruption, watch=display.refresh)
+        with Display(spec.run, console, prefer_lines=prefer_lines) as display:
+            runner.run(spec, epochs, interrupted=interruption, watch=display.refresh)
     except RunError as error:
-        if not any(setting.folder.glob("checkpoints/*/manifest.json")):
+        if not any(spec.folder.glob("checkpoints/*/manifest.json")):
             raise
-        raise RunError(f"{error}; go on from the last checkpoint with --resume {setting.folder}") from error
-    return json.loads((setting.folder / "summary.json").read_text())
+        raise RunError(f"{error}; go on from the last checkpoint with --resume {spec.folder}") from error
+    return json.loads((spec.folder / "summary.json").read_text())
 
 
 def _check_books(summary: dict) -> None:

@@ -22,7 +22,7 @@ from zsdist.pretraining import job as jobs
 from zsdist.pretraining.check.check import OBJECTS, check
 from zsdist.pretraining.job import PURPOSE, STAGES, Job
 from zsdist.pretraining.pictures import check_disk
-from zsdist.pretraining.progress import Watch
+from zsdist.pretraining.progress import PretrainingProgress
 from zsdist.vision.encoders import open_encoder
 
 IMAGES = 30_000
@@ -88,7 +88,7 @@ def pretrain(options: argparse.Namespace) -> int:
     if not options.resume:
         jobs.create(folder, job)
     try:
-        with Watch(prefer_lines=options.plain) as watch:
+        with PretrainingProgress(prefer_lines=options.plain) as watch:
             train(job, folder, encoder, options.minutes, options.workers, options.keep_pictures, watch)
     except KeyboardInterrupt:
         print(f"interrupted; what is finished is kept, go on with\n  python -m zsdist.pretrain --resume {folder}")

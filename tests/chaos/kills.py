@@ -37,7 +37,7 @@ from zsdist import config
 from zsdist.replay import journal
 from zsdist.roles.replay.level_replay import Entry
 from zsdist.run import directory, program, ray
-from zsdist.run.program import Setting
+from zsdist.run.program import RunSpec
 from zsdist.transport.base import Mailbox, Transport
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Ack, Push
@@ -254,10 +254,10 @@ def ride(role: str, kills: int) -> dict:
         folder = Path(root) / "kills"
         settings = config.load(None, LIGHT)
         directory.create(folder, settings)
-        setting = Setting(settings, directory.key_name(folder), folder, {}, SEEN, kinematic)
+        spec = RunSpec(settings, directory.key_name(folder), folder, {}, SEEN, kinematic)
         epochs = directory.issue_epochs(folder, program.epoch_count(settings))
         executioner = Executioner(role, kills, folder)
-        ray.run(setting, epochs, interrupted=executioner.interrupted, watch=executioner.watch)
+        ray.run(spec, epochs, interrupted=executioner.interrupted, watch=executioner.watch)
         executioner.tail.close()
         summary = json.loads((folder / "summary.json").read_text())
         return {

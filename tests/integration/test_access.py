@@ -259,9 +259,9 @@ def test_a_hub_that_cannot_prove_to_be_the_hub_of_its_host_gets_no_client(folder
 
 def test_a_whole_run_works_with_certificates(folder, tmp_path):
     transport = f"transport={{kind: zenoh, tls: {folder}, endpoint: {free_endpoint('tls')}}}"
-    setting = start(tmp_path / "run", transport, f"run.actors={ACTORS}")
-    summary = rehearse(setting)
-    assert (setting.folder / "endpoint").read_text().startswith("tls/")
+    spec = start(tmp_path / "run", transport, f"run.actors={ACTORS}")
+    summary = rehearse(spec)
+    assert (spec.folder / "endpoint").read_text().startswith("tls/")
     assert summary["ended"] == "complete"
     assert len(summary["merges"]) == 2  # candidates, drives and promotions got through
     for books in summary["transitions"].values():

@@ -8,7 +8,7 @@ from rehearsal import SEEN, SMALL, kinematic, rehearse
 
 from zsdist import config
 from zsdist.run import directory
-from zsdist.run.program import Setting
+from zsdist.run.program import RunSpec
 
 pytestmark = pytest.mark.integration
 BASELINES = sorted((Path(__file__).parents[2] / "configs" / "baselines").glob("*.yaml"))
@@ -20,7 +20,7 @@ def test_a_baseline_trains_to_the_end(path, tmp_path):
     overrides = [one for one in SMALL if asked.merge.every_episodes or not one.startswith("merge.every_episodes")]
     settings = config.load(path, tuple(overrides))
     folder = directory.create(tmp_path / "run", settings)
-    summary = rehearse(Setting(settings, directory.key_name(folder), folder, {}, SEEN, kinematic))
+    summary = rehearse(RunSpec(settings, directory.key_name(folder), folder, {}, SEEN, kinematic))
     assert summary["episodes"] == settings.run.episodes
     assert bool(summary["merges"]) == bool(asked.merge.every_episodes)
     for level in ("high", "low"):

@@ -7,7 +7,7 @@ import pytest
 
 from zsdist.common import cli
 from zsdist.config import Config
-from zsdist.evaluation.contenders import Entrant
+from zsdist.evaluation.contenders import Contender
 from zsdist.evaluation.workers import drive_all
 from zsdist.sim.scenes import families
 
@@ -15,11 +15,11 @@ pytestmark = pytest.mark.integration
 
 
 def test_several_processes_drive_what_one_drives():
-    entrant, heard = Entrant(Config(), baseline="random"), []
+    contender, heard = Contender(Config(), baseline="random"), []
     scenes = [families.draw("singleton", "test", index) for index in range(3)]
-    alone = drive_all(entrant, scenes, seed=4, workers=1, on_record=lambda index, record: None)
+    alone = drive_all(contender, scenes, seed=4, workers=1, on_record=lambda index, record: None)
     together = drive_all(
-        entrant, scenes, seed=4, workers=2, on_record=lambda index, record: heard.append((index, record))
+        contender, scenes, seed=4, workers=2, on_record=lambda index, record: heard.append((index, record))
     )
     assert [record.poses for record in together] == [record.poses for record in alone]
     assert [record.scene for _, record in sorted(heard, key=lambda one: one[0])] == [scene.name for scene in scenes]

@@ -13,8 +13,8 @@ pytestmark = pytest.mark.integration
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     tap = Tap()
-    setting = start(tmp_path_factory.mktemp("runs") / "one")
-    return setting, rehearse(setting, watch=tap), tap.by_kind()
+    spec = start(tmp_path_factory.mktemp("runs") / "one")
+    return spec, rehearse(spec, watch=tap), tap.by_kind()
 
 
 def test_two_runs_with_one_seed_end_in_equal_weights(run, tmp_path):
@@ -52,13 +52,13 @@ def test_a_run_where_another_has_been_looks_at_nothing_anew_and_learns_the_same(
 
 
 def test_the_books_balance_and_every_lease_is_finished_once(run):
-    setting, summary, _ = run
+    spec, summary, _ = run
     for books in summary["transitions"].values():
         assert books["produced"] == books["stored"] + books["rejected"] > 0
         assert books["abandoned_at_most"] == 0
-    assert sorted(record["episode"] for record in episodes(setting.folder)) == list(range(1, 9))
+    assert sorted(record["episode"] for record in episodes(spec.folder)) == list(range(1, 9))
     assert sum(summary["outcomes"].values()) == summary["episodes"] == 8
-    assert summary["env_steps"] == sum(record["steps"] for record in episodes(setting.folder))
+    assert summary["env_steps"] == sum(record["steps"] for record in episodes(spec.folder))
     assert summary["transitions"]["low"]["produced"] == summary["env_steps"]
 
 
@@ -86,12 +86,12 @@ def test_the_replay_acknowledges_and_grants_credit_to_every_stream(run):
 
 
 def test_actors_act_with_the_weights_that_the_learners_broadcast(run):
-    setting, summary, said = run
+    spec, summary, said = run
     for level in Level:
         broadcast = [message for message in said["weights"] if message.weights.level is level]
         assert all(isinstance(message, WeightsMessage) for message in broadcast)
         versions = {message.weights.version for message in broadcast}
-        acted = [record[f"{level}_version"] for record in episodes(setting.folder)]
+        acted = [record[f"{level}_version"] for record in episodes(spec.folder)]
         assert set(acted) <= versions
         assert max(acted) > min(acted)  # later episodes were driven with newer weights
         assert broadcast[-1].sha256 == summary["weights"]["sha256"][level]
@@ -99,8 +99,8 @@ def test_actors_act_with_the_weights_that_the_learners_broadcast(run):
 
 
 def test_both_learners_are_fed_by_the_replay_at_the_configured_pace(run):
-    setting, summary, _ = run
-    for level, settings in ((Level.HIGH, setting.config.high), (Level.LOW, setting.config.low)):
+    spec, summary, _ = run
+    for level, settings in ((Level.HIGH, spec.config.high), (Level.LOW, spec.config.low)):
         books = summary["transitions"][level]
         updates = summary["learner_updates"][level]
         assert 0 < updates <= books["stored"] * settings.updates_per_insert
@@ -191,8 +191,8 @@ def test_a_run_that_was_interrupted_in_its_last_merge_is_gone_on_with_and_has_it
     many = ("run.episodes=4", "merge.validation_scenes=20", "merge.drop_after_scenes=20")
     first = rehearse(start(tmp_path / "run", *many), watch=tap, interrupted=merging)
     assert (first["episodes"], first["ended"], first["merges"]) == (4, "interrupted", [])
-    setting, before = resume(tmp_path / "run"), episodes(tmp_path / "run")
-    second = rehearse(setting)
+    spec, before = resume(tmp_path / "run"), episodes(tmp_path / "run")
+    second = rehearse(spec)
     assert (second["episodes"], second["ended"]) == (4, "complete")
     assert [merge["episode"] for merge in second["merges"]] == [4]
     assert episodes(tmp_path / "run") == before
@@ -201,10 +201,10 @@ def test_a_run_that_was_interrupted_in_its_last_merge_is_gone_on_with_and_has_it
 def test_a_run_ends_with_the_policy_that_the_last_merge_chose_although_updates_are_owed(tmp_path):
     tap, pace = Tap(), 30
     paces = (f"low.updates_per_insert={pace}", f"high.updates_per_insert={pace}")
-    setting = start(tmp_path / "run", "merge.every_episodes=8", *paces)
-    summary = rehearse(setting, watch=tap)
+    spec = start(tmp_path / "run", "merge.every_episodes=8", *paces)
+    summary = rehearse(spec, watch=tap)
     chosen = summary["merges"][-1]["chosen"]
-    policy = load_policy(setting.folder)
+    policy = load_policy(spec.folder)
     for level in Level:
         assert 0 < summary["learner_updates"][level] < pace * summary["transitions"][level]["stored"]
         offered = [one for one in tap.by_kind()["candidate"] if (one.level, one.name) == (level, chosen)]
@@ -212,10 +212,10 @@ def test_a_run_ends_with_the_policy_that_the_last_merge_chose_although_updates_a
 
 
 def test_a_checkpoint_holds_the_policy_that_was_broadcast_last(run):
-    setting, summary, _ = run
-    policy = load_policy(setting.folder)
+    spec, summary, _ = run
+    policy = load_policy(spec.folder)
     assert set(policy.parameters) == set(Level)
-    assert policy.config == setting.config
+    assert policy.config == spec.config
     for level in Level:
         assert network.sha256(policy.parameters[level]) == summary["weights"]["sha256"][level]
 

@@ -13,7 +13,7 @@ from zsdist.common import cli
 from zsdist.config import CameraConfig, VisionConfig
 from zsdist.errors import RunError, WeightsError
 from zsdist.pretraining import pictures
-from zsdist.pretraining.progress import Watch
+from zsdist.pretraining.progress import PretrainingProgress
 from zsdist.vision import folder
 from zsdist.vision.encoders import DEFAULT, open_encoder
 from zsdist.vision.training import head as of_head
@@ -52,7 +52,11 @@ def test_a_pretraining_that_was_broken_off_twice_ends_with_the_weights_of_one_th
     assert f"--resume {broken}" in capsys.readouterr().out
     seen = []
     with monkeypatch.context() as patched:
-        patched.setattr(Watch, "epoch", lambda self, *figures: seen.append(figures) or (len(seen) == 3 and interrupt()))
+        patched.setattr(
+            PretrainingProgress,
+            "epoch",
+            lambda self, *figures: seen.append(figures) or (len(seen) == 3 and interrupt()),
+        )
         assert command("--resume", broken, "--workers", 2) == cli.INTERRUPTED
     assert command("--resume", broken) == 0
     whole, again = folder.read(tmp_path / "whole"), folder.read(broken)
@@ -76,7 +80,7 @@ def test_sigterm_leaves_what_is_finished_and_says_how_to_go_on_and_a_loss_of_nan
     out = tmp_path / "new"
     arguments = ["--images", "16", "--stages", "head", "--workers", "1", "--plain", "--out", str(out)]
     with monkeypatch.context() as patched:
-        patched.setattr(Watch, "epoch", lambda *figures: os.kill(os.getpid(), signal.SIGTERM))
+        patched.setattr(PretrainingProgress, "epoch", lambda *figures: os.kill(os.getpid(), signal.SIGTERM))
         with pytest.raises(SystemExit) as left:
             cli.execute(pretrain.main, pretrain.make_parser(), arguments)
     assert left.value.code == cli.INTERRUPTED == 130

@@ -13,8 +13,8 @@ TWO = ("replay.shards=2", "run.actors=3")
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     tap = Tap()
-    setting = start(tmp_path_factory.mktemp("runs") / "two", *TWO, "run.episodes=24", "merge.every_episodes=12")
-    return setting, rehearse(setting, watch=tap), tap.by_kind()
+    spec = start(tmp_path_factory.mktemp("runs") / "two", *TWO, "run.episodes=24", "merge.every_episodes=12")
+    return spec, rehearse(spec, watch=tap), tap.by_kind()
 
 
 def last(said, role):
@@ -22,7 +22,7 @@ def last(said, role):
 
 
 def test_the_books_balance_over_all_shards(run):
-    setting, summary, said = run
+    spec, summary, said = run
     replays = last(said, "replay")
     assert set(replays) == {"0", "1"}
     for level in Level:
@@ -30,7 +30,7 @@ def test_the_books_balance_over_all_shards(run):
         assert books["produced"] == books["stored"] + books["rejected"] == summary["env_steps"]
         for name, total in books.items():
             assert sum(one[f"{level}_{name}"] for one in replays.values()) == total
-    assert sorted(record["episode"] for record in episodes(setting.folder)) == list(range(1, 25))
+    assert sorted(record["episode"] for record in episodes(spec.folder)) == list(range(1, 25))
 
 
 def test_each_shard_stores_what_its_actors_push_and_nothing_else(run):
@@ -47,8 +47,8 @@ def test_each_shard_stores_what_its_actors_push_and_nothing_else(run):
 
 
 def test_updates_an_insert_keep_to_the_setting_in_each_shard_and_overall(run):
-    setting, summary, said = run
-    for level, settings in ((Level.HIGH, setting.config.high), (Level.LOW, setting.config.low)):
+    spec, summary, said = run
+    for level, settings in ((Level.HIGH, spec.config.high), (Level.LOW, spec.config.low)):
         for one in last(said, "replay").values():
             assert one[f"{level}_updates_served"] <= one[f"{level}_stored"] * settings.updates_per_insert
         served = sum(one[f"{level}_updates_served"] for one in last(said, "replay").values())

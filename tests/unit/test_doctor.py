@@ -5,7 +5,7 @@ import pytest
 
 from zsdist import doctor
 from zsdist.common import cli
-from zsdist.doctor import Finding, Verdict
+from zsdist.doctor import CheckResult, CheckStatus
 from zsdist.errors import ZsdistError
 from zsdist.roles import permissions
 from zsdist.transport import certificates
@@ -18,9 +18,9 @@ def run(monkeypatch, findings, *arguments):
     return exit_.value.code
 
 
-GOOD = Finding("zenoh", Verdict.OK, "a message came through")
-THIN = Finding("memory", Verdict.WARN, "3 GiB", "Use fewer actors.")
-BAD = Finding("vision", Verdict.FAIL, "weights are missing", "Install the package whole.")
+GOOD = CheckResult("zenoh", CheckStatus.OK, "a message came through")
+THIN = CheckResult("memory", CheckStatus.WARN, "3 GiB", "Use fewer actors.")
+BAD = CheckResult("vision", CheckStatus.FAIL, "weights are missing", "Install the package whole.")
 
 
 def test_a_warning_is_no_failure(monkeypatch, capsys):
@@ -44,12 +44,12 @@ def test_json_holds_every_finding(monkeypatch, capsys):
 
 
 def test_this_python_and_its_packages_are_well():
-    assert doctor.check_python().verdict is Verdict.OK
-    assert [finding.verdict for finding in doctor.check_packages()] == [Verdict.OK]
+    assert doctor.check_python().verdict is CheckStatus.OK
+    assert [finding.verdict for finding in doctor.check_packages()] == [CheckStatus.OK]
 
 
 def test_another_python_is_a_failure():
-    assert doctor.check_python((3, 13, 1)).verdict is Verdict.FAIL
+    assert doctor.check_python((3, 13, 1)).verdict is CheckStatus.FAIL
 
 
 def test_a_missing_and_an_outdated_package_are_named():
@@ -60,7 +60,7 @@ def test_a_missing_and_an_outdated_package_are_named():
 
 def test_too_little_is_a_warning_with_advice():
     finding = doctor.enough("disk", 0.5, 2.0, " GiB", "Make room.")
-    assert (finding.verdict, finding.advice) == (Verdict.WARN, "Make room.")
+    assert (finding.verdict, finding.advice) == (CheckStatus.WARN, "Make room.")
 
 
 def test_an_exception_in_a_check_is_that_checks_failure():
@@ -68,21 +68,21 @@ def test_an_exception_in_a_check_is_that_checks_failure():
         raise ZsdistError("the camera\nis gone")
 
     finding = doctor.guarded("camera", broken)
-    assert finding.verdict is Verdict.FAIL and "the camera is gone" in finding.found
+    assert finding.verdict is CheckStatus.FAIL and "the camera is gone" in finding.found
 
 
 def test_the_camera_and_a_loopback_message_work_here():
-    assert doctor.check_camera().verdict is Verdict.OK
-    assert doctor.check_zenoh().verdict is Verdict.OK
+    assert doctor.check_camera().verdict is CheckStatus.OK
+    assert doctor.check_zenoh().verdict is CheckStatus.OK
 
 
 def test_a_listening_cluster_address_answers_and_a_closed_one_does_not():
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
-        assert doctor.check_address(f"ray://127.0.0.1:{port}").verdict is Verdict.OK
-        assert doctor.check_address(f"127.0.0.1:{port}").verdict is Verdict.OK
+        assert doctor.check_address(f"ray://127.0.0.1:{port}").verdict is CheckStatus.OK
+        assert doctor.check_address(f"127.0.0.1:{port}").verdict is CheckStatus.OK
     closed = doctor.check_address(f"127.0.0.1:{port}")
-    assert closed.verdict is Verdict.FAIL and closed.advice
+    assert closed.verdict is CheckStatus.FAIL and closed.advice
 
 
 def test_auto_means_the_environments_cluster_or_none(monkeypatch, tmp_path):
@@ -91,18 +91,18 @@ def test_auto_means_the_environments_cluster_or_none(monkeypatch, tmp_path):
     assert "no Ray cluster" in doctor.check_address("auto").found
     with socket.create_server(("127.0.0.1", 0)) as server:
         monkeypatch.setenv("RAY_ADDRESS", f"127.0.0.1:{server.getsockname()[1]}")
-        assert doctor.check_address("auto").verdict is Verdict.OK
+        assert doctor.check_address("auto").verdict is CheckStatus.OK
 
 
 @pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:7447", "tcp/localhost:7447", "tcp/[::1]:7447", "7447"])
 def test_an_endpoint_that_others_cannot_reach_fails(endpoint):
-    assert doctor.check_endpoint(endpoint).verdict is Verdict.FAIL
+    assert doctor.check_endpoint(endpoint).verdict is CheckStatus.FAIL
 
 
 def test_an_endpoint_with_an_address_of_its_own_is_well():
-    assert doctor.check_endpoint("tls/10.0.0.10:7447").verdict is Verdict.OK
+    assert doctor.check_endpoint("tls/10.0.0.10:7447").verdict is CheckStatus.OK
     plain = doctor.check_endpoint("tcp/10.0.0.10:7447")
-    assert plain.verdict is Verdict.FAIL and "certificate" in plain.found and "tls/" in plain.advice
+    assert plain.verdict is CheckStatus.FAIL and "certificate" in plain.found and "tls/" in plain.advice
 
 
 def verdicts(folder, endpoint=None):
@@ -114,24 +114,24 @@ def test_certificates_are_looked_at_one_by_one_and_tried_out(tmp_path):
     well = verdicts(tmp_path)
     names = {f"certificate {name}" for name in ("hub", "trusted", "monitor", "actor-0")}
     assert set(well) == names | {"certificate of the hub's host", "zenoh over TLS"}
-    assert set(well.values()) == {Verdict.OK}
-    assert verdicts(tmp_path, "tls/10.0.0.10:7447")["certificate of the hub's host"] is Verdict.FAIL
+    assert set(well.values()) == {CheckStatus.OK}
+    assert verdicts(tmp_path, "tls/10.0.0.10:7447")["certificate of the hub's host"] is CheckStatus.FAIL
     (tmp_path / "actor-0.key").chmod(0o644)
     (tmp_path / "monitor.key").unlink()
     for file in ("hub.pem", "hub.key"):
         (tmp_path / file).unlink()
     worse = verdicts(tmp_path)
     assert worse == {
-        "certificate actor-0": Verdict.WARN,
-        "certificate monitor": Verdict.FAIL,
-        "certificate trusted": Verdict.OK,
+        "certificate actor-0": CheckStatus.WARN,
+        "certificate monitor": CheckStatus.FAIL,
+        "certificate trusted": CheckStatus.OK,
     }
 
 
 def test_certificates_that_end_soon_are_a_warning_and_none_at_all_a_failure(tmp_path):
-    assert list(verdicts(tmp_path).values()) == [Verdict.FAIL]
+    assert list(verdicts(tmp_path).values()) == [CheckStatus.FAIL]
     certificates.make(tmp_path, permissions.HUB, [], ["127.0.0.1"], days=5)
-    assert verdicts(tmp_path) == {"certificate hub": Verdict.WARN}
+    assert verdicts(tmp_path) == {"certificate hub": CheckStatus.WARN}
 
 
 def test_without_an_address_no_cluster_is_checked(monkeypatch):

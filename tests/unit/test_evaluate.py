@@ -9,8 +9,8 @@ from zsdist import evaluate
 from zsdist.common import cli
 from zsdist.evaluation import report as reports
 from zsdist.evaluation.baselines import BASELINES
-from zsdist.evaluation.contenders import VARIANTS, Entrant
-from zsdist.evaluation.episodes import Examiner
+from zsdist.evaluation.contenders import VARIANTS, Contender
+from zsdist.evaluation.episodes import EpisodeRunner
 from zsdist.evaluation.workers import drive_all
 from zsdist.sim.scenes import families, scene
 
@@ -103,12 +103,12 @@ def test_a_folder_without_weights_is_refused(tmp_path, capsys):
 
 
 def test_the_shipped_policy_was_trained_for_the_networks_and_the_vision_of_this_package():
-    entrant, sha256 = evaluate.find_policy("pretrained")
-    trained = entrant.config.scenes.train
+    contender, sha256 = evaluate.find_policy("pretrained")
+    trained = contender.config.scenes.train
     assert trained == ("iid",) and len(sha256) == 64
-    env = LatticeEnv(config=entrant.settings)
-    driver = entrant.driver(FakeVisualAct())
-    record = Examiner(env, entrant.settings, driver, entrant.sees, time.monotonic).drive(
+    env = LatticeEnv(config=contender.settings)
+    driver = contender.driver(FakeVisualAct())
+    record = EpisodeRunner(env, contender.settings, driver, contender.observability, time.monotonic).drive(
         families.draw("iid", "validation", 0), np.random.default_rng(0)
     )
     assert record.outcome == "success"
@@ -116,16 +116,18 @@ def test_the_shipped_policy_was_trained_for_the_networks_and_the_vision_of_this_
 
 def test_a_baselines_world_may_be_configured(folder, tmp_path):
     (tmp_path / "short.yaml").write_text("sim: {max_steps: 2}\n")
-    entrant, sha256 = evaluate.find_policy("astar", tmp_path / "short.yaml")
+    contender, sha256 = evaluate.find_policy("astar", tmp_path / "short.yaml")
     assert sha256 is None
-    records = drive_all(entrant, scene.read_folder(folder)[:1], seed=0, workers=1, on_record=lambda index, record: None)
+    records = drive_all(
+        contender, scene.read_folder(folder)[:1], seed=0, workers=1, on_record=lambda index, record: None
+    )
     assert records[0].steps == 2 and records[0].outcome == "timeout"
 
 
 def test_progress_without_a_terminal_is_plain_lines(folder, capsys, monkeypatch):
     monkeypatch.setattr(reports, "PLAIN_EVERY_S", -1.0)
-    entrant = Entrant(evaluate.config.Config(), baseline="astar")
-    reports.evaluate(entrant, policy="astar", weights_sha256=None, scenes=str(folder), episodes=2, seed=0, workers=1)
+    contender = Contender(evaluate.config.Config(), baseline="astar")
+    reports.evaluate(contender, policy="astar", weights_sha256=None, scenes=str(folder), episodes=2, seed=0, workers=1)
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("astar")]
     assert lines[-1] == "astar: 2 of 2: success 2, collision 0, timeout 0"
 

@@ -110,8 +110,8 @@ def test_ctrl_c_in_the_evaluation_says_that_the_training_is_saved_and_how_to_hav
     def interrupted(folder, settings, console):
         raise KeyboardInterrupt
 
-    setting = launch.Setting(config.Config(), "run", tmp_path, {}, None)
-    monkeypatch.setattr(launch, "_start", lambda options, console: setting)
+    spec = launch.Setting(config.Config(), "run", tmp_path, {}, None)
+    monkeypatch.setattr(launch, "_start", lambda options, console: spec)
     monkeypatch.setattr(
         launch, "_train", lambda *_, **__: {"ended": "complete", "transitions": {}, "learner_updates": {}}
     )

@@ -11,7 +11,7 @@ from sockets import free_endpoint
 from zsdist import config, monitor
 from zsdist.common import cli
 from zsdist.roles import permissions
-from zsdist.run.program import Place, Setting
+from zsdist.run.program import RoleSpec, RunSpec
 from zsdist.transport import certificates
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 from zsdist.wire import keys
@@ -104,10 +104,10 @@ def test_a_monitor_finds_its_certificate_in_the_runs_configuration_or_where_it_i
     folder.mkdir(parents=True)
     settings = config.load(None, (f"transport.tls={tmp_path / 'tls'}", f"transport.endpoint={free_endpoint('tls')}"))
     (folder / "config.yaml").write_text(config.dump(settings))
-    setting = Setting(settings, "demo", folder, {}, SEEN)
+    setting = RunSpec(settings, "demo", folder, {}, SEEN)
     with setting.open_hub() as hub:
         (folder / "endpoint").write_text(hub.endpoint)
-        transport = setting.connect(Place("actor", "0", 1), hub.endpoint)
+        transport = setting.connect(RoleSpec("actor", "0", 1), hub.endpoint)
         with speaking(transport):
             for where in (("--runs", folder.parent), ("--connect", hub.endpoint, "--tls", tmp_path / "tls")):
                 status, printed = run(capsys, *where, "--once", "--json")

@@ -11,7 +11,7 @@ from zsdist.agent.situation import Situation
 from zsdist.planning import reachability
 from zsdist.planning.footprint import CELLS_A_WORD
 from zsdist.planning.grid import HEADINGS, STEPS
-from zsdist.planning.reachability import Ways
+from zsdist.planning.reachability import BlockedMoves
 
 NEIGHBOURS = HEADINGS  # choice k is the neighbour k eighths of a turn to the left of the car's heading
 GOAL_CHOICE = NEIGHBOURS
@@ -75,8 +75,8 @@ def _leading_on(situation: Situation) -> np.ndarray:
     """States from which a free way leads to the goal without the car's present block."""
     here = np.zeros_like(situation.goals)
     here[situation.grid.block_cells(*situation.block)] = True
-    elsewhere = Ways(situation.ways.words | reachability.places(here))
-    return elsewhere.states_to(reachability.places(situation.goals))
+    elsewhere = BlockedMoves(situation.ways.words | reachability.packed_cells(here))
+    return elsewhere.states_to(reachability.packed_cells(situation.goals))
 
 
 @numba.njit(cache=True)

@@ -11,7 +11,7 @@ import numpy as np
 from zsdist.agent import features, guide, reward_shaping, shield
 from zsdist.agent.blocks import GOAL_CHOICE, choices
 from zsdist.agent.options import End, Option
-from zsdist.agent.reward_shaping import Track
+from zsdist.agent.reward_shaping import TrajectoryBuilder
 from zsdist.agent.situation import Situation
 from zsdist.config import Config
 from zsdist.dqn import network
@@ -113,7 +113,7 @@ class HierarchicalAgent:
         self._low_guide = guide.LowGuide(self._config.agent)
         self._situation: Situation | None = None
         self._option: Option | None = None
-        self._tracks: dict[Level, Track] = {}
+        self._tracks: dict[Level, TrajectoryBuilder] = {}
         self._outcome: tuple[RewardTerms, bool, bool] | None = None
         self._over = False
         self._finished = []
@@ -248,7 +248,7 @@ class HierarchicalAgent:
         option = Option.start(self._options, choice.index, choice.behaviour)
         if self._learning:
             for level, settings in ((Level.LOW, self._config.low), (Level.HIGH, self._config.high)):
-                self._tracks[level] = Track(level, settings.discount, self._versions[level])
+                self._tracks[level] = TrajectoryBuilder(level, settings.discount, self._versions[level])
         self._low_state = None
         self._counts["options"] += 1
         self._counts[f"high_{choice.behaviour.name.lower()}"] += 1
@@ -349,7 +349,9 @@ class HierarchicalAgent:
             self._close(Level.LOW, final=False)
             self._option, self._low_state = followed, None
             if self._learning:
-                self._tracks[Level.LOW] = Track(Level.LOW, self._config.low.discount, self._versions[Level.LOW])
+                self._tracks[Level.LOW] = TrajectoryBuilder(
+                    Level.LOW, self._config.low.discount, self._versions[Level.LOW]
+                )
         else:
             self._option = followed
 

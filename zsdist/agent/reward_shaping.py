@@ -80,7 +80,7 @@ class Step:
 
 
 @dataclass
-class Track:
+class TrajectoryBuilder:
     """Transitions of one question (a subgoal, an option) while they happen.
 
     Attributes:

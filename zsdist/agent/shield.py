@@ -10,7 +10,7 @@ from zsdist.planning import bitmaps, reachability
 from zsdist.planning.belief import BeliefMap
 from zsdist.planning.footprint import ACTIONS, MARGIN_M, FootprintTable, successor
 from zsdist.planning.grid import Grid
-from zsdist.planning.reachability import Ways
+from zsdist.planning.reachability import BlockedMoves
 from zsdist.planning.shortest_path import live_states
 from zsdist.types import Action, LatticeState
 
@@ -19,7 +19,7 @@ _IN_PLACE = (Action.TURN_LEFT_90, Action.TURN_RIGHT_90)
 _SQUARE_ON = slice(None, None, 2)  # headings along the grid's sides; a turn in place through all four is a full one
 
 
-class Reading(NamedTuple):
+class Caution(NamedTuple):
     """How carefully the belief is read.
 
     Attributes:
@@ -45,15 +45,15 @@ class Rung(NamedTuple):
         returning: whether the car may move on only to where, as `near` reads the belief, it can turn round or arrive.
     """
 
-    near: Reading
-    far: Reading
+    near: Caution
+    far: Caution
     returning: bool
 
 
 # From afar a surface is smeared over as much as a metre. Until nearer looks wear it away, even odds close too much.
 _LIKELY, _SURE, _SURER = 0.25, 0.95, 1.65
-USUAL, DOUBTFUL = Reading(MARGIN_M, _LIKELY), Reading(0.0, _SURE)
-CAREFUL, CLOSE, CLOSER = USUAL._replace(unseen=True), Reading(0.0, _LIKELY, unseen=True), DOUBTFUL._replace(unseen=True)
+USUAL, DOUBTFUL = Caution(MARGIN_M, _LIKELY), Caution(0.0, _SURE)
+CAREFUL, CLOSE, CLOSER = USUAL._replace(unseen=True), Caution(0.0, _LIKELY, unseen=True), DOUBTFUL._replace(unseen=True)
 CAREFUL_RUNGS = tuple(
     Rung(near, far, returning)
     for returning, far, near in product((True, False), (USUAL, DOUBTFUL), (CAREFUL, CLOSE, CLOSER))
@@ -68,7 +68,7 @@ DARING_RUNGS = (
     Rung(USUAL, DOUBTFUL, returning=False),
     Rung(DOUBTFUL, DOUBTFUL, returning=False),
     # squares that are touched rather than covered add as much again
-    Rung(Reading(-0.08, _SURER), DOUBTFUL, returning=False),
+    Rung(Caution(-0.08, _SURER), DOUBTFUL, returning=False),
 )
 
 
@@ -83,7 +83,7 @@ class Judgement(NamedTuple):
         gave_way: whether full care leaves the car no way to the goal.
     """
 
-    ways: Ways
+    ways: BlockedMoves
     allowed: np.ndarray
     forced: bool
     gave_way: bool
@@ -105,18 +105,18 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, visits: np.
         goals: `(cells, cells)` bool.
         visits: `(cells, cells, 8)`, how often the car was in each state, this time included.
     """
-    places, been = reachability.places(goals), reachability.packed(visits > 0)
-    occupied = cache(lambda above: bitmaps.rows(belief.occupied(above)))
+    places, been = reachability.packed_cells(goals), reachability.packed_states(visits > 0)
+    occupied = cache(lambda above: bitmaps.packed_rows(belief.occupied(above)))
     read = cache(lambda reading: _hits(belief, reading, occupied(reading.above)))
     cautious = cache(lambda near, returning: _returning(read(near), places) if returning else read(near))
     for rung in CAREFUL_RUNGS + DARING_RUNGS:
         hits = cautious(rung.near, rung.returning).among(been, read(rung.far))
         live = hits.states_to(places)
-        if reachability.holds(live, state):
+        if reachability.contains(live, state):
             break
     else:
         hits = read(USUAL)
-        live = reachability.packed(live_states(hits.blocked))
+        live = reachability.packed_states(live_states(hits.blocked))
     return _judgement(hits, live, state, rung != CAREFUL_RUNGS[0])
 
 
@@ -126,7 +126,7 @@ def on_grid(state: LatticeState, cells: int) -> np.ndarray:
     return np.array([0 <= end.ix < cells and 0 <= end.iy < cells for end in ends])
 
 
-def _judgement(hits: Ways, live: np.ndarray, state: LatticeState, gave_way: bool) -> Judgement:
+def _judgement(hits: BlockedMoves, live: np.ndarray, state: LatticeState, gave_way: bool) -> Judgement:
     blocked = hits.leaving(live)
     allowed = ~blocked.at(state)
     forced = not allowed.any()
@@ -142,18 +142,18 @@ def _table(grid: Grid, margin_m: float) -> FootprintTable:
     return FootprintTable(grid, margin_m)
 
 
-def _hits(belief: BeliefMap, reading: Reading, occupied: np.ndarray) -> Ways:
+def _hits(belief: BeliefMap, reading: Caution, occupied: np.ndarray) -> BlockedMoves:
     if reading.unseen:
-        occupied = occupied | _hides(bitmaps.rows(belief.seen()), reading.deep)
-    return Ways.on(occupied, _table(belief.grid, reading.margin_m))
+        occupied = occupied | _hides(bitmaps.packed_rows(belief.seen()), reading.deep)
+    return BlockedMoves.on(occupied, _table(belief.grid, reading.margin_m))
 
 
 def _hides(seen: np.ndarray, deep: bool) -> np.ndarray:
     """Unseen squares in which an obstacle may be: within `HIDING_SQUARES` of unseen ground that seen ground is not."""
-    return (bitmaps.shrunk if deep else bitmaps.opened)(~seen, HIDING_SQUARES)
+    return (bitmaps.eroded if deep else bitmaps.opening)(~seen, HIDING_SQUARES)
 
 
-def _returning(hits: Ways, goals: np.ndarray) -> Ways:
+def _returning(hits: BlockedMoves, goals: np.ndarray) -> BlockedMoves:
     """`hits`, and the moves to where no free way leads to the goal or to a cell in which the car can turn about."""
     about = ~np.bitwise_or.reduce(hits.words[_SQUARE_ON, Action.TURN_LEFT_90])
     back = hits.leaving(hits.states_to(goals | about))

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from zsdist.planning.grid import Grid
-from zsdist.planning.reachability import Ways
+from zsdist.planning.reachability import BlockedMoves
 from zsdist.types import LatticeState
 
 
@@ -39,7 +39,7 @@ class Situation:
     advice: np.ndarray
     occupied: np.ndarray
     seen: np.ndarray
-    ways: Ways
+    ways: BlockedMoves
     squeezed: bool
     drive_m: np.ndarray
     visits: np.ndarray

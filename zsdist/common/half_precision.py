@@ -13,7 +13,7 @@ _LEAST_NORMAL, _TOO_LARGE, _NOT_A_NUMBER = (
 _WIDER = np.float32(2.0**112)  # the same difference of exponents, as a factor
 
 
-def narrow(column: np.ndarray) -> np.ndarray:
+def to_half(column: np.ndarray) -> np.ndarray:
     """float32 as float16, rounded; what is too large becomes infinite. numpy takes several times as long."""
     column = np.ascontiguousarray(column)
     halves = np.empty(column.shape, np.float16)
@@ -21,7 +21,7 @@ def narrow(column: np.ndarray) -> np.ndarray:
     return halves
 
 
-def widen(column: np.ndarray) -> np.ndarray:
+def from_half(column: np.ndarray) -> np.ndarray:
     """float16 as float32. numpy takes several times as long."""
     column = np.ascontiguousarray(column)
     floats = np.empty(column.shape, np.float32)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from zsdist.config import CameraConfig
-from zsdist.datasets.degradation import worn
-from zsdist.datasets.labelled import drawn_scenes, free_pose, people_on_paths
-from zsdist.sim.camera import Camera, appearance, make_camera
+from zsdist.datasets.degradation import degrade
+from zsdist.datasets.sampling import drawn_scenes, free_pose, people_on_paths, varied_camera
+from zsdist.sim.camera import make_camera
 from zsdist.sim.scenes.kinds import KINDS, SEGMENT_GROUND, SEGMENT_SKY, SEGMENT_WALL
 from zsdist.sim.scenes.manifest import Split
 from zsdist.sim.scenes.scene import Scene
@@ -22,12 +22,11 @@ MOST_TOLD = 3  # kinds in a caption
 DOMINANT_SHARE = 0.06  # of the picture that the dominant kind must cover,
 DOMINANT_TIMES = 2.0  # and so many times as much as any other kind
 _NATURAL_SHARE = 0.75  # of varied pictures have the kinds' own colours: grounds are told apart by little else
-_MOUNT_JITTER_M = 0.15
 _TILT_JITTER_RAD = 0.05
 
 
 @dataclass(frozen=True)
-class DescribedView:
+class CaptionedView:
     """A picture and what it shows, for C concepts in the order of `vocabulary.CONCEPTS`.
 
     Attributes:
@@ -49,9 +48,9 @@ class DescribedView:
     scene_hash: str
 
 
-def described_views(
+def captioned_views(
     families: Sequence[str], split: Split, count: int, seed: int, camera: CameraConfig, varied: bool = False
-) -> Iterator[DescribedView]:
+) -> Iterator[CaptionedView]:
     """Described pictures, the same for the same arguments; the families take turns, a scene gives several.
 
     Args:
@@ -69,7 +68,7 @@ def described_views(
 
 
 def describe(segments: np.ndarray, ground: str, rng: np.random.Generator) -> tuple[np.ndarray, str, int]:
-    """What a picture shows: `cells`, `caption` and `dominant` of a `DescribedView`.
+    """What a picture shows: `cells`, `caption` and `dominant` of a `CaptionedView`.
 
     Args:
         segments: `(size_px, size_px)` uint8 as a camera gives them.
@@ -105,16 +104,16 @@ def dominant_kind(shares: np.ndarray) -> int:
 
 def _views_of(
     scene: Scene, count: int, rng: np.random.Generator, config: CameraConfig, varied: bool
-) -> Iterator[DescribedView]:
-    with contextlib.closing(_varied_camera(config, rng) if varied else make_camera(config)) as camera:
+) -> Iterator[CaptionedView]:
+    with contextlib.closing(varied_camera(config, rng, _NATURAL_SHARE) if varied else make_camera(config)) as camera:
         for _ in range(count):
             people = people_on_paths(scene, rng)
             pose: Pose = free_pose(scene, rng, people)
             roll, pitch = rng.uniform(-_TILT_JITTER_RAD, _TILT_JITTER_RAD, 2) if varied else (0.0, 0.0)
             image, _, segments = camera.render_labelled(scene, pose, roll, pitch, people)
             cells, sentence, dominant = describe(segments, scene.ground, rng)
-            yield DescribedView(
-                image=worn(image, rng) if varied else image,
+            yield CaptionedView(
+                image=degrade(image, rng) if varied else image,
                 cells=cells,
                 caption=sentence,
                 dominant=dominant,
@@ -122,16 +121,6 @@ def _views_of(
                 scene=scene.name,
                 scene_hash=scene.hash(),
             )
-
-
-def _varied_camera(config: CameraConfig, rng: np.random.Generator) -> Camera:
-    natural = rng.random() < _NATURAL_SHARE
-    height = config.height_m + rng.uniform(-_MOUNT_JITTER_M, _MOUNT_JITTER_M)
-
-    def look(scene, primitives):  # noqa: ANN001, ANN202 (a Look)
-        return appearance.of_scene(scene, primitives) if natural else appearance.varied(scene, primitives, rng)
-
-    return make_camera(config.model_copy(update={"height_m": height}), look)
 
 
 def _concept_of_segment(ground: str) -> np.ndarray:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 
-def worn(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def degrade(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """A picture `(H, W, 3)` uint8 as a worse camera would have taken it; one in five is left as it is."""
     if rng.random() < 0.2:
         return image

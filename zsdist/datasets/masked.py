@@ -8,8 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from zsdist.config import CameraConfig
-from zsdist.datasets.degradation import worn
-from zsdist.datasets.labelled import drawn_scenes, free_pose, label, people_on_paths, varied_camera
+from zsdist.datasets.degradation import degrade
+from zsdist.datasets.labelled import label
+from zsdist.datasets.sampling import drawn_scenes, free_pose, people_on_paths, varied_camera
 from zsdist.errors import SceneError
 from zsdist.sim.camera.caster import INSTANCE_GROUND, INSTANCE_SKY, CasterCamera
 from zsdist.sim.scenes.manifest import Split
@@ -37,7 +38,7 @@ def masked_views(
             for _ in range(number):
                 people = people_on_paths(scene, rng)
                 view = masked_view(eye, scene, free_pose(scene, rng, people), people)
-                yield dataclasses.replace(view, image=worn(view.image, rng)) if varied else view
+                yield dataclasses.replace(view, image=degrade(view.image, rng)) if varied else view
 
 
 def masked_view(eye: CasterCamera, scene: Scene, pose: Pose, people: np.ndarray | None = None) -> MaskedView:

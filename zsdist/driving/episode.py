@@ -12,7 +12,7 @@ from zsdist.types import Level, Outcome, Pose, View
 
 
 @dataclass(frozen=True)
-class Errand:
+class EpisodeTask:
     """Why a car drives.
 
     Attributes:
@@ -63,7 +63,7 @@ class Car:
     def __init__(self, env: CameraEnv, agent: HierarchicalAgent) -> None:
         self.env = env
         self.agent = agent
-        self.errand: Errand | None = None
+        self.task: EpisodeTask | None = None
         self.candidate_q: QFunctions | None = None
         self.credit = dict.fromkeys(Level, 0)  # reserved of the actor's credit and not yet used up, by level
         self.unoffered = dict.fromkeys(Level, 0)  # transitions lived through whose trajectory is not complete yet
@@ -92,24 +92,24 @@ class Car:
         """Bearing of the goal from the car's axis in radians, left positive, and its distance in metres."""
         return self.pose.towards(*self._observation["goal"].tolist())
 
-    def begin(self, errand: Errand, versions: dict[Level, int], candidate_q: QFunctions | None = None) -> None:
+    def begin(self, task: EpisodeTask, versions: dict[Level, int], candidate_q: QFunctions | None = None) -> None:
         """Puts the car at the start of its errand's scene; a candidate's networks stay the same to the end."""
-        self.errand = errand
+        self.task = task
         self.candidate_q = candidate_q
-        self._observation, _ = self.env.reset(options={"scene": errand.scene})
-        still = errand.trains and not errand.scene.walkers()
-        self._scene_hash = errand.scene.hash() if still else None
+        self._observation, _ = self.env.reset(options={"scene": task.scene})
+        still = task.trains and not task.scene.walkers()
+        self._scene_hash = task.scene.hash() if still else None
         self._outcome, self._terms = None, []
         self._path = [self.pose[:2]]
         self._versions = {f"{level}_version": version for level, version in versions.items()}
         self.agent.begin(
             self.pose,
             tuple(self._observation["goal"]),
-            epsilon=errand.epsilon,
-            shielded=errand.shielded,
-            rng=np.random.default_rng(errand.seed),
+            epsilon=task.epsilon,
+            shielded=task.shielded,
+            rng=np.random.default_rng(task.seed),
             weight_versions=versions,
-            learning=errand.trains,
+            learning=task.trains,
         )
 
     def advance(self, view: View, q: QFunctions) -> None:
@@ -123,7 +123,7 @@ class Car:
         terms = RewardTerms(**info["reward_terms"])
         self._terms.append(terms)
         self._path.append(self.pose[:2])
-        truncated = truncated or len(self._terms) >= self.errand.most_steps
+        truncated = truncated or len(self._terms) >= self.task.most_steps
         self.agent.result(terms, terminated, truncated)
         if terminated:
             self._outcome = Outcome.SUCCESS if info["success"] else Outcome.COLLISION
@@ -138,18 +138,18 @@ class Car:
     def cut(self) -> None:
         """Ends the episode here: what was driven is kept as truncated, the episode does not count."""
         self.agent.finish()
-        self.errand = None
+        self.task = None
 
     def record(self) -> dict[str, Any]:
         """The finished episode as one JSON object, and the car free for its next errand."""
-        errand, path = self.errand, np.asarray(self._path)
+        task, path = self.task, np.asarray(self._path)
         totals = np.asarray(self._terms).sum(axis=0)
-        self.errand = None
-        about = {"episode": errand.number} if errand.trains else {"scene_index": errand.number}
-        if not errand.trains:
-            about |= {"merge": errand.merge, "candidate": errand.candidate}
+        self.task = None
+        about = {"episode": task.number} if task.trains else {"scene_index": task.number}
+        if not task.trains:
+            about |= {"merge": task.merge, "candidate": task.candidate}
         return about | {
-            "scene": errand.scene.name,
+            "scene": task.scene.name,
             "outcome": self._outcome.value,
             "steps": len(self._terms),
             "return": round(float(totals.sum()), 4),
@@ -157,8 +157,8 @@ class Car:
             "return_safety": round(float(totals[1]), 4),
             "return_goal": round(float(totals[2]), 4),
             "path_m": round(float(np.hypot(*np.diff(path, axis=0).T).sum()), 4),
-            "epsilon": round(errand.epsilon, 4),
-            "shielded": errand.shielded,
+            "epsilon": round(task.epsilon, 4),
+            "shielded": task.shielded,
             **self._versions,
             **self.agent.statistics(),
             "start": [round(float(value), 3) for value in path[0]],

@@ -17,7 +17,7 @@ NEAR_M = 0.10  # a car this near to a lattice state, and with this heading, sees
 NEAR_RAD = math.radians(5.0)
 
 
-class VisualAct(Sighted, Protocol):
+class VisionModel(Sighted, Protocol):
     """What is used of `zsdist.vision.visual_act.VisualAct`, whose docstrings say what its methods do."""
 
     def read(self, images: np.ndarray) -> Reading:
@@ -27,7 +27,7 @@ class VisualAct(Sighted, Protocol):
         """The same for goals `(B,)`."""
 
 
-class Sight:
+class Perception:
     """One visual-act model for several cars, and the memory of what it read.
 
     A reading is remembered for training episodes in scenes where nobody walks, and for cars that stand on the lattice
@@ -46,7 +46,7 @@ class Sight:
         bypasses: pictures of training episodes at the true pose, past the memory.
     """
 
-    def __init__(self, visual_act: VisualAct, grid: Grid, cache: ReadingCache | None) -> None:
+    def __init__(self, visual_act: VisionModel, grid: Grid, cache: ReadingCache | None) -> None:
         self._visual_act, self._grid, self._cache = visual_act, grid, cache
         self.hits = self.misses = self.bypasses = 0
 
@@ -95,4 +95,4 @@ class Sight:
         missed = sum(states[index] is not None for index in unread)
         self.hits += may - missed
         self.misses += missed
-        self.bypasses += sum(car.errand.trains for car in cars) - may
+        self.bypasses += sum(car.task.trains for car in cars) - may

@@ -9,7 +9,7 @@ import numpy as np
 from zsdist.agent.blocks import HIGH_ACTIONS
 from zsdist.agent.features import HIGH_STATE_SIZE, LOW_ACTIONS, LOW_STATE_SIZE
 from zsdist.config import Config
-from zsdist.evaluation.drivers import Driver, LearnedDriver, Observed, See, Sees
+from zsdist.evaluation.drivers import Driver, LearnedDriver, Observability, Observed, See
 from zsdist.planning import potential, shortest_path
 from zsdist.planning.grid import Grid
 from zsdist.sim.scenes.scene import Scene
@@ -89,27 +89,29 @@ def _unlearned(low_policy: str, **agent: float) -> Callable[[Config, See], Drive
 
 @dataclass(frozen=True)
 class Baseline:
-    """One entry of the list: its `line` says what it does, `sees` what it is shown."""
+    """One entry of the list: its `line` says what it does, `observability` what it is shown."""
 
     line: str
-    sees: Sees
+    observability: Observability
     make: Callable[[Config, See], Driver]
 
 
 BASELINES: dict[str, Baseline] = {
-    "random": Baseline("any action that stays on the grid", Sees.NOTHING, lambda config, see: Random()),
-    "goal-greedy": Baseline("straight at the goal", Sees.NOTHING, lambda config, see: GoalGreedy()),
+    "random": Baseline("any action that stays on the grid", Observability.NOTHING, lambda config, see: Random()),
+    "goal-greedy": Baseline("straight at the goal", Observability.NOTHING, lambda config, see: GoalGreedy()),
     "potential-field": Baseline(
-        "down the field on the map of what it sees, under the shield", Sees.CAMERA, _unlearned("field")
+        "down the field on the map of what it sees, under the shield", Observability.CAMERA, _unlearned("field")
     ),
     "potential-field-no-trail": Baseline(
-        "the same, not repelled from where it has been", Sees.CAMERA, _unlearned("field", trail=0.0)
+        "the same, not repelled from where it has been", Observability.CAMERA, _unlearned("field", trail=0.0)
     ),
-    "astar": Baseline("shortest way over (cell, heading), planned once", Sees.MAP, lambda config, see: AStar(config)),
+    "astar": Baseline(
+        "shortest way over (cell, heading), planned once", Observability.MAP, lambda config, see: AStar(config)
+    ),
     "astar-frontier": Baseline(
         "shortest way on the map of what it saw, planned anew at each step, under the shield",
-        Sees.RANGES,
+        Observability.RANGES,
         _unlearned("planner"),
     ),
-    "astar-vision": Baseline("the same by what the visual-act model says", Sees.CAMERA, _unlearned("planner")),
+    "astar-vision": Baseline("the same by what the visual-act model says", Observability.CAMERA, _unlearned("planner")),
 }

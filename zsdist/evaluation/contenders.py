@@ -7,7 +7,7 @@ from typing import Any
 from zsdist.config import Config
 from zsdist.dqn import network
 from zsdist.evaluation.baselines import BASELINES
-from zsdist.evaluation.drivers import Driver, LearnedDriver, Sees, VisualAct
+from zsdist.evaluation.drivers import Driver, LearnedDriver, Observability, VisualAct
 from zsdist.evaluation.oracle_view import by_camera, by_truth
 from zsdist.types import Level, Parameters
 
@@ -22,7 +22,7 @@ class Variant:
         line: what it is.
         agent: settings of `agent` that differ from the policy's own.
         untrained: levels whose networks are as before training.
-        sees: what it is shown.
+        observability: what it is shown.
         shuffled: fields of what it sees whose entries, one a direction, are exchanged by chance at every look.
         exact: whether the car stands exactly where each action should have brought it.
     """
@@ -30,7 +30,7 @@ class Variant:
     line: str
     agent: dict[str, Any] = field(default_factory=dict)
     untrained: tuple[Level, ...] = ()
-    sees: Sees = Sees.CAMERA
+    observability: Observability = Observability.CAMERA
     shuffled: tuple[str, ...] = ()
     exact: bool = False
 
@@ -48,7 +48,7 @@ VARIANTS: dict[str, Variant] = {
         "the same with the rays too: all that vision says of one direction is of another",
         shuffled=("advice", "clearance_m", "dynamic", "ray_probabilities"),
     ),
-    "oracle-depth": Variant("vision replaced by true distances in view", sees=Sees.RANGES),
+    "oracle-depth": Variant("vision replaced by true distances in view", observability=Observability.RANGES),
     "oracle-high": Variant("the high level replaced by the planner over blocks on the believed map", _PLANNED_HIGH),
     "oracle-levels": Variant("both levels replaced: the planner over blocks, and A*", _PLANNED_HIGH | _PLANNED_LOW),
     "oracle-motion": Variant("the controller replaced by exact motion from cell to cell", exact=True),
@@ -56,7 +56,7 @@ VARIANTS: dict[str, Variant] = {
 
 
 @dataclass(frozen=True)
-class Entrant:
+class Contender:
     """Who is evaluated, as data that other processes can be sent.
 
     Attributes:
@@ -74,9 +74,9 @@ class Entrant:
     shielded: bool = True
 
     @property
-    def sees(self) -> Sees:
+    def observability(self) -> Observability:
         """What it is shown."""
-        return BASELINES[self.baseline].sees if self.baseline else VARIANTS[self.variant].sees
+        return BASELINES[self.baseline].observability if self.baseline else VARIANTS[self.variant].observability
 
     @property
     def exact(self) -> bool:

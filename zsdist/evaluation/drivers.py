@@ -17,7 +17,7 @@ from zsdist.types import Level, Parameters, Pose, View
 VisualAct = Callable[[np.ndarray, np.ndarray, np.ndarray], Sequence[View]]
 
 
-class Sees(StrEnum):
+class Observability(StrEnum):
     """What a driver learns of its surroundings."""
 
     NOTHING = "pose and goal only"

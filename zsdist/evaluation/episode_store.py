@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from zsdist.errors import RunError
-from zsdist.evaluation.contenders import Entrant
+from zsdist.evaluation.contenders import Contender
 from zsdist.evaluation.fingerprint import code_sha256, entrant_sha256
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.sim.scenes.scene import Scene
@@ -28,12 +28,12 @@ class Line:
     record: EpisodeRecord
 
 
-class Ledger:
+class EpisodeStore:
     """The episodes of one evaluation in a file that may hold those of others.
 
     Args:
         file: is made where it is not there.
-        entrant: who drives.
+        contender: who drives.
         policy: what the result calls it.
         weights_sha256: of its networks.
         scenes: what was asked for.
@@ -51,7 +51,7 @@ class Ledger:
     def __init__(
         self,
         file: Path,
-        entrant: Entrant,
+        contender: Contender,
         policy: str,
         weights_sha256: str | None,
         scenes: str,
@@ -61,12 +61,12 @@ class Ledger:
         self._file = file
         asked = {
             "policy": policy,
-            "variant": entrant.variant,
-            "shielded": entrant.shielded,
+            "variant": contender.variant,
+            "shielded": contender.shielded,
             "scenes": scenes,
             "seed": seed,
         }
-        code, who = code_sha256(), entrant_sha256(entrant)
+        code, who = code_sha256(), entrant_sha256(contender)
         self._about = {"code": code, "entrant": who, **asked, "weights_sha256": weights_sha256}
         self._hashes = [scene.hash() for scene in chosen]
         self.known: dict[int, EpisodeRecord] = {}

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 
 from zsdist.config import Config
-from zsdist.evaluation.drivers import Driver, Observed, Sees, Thought
+from zsdist.evaluation.drivers import Driver, Observability, Observed, Thought
 from zsdist.evaluation.oracle_view import true_view
 from zsdist.evaluation.records import EpisodeRecord, path_length_m
 from zsdist.planning import shortest_path
@@ -71,24 +71,29 @@ class Course:
         return int(fewest) if math.isfinite(fewest) else None
 
 
-class Examiner:
+class EpisodeRunner:
     """Puts a driver through episodes in one environment.
 
     Args:
         env: a `CarNavigation`, or anything with its observations and infos.
         config: the run's; the grid, the camera and the success radius are read.
         driver: who drives.
-        sees: what it is shown.
+        observability: what it is shown.
         clock: monotonic seconds, by which decisions are timed.
     """
 
     def __init__(
-        self, env: gymnasium.Env, config: Config, driver: Driver, sees: Sees, clock: Callable[[], float]
+        self,
+        env: gymnasium.Env,
+        config: Config,
+        driver: Driver,
+        observability: Observability,
+        clock: Callable[[], float],
     ) -> None:
         self._env = env
         self._config = config
         self._driver = driver
-        self._sees = sees
+        self._observability = observability
         self._clock = clock
         self._table = footprints(Grid.from_config(config.grid))
 
@@ -103,7 +108,7 @@ class Examiner:
         driver = self._driver
         observation, info = self._env.reset(options={"scene": scene})
         poses = [_pose(observation)]
-        driver.begin(poses[0], scene.goal, scene if self._sees is Sees.MAP else None, rng)
+        driver.begin(poses[0], scene.goal, scene if self._observability is Observability.MAP else None, rng)
         decision_ms, terminated, truncated = [], False, False
         least_m = self._clearance_m(scene, poses[0])
         while not (terminated or truncated):
@@ -141,7 +146,7 @@ class Examiner:
 
     def _observed(self, observation: dict, info: dict, scene: Scene) -> Observed:
         pose, truth = _pose(observation), None
-        if self._sees is Sees.RANGES:
+        if self._observability is Observability.RANGES:
             truth = true_view(scene, pose, self._config.camera, self._config.grid.arena_m, self._people(scene))
         return Observed(observation.get("image"), pose, scene.goal, info["action_mask"], truth)
 

@@ -5,8 +5,8 @@ import json
 
 from zsdist.common import code_hash
 from zsdist.dqn import network
-from zsdist.evaluation.contenders import Entrant
-from zsdist.evaluation.drivers import Sees
+from zsdist.evaluation.contenders import Contender
+from zsdist.evaluation.drivers import Observability
 from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.vision.visual_act import VisualAct
 
@@ -21,18 +21,18 @@ def code_sha256() -> str:
     return code_hash.sha256(ROOT)
 
 
-def entrant_sha256(entrant: Entrant) -> str:
+def entrant_sha256(contender: Contender) -> str:
     """Hash of who drives: the baseline or variant, its settings, its networks, and what it sees by.
 
     Raises:
         WeightsError: it sees by vision weights that are missing or damaged.
     """
-    settings = entrant.settings.model_dump(mode="json", include={"grid", "sim", "camera", "vision", "agent"})
+    settings = contender.settings.model_dump(mode="json", include={"grid", "sim", "camera", "vision", "agent"})
     settings["vision"].pop("cache_bytes")
-    sight = None
-    if entrant.sees is Sees.CAMERA:
-        model = VisualAct.load(entrant.settings.vision, entrant.settings.camera)
-        sight = VisionIdentity.of(model, entrant.settings.vision.network).written()
-    networks = {level: network.sha256(parameters) for level, parameters in (entrant.networks or {}).items()}
-    told = [entrant.baseline, entrant.variant, entrant.shielded, settings, sight, networks]
+    perception = None
+    if contender.observability is Observability.CAMERA:
+        model = VisualAct.load(contender.settings.vision, contender.settings.camera)
+        perception = VisionIdentity.of(model, contender.settings.vision.network).written()
+    networks = {level: network.sha256(parameters) for level, parameters in (contender.networks or {}).items()}
+    told = [contender.baseline, contender.variant, contender.shielded, settings, perception, networks]
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[: code_hash.DIGITS]

@@ -5,12 +5,13 @@ import math
 import numpy as np
 
 from zsdist.config import CameraConfig
-from zsdist.datasets.labelled import label
 from zsdist.evaluation.drivers import Observed, See, VisualAct
+from zsdist.sim.ground_truth import rays_met
 from zsdist.sim.physics.raycast import ray_distances
 from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Pose, View
-from zsdist.vision.labels import openness, progress, reward_label
+from zsdist.vision.labels import nearest, openness, progress, reward_label
+from zsdist.vision.rays import RAYS, ray_angles_rad
 
 TRUE_ANGLES_RAD = np.linspace(math.pi / 4, -math.pi / 4, 91)  # of the true distances: 90 degrees, leftmost first
 TRUE_EDGES_M = np.linspace(0.05, 5.0, 100, dtype=np.float32)  # bins of a true distance, fine beside the map's squares
@@ -51,9 +52,11 @@ def true_view(scene: Scene, pose: Pose, camera: CameraConfig, arena_m: float, pe
         pose.heading_rad + TRUE_ANGLES_RAD,
         camera.range_m,
     )
-    truth = label(scene, pose, camera, people)
-    clearance_m, dynamic = truth["clearance_m"], truth["dynamic"].astype(np.float32)
-    bearing, goal_m = np.float32(truth["goal_bearing_rad"]), np.float32(truth["goal_distance_m"])
+    angles_rad = ray_angles_rad(RAYS, math.radians(camera.field_of_view_deg))
+    met = rays_met(scene, pose, camera, angles_rad, people)
+    clearance_m, moves = nearest(met.distance_m, met.dynamic, angles_rad)
+    dynamic = moves.astype(np.float32)
+    bearing, goal_m = map(np.float32, pose.towards(*scene.goal))
     advice = reward_label(openness(clearance_m, dynamic, goal_m), progress(bearing, goal_m)).astype(np.float32)
     return View(advice, clearance_m, dynamic, certain(distances_m), TRUE_ANGLES_RAD, TRUE_EDGES_M)
 

@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from zsdist.evaluation.contenders import FULL, Entrant
-from zsdist.evaluation.episode_store import Ledger
+from zsdist.evaluation.contenders import FULL, Contender
+from zsdist.evaluation.episode_store import EpisodeStore
 from zsdist.evaluation.fingerprint import code_sha256
 from zsdist.evaluation.metrics import spl, summarise
 from zsdist.evaluation.records import EpisodeRecord
@@ -41,7 +41,7 @@ LABELS = {
 class Report:
     """One evaluation: `result` is its JSON; `records` are its episodes, with their paths."""
 
-    entrant: Entrant
+    contender: Contender
     result: dict[str, Any]
     records: Sequence[EpisodeRecord] = field(repr=False)
 
@@ -53,7 +53,7 @@ class Report:
 
     def show(self, console: Console) -> None:
         """Prints the figures with what they stand on."""
-        result, settings = self.result, self.entrant.config.sim
+        result, settings = self.result, self.contender.config.sim
         table = Table(title=f"{result['policy']} on {result['scenes']}", title_justify="left")
         table.add_column("figure")
         table.add_column("value", justify="right")
@@ -75,18 +75,19 @@ class Report:
         changed = sum(record.shield_changes for record in self.records)
         told = [
             f"n {result['episodes']}, seed {result['seed']}, success within {settings.success_radius_m} m, at most "
-            f"{settings.max_steps} actions; sees {self.entrant.sees}; shield changed {changed} of {decisions} actions "
-            f"({result['shield_changed_share']:.1%}). Code {result['code_sha256']}."
+            f"{settings.max_steps} actions; sees {self.contender.observability}; "
+            f"shield changed {changed} of {decisions} actions ({result['shield_changed_share']:.1%}). "
+            f"Code {result['code_sha256']}."
         ]
-        if not self.entrant.baseline:
-            trained = ", ".join(self.entrant.config.scenes.train)
+        if not self.contender.baseline:
+            trained = ", ".join(self.contender.config.scenes.train)
             told.append(f"Trained on {trained}; weights {result['weights_sha256'][:16]}.")
         for line in told:
             console.print(line, highlight=False)
 
 
 def evaluate(
-    entrant: Entrant,
+    contender: Contender,
     *,
     policy: str,
     weights_sha256: str | None,
@@ -99,7 +100,7 @@ def evaluate(
     """Drives the episodes with progress on the standard error stream.
 
     Args:
-        entrant: who drives.
+        contender: who drives.
         policy: what it was called by; a variant is called by its own name in the result, beside this as `run`.
         weights_sha256: of its networks.
         scenes: a folder, a family or a split, as `selection.select` takes them.
@@ -108,15 +109,15 @@ def evaluate(
         workers: processes.
         out: file of episodes, as `ledger.Ledger` keeps it; those that are there are not driven again.
     """
-    chosen, known, keep = select(scenes, entrant.config, episodes, seed), {}, None
+    chosen, known, keep = select(scenes, contender.config, episodes, seed), {}, None
     if out is not None:
-        ledger = Ledger(out, entrant, policy, weights_sha256, scenes, seed, chosen)
+        ledger = EpisodeStore(out, contender, policy, weights_sha256, scenes, seed, chosen)
         known, keep = ledger.known, ledger.add
         if ledger.stale:
             print(f"{out}: {ledger.stale} episodes of other code, weights or settings are left out", file=sys.stderr)
         if known:
             print(f"{out}: {len(known)} of {len(chosen)} episodes are there already", file=sys.stderr)
-    name = policy if entrant.variant == FULL else entrant.variant
+    name = policy if contender.variant == FULL else contender.variant
     with _Progress(name, len(chosen), list(known.values())) as progress:
 
         def on_record(index: int, record: EpisodeRecord) -> None:
@@ -124,7 +125,7 @@ def evaluate(
                 keep(index, record)
             progress.count(record)
 
-        records = drive_all(entrant, chosen, seed, workers, on_record, known)
+        records = drive_all(contender, chosen, seed, workers, on_record, known)
     about = {
         "policy": name,
         "weights_sha256": weights_sha256,
@@ -132,16 +133,16 @@ def evaluate(
         "episodes": len(records),
         "seed": seed,
     }
-    sim = entrant.config.sim
+    sim = contender.config.sim
     stands_on = {
         "run": policy,
-        "variant": entrant.variant,
-        "shielded": entrant.shielded,
+        "variant": contender.variant,
+        "shielded": contender.shielded,
         "success_radius_m": sim.success_radius_m,
         "max_steps": sim.max_steps,
         "code_sha256": code_sha256(),
     }
-    return Report(entrant, about | summarise(records, np.random.default_rng(seed)) | stands_on, records)
+    return Report(contender, about | summarise(records, np.random.default_rng(seed)) | stands_on, records)
 
 
 def together(reports: Sequence[Report], seed: int) -> dict[str, Any]:

@@ -11,9 +11,9 @@ import numpy as np
 
 from zsdist.common import process_pool as pool
 from zsdist.config import Config
-from zsdist.evaluation.contenders import Entrant
-from zsdist.evaluation.drivers import Sees, VisualAct
-from zsdist.evaluation.episodes import Examiner
+from zsdist.evaluation.contenders import Contender
+from zsdist.evaluation.drivers import Observability, VisualAct
+from zsdist.evaluation.episodes import EpisodeRunner
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.sim.physics.kinematic import make_env
 from zsdist.sim.scenes.scene import Scene
@@ -29,7 +29,7 @@ class Simulation:
 
 
 def drive_all(
-    entrant: Entrant,
+    contender: Contender,
     scenes: Sequence[Scene],
     seed: int,
     workers: int,
@@ -39,7 +39,7 @@ def drive_all(
     """Every scene once, in order of the scenes; the result does not depend on the number of workers.
 
     Args:
-        entrant: who drives.
+        contender: who drives.
         scenes: what is driven.
         seed: of the drivers' randomness, with the scene's place in the list.
         workers: processes; 1: this one.
@@ -52,7 +52,7 @@ def drive_all(
     """
     records = [known.get(index) for index in range(len(scenes))]
     drives = [(index, scene) for index, scene in enumerate(scenes) if records[index] is None]
-    driven = pool.each(_drive, drives, min(workers, len(drives)), _begin, (entrant, seed))
+    driven = pool.each(_drive, drives, min(workers, len(drives)), _begin, (contender, seed))
     with contextlib.closing(driven):
         for index, record in driven:
             records[index] = record
@@ -60,34 +60,38 @@ def drive_all(
     return records
 
 
-def make_examiner(entrant: Entrant, simulation: Simulation | None = None, images: bool = False) -> Examiner:
+def make_examiner(contender: Contender, simulation: Simulation | None = None, images: bool = False) -> EpisodeRunner:
     """The entrant in an environment of its own.
 
     Args:
-        entrant: who drives.
+        contender: who drives.
         simulation: in which; None: physics and the camera.
         images: whether pictures are wanted although the driver does not see by them.
     """
     simulation = simulation or Simulation()
-    visual_act = simulation.load_vision(entrant.config) if entrant.sees is Sees.CAMERA else None
-    env = simulation.make_env(entrant.config, images=images or entrant.sees is Sees.CAMERA, exact=entrant.exact)
-    return Examiner(env, entrant.config, entrant.driver(visual_act), entrant.sees, time.perf_counter)
+    visual_act = simulation.load_vision(contender.config) if contender.observability is Observability.CAMERA else None
+    env = simulation.make_env(
+        contender.config, images=images or contender.observability is Observability.CAMERA, exact=contender.exact
+    )
+    return EpisodeRunner(
+        env, contender.config, contender.driver(visual_act), contender.observability, time.perf_counter
+    )
 
 
 class _Worker:
     """What a process that drives holds; the examiner is made with the first episode, where its errors are answered."""
 
-    entrant: Entrant
+    contender: Contender
     seed: int
-    examiner: Examiner | None = None
+    runner: EpisodeRunner | None = None
 
 
-def _begin(entrant: Entrant, seed: int) -> None:
-    _Worker.entrant, _Worker.seed, _Worker.examiner = entrant, seed, None
+def _begin(contender: Contender, seed: int) -> None:
+    _Worker.contender, _Worker.seed, _Worker.runner = contender, seed, None
 
 
 def _drive(drive: tuple[int, Scene]) -> tuple[int, EpisodeRecord]:
     index, scene = drive
-    if _Worker.examiner is None:
-        _Worker.examiner = make_examiner(_Worker.entrant)
-    return index, _Worker.examiner.drive(scene, np.random.default_rng([_Worker.seed, index]))
+    if _Worker.runner is None:
+        _Worker.runner = make_examiner(_Worker.contender)
+    return index, _Worker.runner.drive(scene, np.random.default_rng([_Worker.seed, index]))

@@ -10,7 +10,7 @@ SQUARES_A_WORD = 64
 
 
 @njit(cache=True)
-def rows(squares: np.ndarray) -> np.ndarray:
+def packed_rows(squares: np.ndarray) -> np.ndarray:
     """Rows of `[iy, ix]` `(size, size)` bool; 0 beyond the last square."""
     size = squares.shape[1]
     whole = size // SQUARES_A_WORD
@@ -27,7 +27,7 @@ def rows(squares: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True)
-def shrunk(squares: np.ndarray, steps: int) -> np.ndarray:
+def eroded(squares: np.ndarray, steps: int) -> np.ndarray:
     """Squares from which no way of so many steps along rows and columns leads to one that is not among them.
 
     Args:
@@ -57,9 +57,9 @@ def shrunk(squares: np.ndarray, steps: int) -> np.ndarray:
 
 
 @njit(cache=True)
-def opened(squares: np.ndarray, steps: int) -> np.ndarray:
+def opening(squares: np.ndarray, steps: int) -> np.ndarray:
     """Squares within so many steps of one that `shrunk` leaves: slivers among them are gone, the rest is whole."""
-    return ~shrunk(~shrunk(squares, steps), steps)
+    return ~eroded(~eroded(squares, steps), steps)
 
 
 @njit(cache=True)

@@ -89,7 +89,7 @@ class FootprintTable:
         size, cells = self.grid.fine_size, self.grid.cells
         if occupancy.shape != (size, size):
             raise ValueError(f"occupancy has the shape {occupancy.shape}; allowed is {(size, size)}")
-        return unpacked(self.words(bitmaps.rows(occupancy))).reshape(cells, cells, HEADINGS, ACTIONS)
+        return unpacked(self.words(bitmaps.packed_rows(occupancy))).reshape(cells, cells, HEADINGS, ACTIONS)
 
     def words(self, occupancy: np.ndarray) -> np.ndarray:
         """The same as bits, of `squares.rows`: `(8 * 5, words, cells)` uint64, by heading and action, word, row.

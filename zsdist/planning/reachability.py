@@ -20,7 +20,7 @@ _MOVING = sum(ADVANCES)  # actions that end in another cell come first
 assert ADVANCES == (1,) * _MOVING + (0,) * (ACTIONS - _MOVING)
 
 
-class Ways:
+class BlockedMoves:
     """What is blocked on one map.
 
     Args:
@@ -31,14 +31,14 @@ class Ways:
         self.words = words
 
     @classmethod
-    def of(cls, blocked: np.ndarray) -> "Ways":
+    def of(cls, blocked: np.ndarray) -> "BlockedMoves":
         """Of an array such as `blocked` is."""
         cells = len(blocked)
-        words = ~packed(~blocked.reshape(cells, cells, -1))
+        words = ~packed_states(~blocked.reshape(cells, cells, -1))
         return cls(words.reshape(HEADINGS, ACTIONS, -1, cells))
 
     @classmethod
-    def on(cls, occupancy: np.ndarray, table: FootprintTable) -> "Ways":
+    def on(cls, occupancy: np.ndarray, table: FootprintTable) -> "BlockedMoves":
         """Where squares are occupied, of `squares.rows`."""
         return cls(table.words(occupancy).reshape(HEADINGS, ACTIONS, -1, table.grid.cells))
 
@@ -53,22 +53,22 @@ class Ways:
         words = self.words[state.heading, :, state.ix // CELLS_A_WORD, state.iy].tolist()
         return np.array([word >> state.ix % CELLS_A_WORD & 1 for word in words], np.bool_)
 
-    def among(self, states: np.ndarray, others: "Ways") -> "Ways":
+    def among(self, states: np.ndarray, others: "BlockedMoves") -> "BlockedMoves":
         """These of some states, and `others` of all other states."""
         differ = (self.words ^ others.words) & states[:, None]
-        return Ways(others.words ^ differ)
+        return BlockedMoves(others.words ^ differ)
 
-    def states_to(self, places: np.ndarray) -> np.ndarray:
+    def states_to(self, packed_cells: np.ndarray) -> np.ndarray:
         """States from which a free way leads to one of some places; those in such a place are among them."""
-        return _states_to(self.words, places)
+        return _states_to(self.words, packed_cells)
 
-    def leaving(self, states: np.ndarray) -> "Ways":
+    def leaving(self, states: np.ndarray) -> "BlockedMoves":
         """With it blocked what ends outside a set of states."""
-        return Ways(_leaving(self.words, states))
+        return BlockedMoves(_leaving(self.words, states))
 
 
 @njit(cache=True)
-def packed(flags: np.ndarray) -> np.ndarray:
+def packed_states(flags: np.ndarray) -> np.ndarray:
     """Words `(planes, words, cells)` of `(cells, cells, planes)` bool; 0 beyond a row's last cell."""
     rows, columns, planes = flags.shape
     words = np.zeros((planes, (columns - 1) // CELLS_A_WORD + 1, rows), np.uint64)
@@ -80,12 +80,12 @@ def packed(flags: np.ndarray) -> np.ndarray:
     return words
 
 
-def places(mask: np.ndarray) -> np.ndarray:
+def packed_cells(mask: np.ndarray) -> np.ndarray:
     """Places `(words, cells)` of a mask `[iy, ix]` `(cells, cells)` bool."""
-    return np.ascontiguousarray(bitmaps.rows(mask).T)
+    return np.ascontiguousarray(bitmaps.packed_rows(mask).T)
 
 
-def holds(states: np.ndarray, state: LatticeState) -> bool:
+def contains(states: np.ndarray, state: LatticeState) -> bool:
     """Whether a state is one of a set."""
     word = int(states[state.heading, state.ix // CELLS_A_WORD, state.iy])
     return bool(word >> state.ix % CELLS_A_WORD & 1)
@@ -119,11 +119,11 @@ def _grow(states: np.ndarray, from_where: np.ndarray, blocked: np.ndarray) -> bo
 
 
 @njit(cache=True)
-def _states_to(blocked: np.ndarray, places: np.ndarray) -> np.ndarray:
-    words, rows = places.shape
+def _states_to(blocked: np.ndarray, packed_cells: np.ndarray) -> np.ndarray:
+    words, rows = packed_cells.shape
     found = np.zeros((HEADINGS, words + 2, rows + 2), np.uint64)
     for heading in range(HEADINGS):
-        found[heading, 1:-1, 1:-1] = places
+        found[heading, 1:-1, 1:-1] = packed_cells
     from_where, waiting = np.zeros((words + 2, rows + 2), np.uint64), np.ones(HEADINGS, np.bool_)
     while waiting.any():
         for end in range(HEADINGS):  # of actions that turn to it

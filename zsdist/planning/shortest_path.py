@@ -24,7 +24,7 @@ _ENDS = (np.arange(HEADINGS)[:, None] + np.array(TURNS)) % HEADINGS
 _ADVANCED = np.hypot(STEPS[_ENDS, 0], STEPS[_ENDS, 1]) * ADVANCES  # by heading before the action, in sides of a cell
 
 
-class Path(NamedTuple):
+class LatticePath(NamedTuple):
     """A way: `states` from the start to the goal, and the `actions` between them, one fewer."""
 
     states: list[LatticeState]
@@ -68,7 +68,7 @@ def cost_to_go(blocked: np.ndarray, goals: np.ndarray, action_costs: np.ndarray)
     return CostField(goals, action_costs).on(blocked)
 
 
-def path(cost: np.ndarray, blocked: np.ndarray, start: LatticeState, action_costs: np.ndarray) -> Path:
+def path(cost: np.ndarray, blocked: np.ndarray, start: LatticeState, action_costs: np.ndarray) -> LatticePath:
     """The way that a field of `cost_to_go` describes, from `start`.
 
     Args:
@@ -82,7 +82,7 @@ def path(cost: np.ndarray, blocked: np.ndarray, start: LatticeState, action_cost
     """
     flat, actions = flat_path(cost, blocked, start, action_costs)
     states = [lattice_state(state, len(blocked)) for state in flat.tolist()]
-    return Path(states, [Action(action) for action in actions.tolist()])
+    return LatticePath(states, [Action(action) for action in actions.tolist()])
 
 
 def flat_path(

@@ -20,7 +20,7 @@ from zsdist.common import process_pool as pool
 from zsdist.errors import RunError
 from zsdist.pretraining.job import Job
 from zsdist.pretraining.rows import Rows
-from zsdist.pretraining.sources import Arrays, Shard, make, shards, sources
+from zsdist.pretraining.sources import Arrays, PictureShard, make, shards, sources
 from zsdist.vision.encoders import open_encoder
 from zsdist.vision.encoders.base import Encoder
 from zsdist.vision.rays import RAYS, ray_angles_rad
@@ -104,7 +104,7 @@ def _begin(job: Job, folder: Path) -> None:
     _Worker.job, _Worker.folder, _Worker.encoder = job, folder, open_encoder(job.config.vision.encoder)
 
 
-def _make(shard: Shard) -> int:
+def _make(shard: PictureShard) -> int:
     save(_Worker.folder / shard.name, make(_Worker.job, shard, _Worker.encoder))
     return shard.count
 

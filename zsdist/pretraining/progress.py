@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 LINE_EVERY_S = 10.0
 
 
-class Watch:
+class PretrainingProgress:
     """Shows how far a pretraining is; a context manager.
 
     Args:

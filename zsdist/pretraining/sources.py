@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from zsdist.datasets.captioned import DescribedView, described_views
+from zsdist.datasets.captioned import CaptionedView, captioned_views
 from zsdist.datasets.labelled import LabelledView, labelled_views
 from zsdist.datasets.masked import masked_views
 from zsdist.pretraining.batches import BATCH, batched
@@ -40,7 +40,7 @@ Arrays = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
-class Shard:
+class PictureShard:
     """A part of a source: so many pictures, which follow from its name and the seed of the pretraining."""
 
     source: str
@@ -59,7 +59,7 @@ class Source:
 
     pictures: int
     shard: int
-    make: "Callable[[Job, Shard, int, Encoder], Arrays]"  # with a seed for the shard
+    make: "Callable[[Job, PictureShard, int, Encoder], Arrays]"  # with a seed for the shard
 
     def bytes_each(self, encoder: Encoder) -> int:
         """On disk, of a picture."""
@@ -107,39 +107,39 @@ def _share(of: float, images: int) -> int:
     return math.ceil(of * images)
 
 
-def shards(wanted: dict[str, Source]) -> list[Shard]:
+def shards(wanted: dict[str, Source]) -> list[PictureShard]:
     """All shards, the sources taking turns, so that wherever one stops each has its share."""
     found = []
     for name, source in wanted.items():
         count = math.ceil(source.pictures / source.shard)
         for index in range(count):
             size = min(source.shard, source.pictures - index * source.shard)
-            found.append(((index + 0.5) / count, Shard(name, index, size)))
+            found.append(((index + 0.5) / count, PictureShard(name, index, size)))
     return [shard for _, shard in sorted(found, key=lambda entry: (entry[0], entry[1].source))]
 
 
-def make(job: Job, shard: Shard, encoder: Encoder) -> Arrays:
+def make(job: Job, shard: PictureShard, encoder: Encoder) -> Arrays:
     """Renders and encodes a shard: arrays by name, each with a row a picture, or a mask of one."""
     digest = hashlib.sha256(f"{job.seed} {shard.name}".encode()).digest()
     source = sources(job)[shard.source]
     return source.make(job, shard, int.from_bytes(digest[:7]), encoder)
 
 
-def _act(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
+def _act(job: Job, shard: PictureShard, seed: int, encoder: Encoder) -> Arrays:
     camera = job.config.camera
     views = labelled_views(list(job.families), PURPOSE.split, shard.count, seed, camera, varied=True)
     return _encode_act(views, encoder)
 
 
-def _city_act(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
+def _city_act(job: Job, shard: PictureShard, seed: int, encoder: Encoder) -> Arrays:
     return _encode_act(_city_views(job, shard, "train"), encoder)
 
 
-def _city_validation(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
+def _city_validation(job: Job, shard: PictureShard, seed: int, encoder: Encoder) -> Arrays:
     return _encode_act(_city_views(job, shard, "val"), encoder)
 
 
-def _city_views(job: Job, shard: Shard, split: str) -> Iterator[CityView]:
+def _city_views(job: Job, shard: PictureShard, split: str) -> Iterator[CityView]:
     first = shard.index * sources(job)[shard.source].shard
     return cityscapes_views(Path(job.cityscapes), split, shard.count, job.seed, job.config.camera, first=first)
 
@@ -158,12 +158,12 @@ def _encode_act(views: Iterable[LabelledView | CityView], encoder: Encoder) -> A
     return _join(map(fields, batched(views, BATCH)))
 
 
-def _masked(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
+def _masked(job: Job, shard: PictureShard, seed: int, encoder: Encoder) -> Arrays:
     views = masked_views(list(job.families), PURPOSE.split, shard.count, seed, job.config.camera, varied=True)
     return _encode_masked(views, encoder)
 
 
-def _city_masked(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
+def _city_masked(job: Job, shard: PictureShard, seed: int, encoder: Encoder) -> Arrays:
     first, camera = shard.index * sources(job)[shard.source].shard, job.config.camera
     views = cityscapes_masked_views(Path(job.cityscapes), "train", shard.count, job.seed, camera, first=first)
     return _encode_masked(views, encoder)
@@ -188,11 +188,11 @@ def _encode_masked(views: Iterable[MaskedView], encoder: Encoder) -> Arrays:
     return _join(itertools.starmap(fields, enumerate(views)))
 
 
-def _described(job: Job, shard: Shard, seed: int, encoder: Encoder) -> Arrays:
+def _described(job: Job, shard: PictureShard, seed: int, encoder: Encoder) -> Arrays:
     purpose = MANIFEST["word-training"]
-    views = described_views(list(purpose.families), purpose.split, shard.count, seed, job.config.camera, varied=True)
+    views = captioned_views(list(purpose.families), purpose.split, shard.count, seed, job.config.camera, varied=True)
 
-    def fields(batch: list[DescribedView]) -> dict[str, Any]:
+    def fields(batch: list[CaptionedView]) -> dict[str, Any]:
         return {
             "tokens": encoder.tokens(np.stack([view.image for view in batch])).astype(np.float16),
             "cells": [view.cells for view in batch],

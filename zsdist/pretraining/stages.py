@@ -23,7 +23,7 @@ from zsdist.errors import RunError
 from zsdist.pretraining.calibrating import calibrate
 from zsdist.pretraining.job import Job
 from zsdist.pretraining.pictures import Pictures
-from zsdist.pretraining.progress import Watch
+from zsdist.pretraining.progress import PretrainingProgress
 from zsdist.vision.encoders.base import Encoder
 from zsdist.vision.folder import HEAD_FILE, HISTORY_FILE, PROJECTION_FILE, STUDENT_FILE, VOCABULARY_FILE
 from zsdist.vision.training import head as of_head
@@ -72,7 +72,7 @@ class Stages:
     """
 
     def __init__(
-        self, job: Job, folder: Path, pictures: Pictures, encoder: Encoder, budget: Budget, watch: Watch
+        self, job: Job, folder: Path, pictures: Pictures, encoder: Encoder, budget: Budget, watch: PretrainingProgress
     ) -> None:
         self._job, self._pictures, self._encoder, self._budget, self._watch = job, pictures, encoder, budget, watch
         self._history = folder / HISTORY_FILE
@@ -100,8 +100,8 @@ class Stages:
             student = of_student.new_student(self._field_of_view_rad, self._job.seed)
 
             def train_student(recipe: Recipe, rng: np.random.Generator, time_used: Callable[[], float]) -> Trainer:
-                lesson = of_student.teach(head, examples)
-                return of_student.train(student, examples, validation, recipe, rng, time_used, lesson)
+                training_pass = of_student.teach(head, examples)
+                return of_student.train(student, examples, validation, recipe, rng, time_used, training_pass)
 
             pictures = of_student.of_pictures(validation)
             self._train("student", student, train_student, lambda: calibrate(student, pictures))
@@ -151,7 +151,7 @@ class Stages:
         if stands.exists():
             trainer.restore(stands.read_bytes())
             self._watch.say(f"{stage}: going on after epoch {trainer.epoch}")
-        strike_out(self._history, stage, trainer.epoch)
+        prune(self._history, stage, trainer.epoch)
         try:
             for figures in trainer:
                 with self._history.open("a") as file:
@@ -165,7 +165,7 @@ class Stages:
         stands.unlink(missing_ok=True)
 
 
-def strike_out(history: Path, stage: str, epoch: int) -> None:
+def prune(history: Path, stage: str, epoch: int) -> None:
     """Leaves out of a history the epochs of a stage after `epoch`: they were broken off before they were saved."""
     if not history.exists():
         return

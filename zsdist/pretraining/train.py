@@ -8,7 +8,7 @@ from typing import Any
 from zsdist import __version__
 from zsdist.pretraining.job import JOB_FILE, Job
 from zsdist.pretraining.pictures import Pictures, disk_bytes, make_all
-from zsdist.pretraining.progress import Watch
+from zsdist.pretraining.progress import PretrainingProgress
 from zsdist.pretraining.stages import Budget, Stages, best_epochs
 from zsdist.vision import folder as weights
 from zsdist.vision.encoders.base import Encoder
@@ -16,7 +16,13 @@ from zsdist.vision.folder import CAMERA_KEYS
 
 
 def train(
-    job: Job, folder: Path, encoder: Encoder, minutes: float, workers: int, keep_pictures: bool, watch: Watch
+    job: Job,
+    folder: Path,
+    encoder: Encoder,
+    minutes: float,
+    workers: int,
+    keep_pictures: bool,
+    watch: PretrainingProgress,
 ) -> None:
     """Makes what is missing of a pretraining, and leaves a folder of weights.
 

@@ -14,7 +14,7 @@ import numpy as np
 from zsdist.common import half_precision
 from zsdist.errors import RunError
 from zsdist.replay import n_step_returns
-from zsdist.replay.priorities import Priorities
+from zsdist.replay.priorities import RowPriorities
 from zsdist.types import NO_GUIDE, Batch, Behaviour, Trajectories, Trajectory, count_transitions
 
 # Why a transition is refused, in the order in which it is looked for; each counts under the first that applies.
@@ -55,7 +55,7 @@ class RingBuffer:
     """
 
     def __init__(
-        self, state_size: int, actions: int, capacity: int, n_step: int = 1, priorities: Priorities | None = None
+        self, state_size: int, actions: int, capacity: int, n_step: int = 1, priorities: RowPriorities | None = None
     ) -> None:
         self._state_size, self._actions, self._n_step = state_size, actions, n_step
         self._priorities = priorities
@@ -98,7 +98,7 @@ class RingBuffer:
         joined = trajectories if isinstance(trajectories, Trajectories) else Trajectories.join(trajectories)
         if joined.columns["states"].dtype == np.float32:
             joined = replace(
-                joined, columns=joined.columns | {"states": half_precision.narrow(joined.columns["states"])}
+                joined, columns=joined.columns | {"states": half_precision.to_half(joined.columns["states"])}
             )
         if reason := self._malformed(joined, offered):
             return 0, {reason: offered}

@@ -49,7 +49,7 @@ class SumTree:
         return nodes - self._leaves
 
 
-class Priorities:
+class RowPriorities:
     """How likely each row of a ring is to be drawn.
 
     The priority of a row is `(|error| + SMALLEST_ERROR) ** exponent` with its error in the last update that it was part

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zsdist.evaluation.contenders import Entrant
+from zsdist.evaluation.contenders import Contender
 from zsdist.evaluation.episodes import Moment
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.evaluation.selection import select
 from zsdist.evaluation.workers import Simulation, make_examiner
 from zsdist.reporting.guidance import Drive, guidance_of
-from zsdist.reporting.maps import Track
+from zsdist.reporting.maps import DrivenPath
 from zsdist.run.checkpoint import Policy
 from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Level
@@ -25,7 +25,7 @@ class Driven:
     """What the figures are drawn from: guidance at home and away, and paths in unseen scenes."""
 
     guidance: Sequence[Drive]
-    paths: Sequence[tuple[Scene, Sequence[Track]]]
+    paths: Sequence[tuple[Scene, Sequence[DrivenPath]]]
 
 
 def home_scene(policy: Policy) -> Scene:
@@ -48,15 +48,15 @@ def drive(policy: Policy, label: str, on_scene: Callable[[str], None], simulatio
         simulation: in which; None: physics and the camera.
     """
     simulation = simulation or Simulation()
-    examiner = make_examiner(Entrant(policy.config, policy.parameters), simulation)
-    planner = make_examiner(Entrant(policy.config, baseline=SHORTEST), simulation)
+    runner = make_examiner(Contender(policy.config, policy.parameters), simulation)
+    planner = make_examiner(Contender(policy.config, baseline=SHORTEST), simulation)
     visual_act, env = simulation.load_vision(policy.config), simulation.make_env(policy.config)
     home, unseen = home_scene(policy), unseen_scenes(policy)
     guidance, paths = [], []
     for index, scene in enumerate((home, *unseen)):
         on_scene(scene.name)
         moments: list[Moment] = []
-        track = _track(examiner.drive(scene, np.random.default_rng([0, index]), moments.append), label)
+        track = _track(runner.drive(scene, np.random.default_rng([0, index]), moments.append), label)
         if index <= 1:
             known = moments[-1].thought.situation
             env.reset(options={"scene": scene})
@@ -69,5 +69,5 @@ def drive(policy: Policy, label: str, on_scene: Callable[[str], None], simulatio
     return Driven(guidance, paths)
 
 
-def _track(record: EpisodeRecord, label: str, reference: bool = False) -> Track:
-    return Track(np.array(record.poses)[:, :2], record.outcome, label, reference)
+def _track(record: EpisodeRecord, label: str, reference: bool = False) -> DrivenPath:
+    return DrivenPath(np.array(record.poses)[:, :2], record.outcome, label, reference)

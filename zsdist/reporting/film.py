@@ -14,8 +14,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from zsdist.config import Config
 from zsdist.errors import RunError, WeightsError
-from zsdist.evaluation.contenders import Entrant
-from zsdist.evaluation.drivers import Sees
+from zsdist.evaluation.contenders import Contender
+from zsdist.evaluation.drivers import Observability
 from zsdist.evaluation.episodes import Moment
 from zsdist.evaluation.workers import Simulation, make_examiner
 from zsdist.planning.footprint import ADVANCES
@@ -44,7 +44,7 @@ _TITLES = (
 
 
 def film(
-    entrant: Entrant,
+    contender: Contender,
     scenes: Sequence[Scene],
     seed: int,
     folder: Path,
@@ -57,7 +57,7 @@ def film(
     car. Attention is that of the action being taken; networks without one, and drivers without a camera, show none.
 
     Args:
-        entrant: who drives.
+        contender: who drives.
         scenes: in the order of the evaluation.
         seed: of the evaluation.
         folder: of the films; made if it is not there.
@@ -75,15 +75,15 @@ def film(
     except OSError as error:
         raise RunError(f"--video {folder} cannot be written: {error.strerror or error}") from error
     simulation = simulation or Simulation()
-    examiner = make_examiner(entrant, simulation, images=True)
-    visual_act = simulation.load_vision(entrant.config) if entrant.sees is Sees.CAMERA else None
+    runner = make_examiner(contender, simulation, images=True)
+    visual_act = simulation.load_vision(contender.config) if contender.observability is Observability.CAMERA else None
     files = []
     for index, scene in enumerate(scenes):
         moments: list[Moment] = []
-        record = examiner.drive(scene, np.random.default_rng([seed, index]), moments.append)
+        record = runner.drive(scene, np.random.default_rng([seed, index]), moments.append)
         file = folder / f"{index:02d}-{scene.name}-{record.outcome}.mp4"
         middle = (len(moments) - 1) // 2 * FRAMES_AN_ACTION
-        write(frames(moments, entrant.config, visual_act), file, middle)
+        write(frames(moments, contender.config, visual_act), file, middle)
         files.append(file)
         on_film(file)
     return files

@@ -11,11 +11,11 @@ from rich.console import Console
 from rich.table import Table
 
 from zsdist.config import Config
-from zsdist.evaluation.contenders import FULL, Entrant
+from zsdist.evaluation.contenders import FULL, Contender
 from zsdist.evaluation.report import Report, evaluate
 from zsdist.evaluation.selection import select
 from zsdist.reporting import curves, runs
-from zsdist.reporting.maps import Track, draw_paths
+from zsdist.reporting.maps import DrivenPath, draw_paths
 from zsdist.run.checkpoint import Policy, check_vision, load_policy
 from zsdist.sim.scenes.families import SINGLETON_SCENES
 
@@ -30,7 +30,7 @@ class Trial:
     """One line of the comparison: who drives where."""
 
     name: str
-    entrant: Entrant
+    contender: Contender
     sha256: str | None
     scenes: str
     episodes: int
@@ -60,7 +60,7 @@ def compare(folder: Path, settings: Config, console: Console) -> None:
         if trial.name == "trained":
             scenes = select(trial.scenes, settings, trial.episodes, settings.seed)
             panels = [
-                (scene, [Track(np.array(record.poses)[:, :2], record.outcome, "trained")])
+                (scene, [DrivenPath(np.array(record.poses)[:, :2], record.outcome, "trained")])
                 for scene, record in list(zip(scenes, report.records, strict=True))[:PATHS_SHOWN]
             ]
             draw_paths(panels, settings.grid.arena_m, folder / "figures", f"paths-{trial.scenes}")
@@ -74,16 +74,16 @@ def _trials(trained: Policy, settings: Config, episodes: int) -> Iterator[Trial]
     home = settings.scenes.train[0]
     at_home = min(episodes, SINGLETON_SCENES) if home == SINGLETON else episodes
     for name, variant in (("trained", FULL), ("untrained", "untrained")):
-        yield Trial(name, Entrant(settings, trained.parameters, variant=variant), trained.sha256, home, at_home)
+        yield Trial(name, Contender(settings, trained.parameters, variant=variant), trained.sha256, home, at_home)
     away = UNSEEN if home == SINGLETON else "test"
-    yield Trial("trained", Entrant(settings, trained.parameters), trained.sha256, away, episodes)
+    yield Trial("trained", Contender(settings, trained.parameters), trained.sha256, away, episodes)
     for baseline in ("random", "potential-field"):
-        yield Trial(baseline, Entrant(settings, baseline=baseline), None, away, episodes)
+        yield Trial(baseline, Contender(settings, baseline=baseline), None, away, episodes)
 
 
 def _drive(trial: Trial, seed: int) -> Report:
     return evaluate(
-        trial.entrant,
+        trial.contender,
         policy=trial.name,
         weights_sha256=trial.sha256,
         scenes=trial.scenes,

@@ -19,7 +19,7 @@ from zsdist.evaluation.drivers import VisualAct
 from zsdist.planning import forward_search
 from zsdist.planning.grid import HEADINGS, STEPS
 from zsdist.reporting import style
-from zsdist.reporting.maps import Track, draw_ends, draw_scene, draw_track, square
+from zsdist.reporting.maps import DrivenPath, draw_ends, draw_scene, draw_track, square
 from zsdist.sim.scenes.scene import Scene
 from zsdist.types import LatticeState, Parameters, Pose
 from zsdist.vision.ray_ablation import limited
@@ -49,7 +49,7 @@ class Drive:
     """A driven scene with the guidance on the map as it was known at the end."""
 
     scene: Scene
-    track: Track
+    track: DrivenPath
     guidance: Guidance
 
 

@@ -37,7 +37,7 @@ START_COLOUR, GOAL_COLOUR = "#1fa64a", "#e02020"
 
 
 @dataclass(frozen=True)
-class Track:
+class DrivenPath:
     """One driven path.
 
     Attributes:
@@ -53,7 +53,7 @@ class Track:
     reference: bool = False
 
 
-def draw_paths(panels: Sequence[tuple[Scene, Sequence[Track]]], arena_m: float, folder: Path, name: str) -> str:
+def draw_paths(panels: Sequence[tuple[Scene, Sequence[DrivenPath]]], arena_m: float, folder: Path, name: str) -> str:
     """Scenes from above with the paths driven in them; a path's colour is its outcome.
 
     Args:
@@ -76,7 +76,7 @@ def draw_paths(panels: Sequence[tuple[Scene, Sequence[Track]]], arena_m: float, 
     return style.save(figure, folder, name)
 
 
-def draw_track(axes: Axes, track: Track) -> None:
+def draw_track(axes: Axes, track: DrivenPath) -> None:
     """A path over a scene, outlined so that it shows on any ground."""
     points = np.asarray(track.points)
     label = f"{track.label}: {track.outcome}" if track.label else str(track.outcome)

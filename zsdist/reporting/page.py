@@ -128,8 +128,8 @@ def _made_from(material: Material) -> list[str]:
 def _rewards(methods: Sequence[Method], out: Path) -> list[str]:
     if not methods:
         return missing("no run with a finished episode was given")
-    blind = [method.name for method in methods if not _sees(method.runs[0])]
-    seeing = [method.name for method in methods if _sees(method.runs[0])]
+    blind = [method.name for method in methods if not _observability(method.runs[0])]
+    seeing = [method.name for method in methods if _observability(method.runs[0])]
     seeds = ", ".join(f"{method.name} {len(method.runs)}" for method in methods)
     caption = (
         "Cumulative average of the paper's reward over training, exploration included. "
@@ -144,7 +144,7 @@ def _rewards(methods: Sequence[Method], out: Path) -> list[str]:
     return [*lines, *missing(f"the comparison with and without vision, as no run {what} was given")]
 
 
-def _sees(run: Run) -> bool:
+def _observability(run: Run) -> bool:
     return run.settings.vision.rays != "none"
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from zsdist.agent.hierarchy import QFunctions, q_functions
 from zsdist.dqn import network
 from zsdist.dqn.exploration import epsilon
-from zsdist.driving.episode import Car, Errand
-from zsdist.driving.perception import Sight
+from zsdist.driving.episode import Car, EpisodeTask
+from zsdist.driving.perception import Perception
 from zsdist.errors import RunError, WeightsError
 from zsdist.protocol.outbox import Outbox
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
@@ -22,7 +22,7 @@ from zsdist.wire.messages import EPISODES, EVALUATION, Ack, Candidate, Jobs, Ord
 MAX_CANDIDATES = 16  # pairs kept; a merge has three
 
 
-class Itinerary(Protocol):
+class SceneSource(Protocol):
     """Which scene belongs to which number: a pure function of the run's seed."""
 
     def training(self, number: int) -> object:
@@ -35,11 +35,11 @@ class Itinerary(Protocol):
 class Actor(Role):
     """Several cars in one process with batched inference; pictures never leave it."""
 
-    def __init__(self, context: Context, cars: Sequence[Car], sight: Sight, itinerary: Itinerary) -> None:
+    def __init__(self, context: Context, cars: Sequence[Car], perception: Perception, schedule: SceneSource) -> None:
         super().__init__(context)
         self.cars = list(cars)
-        self.sight = sight
-        self.itinerary = itinerary
+        self.perception = perception
+        self.schedule = schedule
         self.env_steps = 0
         self.waiting_credit_s = 0.0
         self._waiting_since_s: float | None = None
@@ -82,13 +82,13 @@ class Actor(Role):
         self._receive(now)
         self._cut_short()
         self._assign()
-        driving = [car for car in self.cars if car.errand]
+        driving = [car for car in self.cars if car.task]
         ready = [car for car in driving if self._reserve(car)]
         self._account_waiting(now, len(ready) < len(driving))
         if ready:
             self._advance(ready)
-        if self._closing and not any(car.errand for car in self.cars):
-            self.sight.close()
+        if self._closing and not any(car.task for car in self.cars):
+            self.perception.close()
             for outbox in self._outboxes.values():
                 outbox.close(now)
         self._flush(now)
@@ -102,10 +102,10 @@ class Actor(Role):
         fields: dict[str, float | str] = {
             "env_steps": self.env_steps,
             "cars": len(self.cars),
-            "cars_driving": sum(1 for car in self.cars if car.errand),
+            "cars_driving": sum(1 for car in self.cars if car.task),
             "waiting_credit_s": round(self.waiting_credit_s, 3),
             "started_episodes": len(self._started),
-            **self.sight.statistics(),
+            **self.perception.statistics(),
         }
         fields |= {f"{level}_weight_version": message.weights.version for level, message in self._weights.items()}
         fields |= {f"{level}_weights_lag_s": round(lag_s, 4) for level, lag_s in self._lags_s.items()}
@@ -178,25 +178,25 @@ class Actor(Role):
             return
         versions = {level: message.weights.version for level, message in self._weights.items()}
         for car in self.cars:
-            if car.errand is None and (errand := self._next_errand()) is not None:
-                car.begin(errand, versions, self._candidate_q(errand))
+            if car.task is None and (task := self._next_errand()) is not None:
+                car.begin(task, versions, self._candidate_q(task))
 
-    def _next_errand(self) -> Errand | None:
+    def _next_errand(self) -> EpisodeTask | None:
         merge, agent = self._jobs.merge, self.config.agent
         for candidate, index in self._jobs.drives:
             job = (merge, candidate, index)
             if job not in self._driven and len(self._candidates.get((merge, candidate), {})) == len(Level):
                 self._driven.add(job)
-                scene = self.itinerary.validation(merge, index)
+                scene = self.schedule.validation(merge, index)
                 most = self.config.merge.drive_steps
-                return Errand(scene, index, 0.0, True, (self.config.seed, merge, index), candidate, merge, most)
+                return EpisodeTask(scene, index, 0.0, True, (self.config.seed, merge, index), candidate, merge, most)
         for number in self._leases:
             if number not in self._started:
                 self._started.add(number)
                 share = epsilon(self._finished_episodes, agent.epsilon_decay, agent.epsilon_min)
                 seed = (self.config.seed, number)
                 shielded = bool(np.random.default_rng([*seed, 1]).random() < agent.shield_share)
-                return Errand(self.itinerary.training(number), number, share, shielded, seed)
+                return EpisodeTask(self.schedule.training(number), number, share, shielded, seed)
         return None
 
     def _reserve(self, car: Car) -> bool:
@@ -204,7 +204,7 @@ class Actor(Role):
 
         The replay grants a stream at least one whole option a car ahead of what it holds, so every option can end.
         """
-        if not car.errand.trains or car.over:
+        if not car.task.trains or car.over:
             return True
         for level, outbox in self._metered():
             missing = car.unoffered[level] + 1 - car.credit[level]
@@ -215,10 +215,10 @@ class Actor(Role):
         return True
 
     def _advance(self, cars: list[Car]) -> None:
-        for car, view in zip(cars, self.sight.views(cars), strict=True):
+        for car, view in zip(cars, self.perception.views(cars), strict=True):
             ended = car.over
             car.advance(view, car.candidate_q or self._online_q())
-            if car.errand.trains:
+            if car.task.trains:
                 self.env_steps += not ended
                 for level in Level:
                     car.unoffered[level] += not ended
@@ -229,10 +229,10 @@ class Actor(Role):
     def _online_q(self) -> QFunctions:
         return q_functions({level: held.weights.parameters for level, held in self._weights.items()})
 
-    def _candidate_q(self, errand: Errand) -> QFunctions | None:
-        if errand.trains:
+    def _candidate_q(self, task: EpisodeTask) -> QFunctions | None:
+        if task.trains:
             return None
-        return q_functions(self._candidates[errand.merge, errand.candidate])
+        return q_functions(self._candidates[task.merge, task.candidate])
 
     def _collect(self, car: Car) -> None:
         for trajectory in car.agent.drain():
@@ -241,7 +241,7 @@ class Actor(Role):
             car.unoffered[trajectory.level] -= len(trajectory)
 
     def _report(self, car: Car) -> None:
-        trains = car.errand.trains
+        trains = car.task.trains
         record = car.record() | {"actor": self.context.name}
         self._release(car)
         self._outboxes[EPISODES if trains else EVALUATION].offer([record])
@@ -254,18 +254,18 @@ class Actor(Role):
     def _cut_short(self) -> None:
         """Ends what nobody waits for any more: drives of a candidate that was dropped, and everything at a stop."""
         for car in self.cars:
-            if car.errand is None or not (self._cut or self._unwanted(car.errand)):
+            if car.task is None or not (self._cut or self._unwanted(car.task)):
                 continue
-            trains = car.errand.trains
+            trains = car.task.trains
             car.cut()
             if trains:
                 self._collect(car)
             self._release(car)
 
-    def _unwanted(self, errand: Errand) -> bool:
-        if errand.trains:
+    def _unwanted(self, task: EpisodeTask) -> bool:
+        if task.trains:
             return False
-        return errand.merge != self._jobs.merge or (errand.candidate, errand.number) not in self._jobs.drives
+        return task.merge != self._jobs.merge or (task.candidate, task.number) not in self._jobs.drives
 
     def _metered(self) -> list[tuple[Level, Outbox]]:
         return [(level, self._outboxes[level]) for level in Level]

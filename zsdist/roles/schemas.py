@@ -24,7 +24,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,64}$")]
 Text = Annotated[str, Field(max_length=1000)]
 Point = Annotated[list[Figure], Field(min_length=2, max_length=2)]
 Epochs = Annotated[dict[Name, Count], Field(max_length=MAX_ACTORS)]
-Candidate = Literal[RECENT, DISTILLED, BEST]
+CandidateName = Literal[RECENT, DISTILLED, BEST]
 
 
 class Content(BaseModel):
@@ -59,8 +59,8 @@ class LearnerOrders(Content):
     learning: bool
     merge: Count
     phase: Annotated[Phase, Strict(False)] | Literal[""]
-    candidates: Annotated[list[Candidate], Field(max_length=8)]
-    chosen: Candidate | Literal[""]
+    candidates: Annotated[list[CandidateName], Field(max_length=8)]
+    chosen: CandidateName | Literal[""]
     stop: bool
 
 
@@ -82,7 +82,7 @@ class DriveJobs(Content):
     """To one actor: candidates to drive, as (name, index of the validation scene)."""
 
     merge: Count
-    drives: Annotated[list[Annotated[tuple[Candidate, Count], Strict(False)]], Field(max_length=MAX_DRIVES)]
+    drives: Annotated[list[Annotated[tuple[CandidateName, Count], Strict(False)]], Field(max_length=MAX_DRIVES)]
 
 
 class _Drive(Content):
@@ -104,21 +104,21 @@ class _Drive(Content):
     path: Annotated[list[Point], Field(min_length=1, max_length=MAX_PATH)]
 
 
-class EpisodeRecord(_Drive):
+class TrainingRecord(_Drive):
     """How a training episode ended."""
 
     episode: Number
 
 
-class DriveRecord(_Drive):
+class CandidateRecord(_Drive):
     """How a candidate's drive ended."""
 
     scene_index: Count
     merge: Count
-    candidate: Candidate
+    candidate: CandidateName
 
 
-class ShelfState(Content):
+class LevelReplayState(Content):
     """What the scheduler reads of a replay's state, for each level."""
 
     model_config = ConfigDict(extra="allow")
@@ -153,7 +153,7 @@ def read(model: type[Some], content: dict[str, Any]) -> Some:
 
 def drives(records: Records) -> list[Content]:
     """The records of a frame, each of the actor that sends them; raises `DecodeError` where one is not."""
-    model = EpisodeRecord if records.stream == EPISODES else DriveRecord
+    model = TrainingRecord if records.stream == EPISODES else CandidateRecord
     found = [read(model, record) for record in records.records]
     for one in found:
         if one.actor != records.actor:
@@ -165,4 +165,4 @@ def parts(state: State) -> list[Content]:
     """What the scheduler reads of a role's state; raises `DecodeError` where it is not there."""
     if state.role.startswith("learner-"):
         return [read(LearnerState, state.meta)]
-    return [read(ShelfState, part) for part in state.meta.values()]
+    return [read(LevelReplayState, part) for part in state.meta.values()]

@@ -99,8 +99,8 @@ def rewind(folder: Path, settings: Config, states: dict[str, State]) -> None:
     rewrite_config(folder, settings)
     shutil.rmtree(folder / "journal", ignore_errors=True)
     finished = set(states["scheduler"].meta["finished"])
-    _strike_out(folder / "episodes.jsonl", lambda record: record["episode"] not in finished)
-    _strike_out(folder / "metrics.jsonl", lambda row: row.get("episodes", 0) > len(finished))
+    _prune(folder / "episodes.jsonl", lambda record: record["episode"] not in finished)
+    _prune(folder / "metrics.jsonl", lambda row: row.get("episodes", 0) > len(finished))
 
 
 def key_name(folder: Path) -> str:
@@ -244,7 +244,7 @@ class RunDirectory:
         self._board.flush()
 
 
-def _strike_out(path: Path, is_later: Callable[[dict], bool]) -> None:
+def _prune(path: Path, is_later: Callable[[dict], bool]) -> None:
     if not path.exists():
         return
     kept = []

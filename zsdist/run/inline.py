@@ -14,7 +14,7 @@ import torch
 
 from zsdist.roles.base import HEARTBEAT_S, Role
 from zsdist.run import program
-from zsdist.run.program import Place, Setting, Watch
+from zsdist.run.program import RoleSpec, RunSpec, Watch
 from zsdist.transport.base import Transport
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.wire import codec, keys
@@ -24,7 +24,7 @@ TICK_S = 0.01  # of virtual time, for each round in which some role worked
 
 
 def run(
-    setting: Setting,
+    spec: RunSpec,
     epochs: Sequence[int],
     *,
     interrupted: Callable[[], bool] = lambda: False,
@@ -33,7 +33,7 @@ def run(
     """Runs to the end, or until `interrupted` has been heard and everything is saved.
 
     Args:
-        setting: what the roles share.
+        spec: what the roles share.
         epochs: fresh ones, as many as `program.epoch_count` says.
         interrupted: asked before every round.
         watch: called once a round with a transport to subscribe on and the clock, such as a progress display.
@@ -41,16 +41,21 @@ def run(
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # a second thread costs these small networks more than it gives, and exactness besides
     try:
-        if setting.config.transport.kind == "memory":
+        if spec.config.transport.kind == "memory":
             broker = MemoryBroker()
             _run(
-                setting, epochs, lambda place: MemoryTransport(broker, place.name), _VirtualClock(), interrupted, watch
+                spec,
+                epochs,
+                lambda role_spec: MemoryTransport(broker, role_spec.name),
+                _VirtualClock(),
+                interrupted,
+                watch,
             )
         else:
-            with setting.open_hub() as hub:
-                (setting.folder / "endpoint").write_text(hub.endpoint)
-                connect = partial(setting.connect, endpoint=hub.endpoint)
-                _run(setting, epochs, connect, _RealClock(), interrupted, watch)
+            with spec.open_hub() as hub:
+                (spec.folder / "endpoint").write_text(hub.endpoint)
+                connect = partial(spec.connect, endpoint=hub.endpoint)
+                _run(spec, epochs, connect, _RealClock(), interrupted, watch)
     finally:
         torch.set_num_threads(threads)
 
@@ -82,25 +87,25 @@ class _RealClock:
 
 
 def _run(
-    setting: Setting,
+    spec: RunSpec,
     epochs: Sequence[int],
-    open_transport: Callable[[Place], Transport],
+    open_transport: Callable[[RoleSpec], Transport],
     clock: _VirtualClock | _RealClock,
     interrupted: Callable[[], bool],
     watch: Watch,
 ) -> None:
-    places = program.roles(setting.config, epochs[2:])
+    role_specs = program.roles(spec.config, epochs[2:])
     transports: list[Transport] = []
     shared_wake = threading.Event()
 
-    def connect(place: Place) -> Transport:
-        transports.append(open_transport(place))
+    def connect(role_spec: RoleSpec) -> Transport:
+        transports.append(open_transport(role_spec))
         return transports[-1]
 
     try:
         supervisor = connect(program.supervisor(epochs))
-        actors = [_Seat(setting, place, connect(place), shared_wake) for place in places]
-        _step_all(setting, epochs[0], places, actors, supervisor, clock, shared_wake, interrupted, watch)
+        actors = [_Seat(spec, role_spec, connect(role_spec), shared_wake) for role_spec in role_specs]
+        _step_all(spec, epochs[0], role_specs, actors, supervisor, clock, shared_wake, interrupted, watch)
     finally:
         for transport in transports:
             transport.close()
@@ -109,9 +114,9 @@ def _run(
 class _Seat:
     """A role, when it wants to be called next, and whether mail has come for it since."""
 
-    def __init__(self, setting: Setting, place: Place, transport: Transport, shared_wake: threading.Event) -> None:
+    def __init__(self, spec: RunSpec, role_spec: RoleSpec, transport: Transport, shared_wake: threading.Event) -> None:
         self.wake = _Relay(shared_wake)
-        self.role: Role = setting.build(place, transport, self.wake)
+        self.role: Role = spec.build(role_spec, transport, self.wake)
         self.due_s: float | None = 0.0
 
     def step_if_due(self, now: float) -> bool:
@@ -135,9 +140,9 @@ class _Relay(threading.Event):
 
 
 def _step_all(
-    setting: Setting,
+    spec: RunSpec,
     epoch: int,
-    places: list[Place],
+    role_specs: list[RoleSpec],
     seats: list[_Seat],
     supervisor: Transport,
     clock: _VirtualClock | _RealClock,
@@ -151,9 +156,9 @@ def _step_all(
         now = clock.now
         if now >= next_supervision_s:
             next_supervision_s = now + HEARTBEAT_S
-            content = program.supervision(setting, places, interrupted=interrupted())
+            content = program.supervision(spec, role_specs, interrupted=interrupted())
             orders = Orders(epoch, "scheduler", content)
-            supervisor.publish(keys.control(setting.run, "scheduler"), codec.encode(orders), retained=True)
+            supervisor.publish(keys.control(spec.run, "scheduler"), codec.encode(orders), retained=True)
         worked = [seat.step_if_due(now) for seat in seats]
         watch(supervisor, now)
         appointments = [seat.due_s for seat in seats if seat.due_s is not None]

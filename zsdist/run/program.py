@@ -16,8 +16,8 @@ from zsdist.agent.hierarchy import HierarchicalAgent, q_functions
 from zsdist.common import code_hash
 from zsdist.config import Config
 from zsdist.dqn import network
-from zsdist.driving.episode import CameraEnv, Car, Errand
-from zsdist.driving.perception import Sight, VisualAct
+from zsdist.driving.episode import CameraEnv, Car, EpisodeTask
+from zsdist.driving.perception import Perception, VisionModel
 from zsdist.errors import ConfigError, SceneError, WeightsError
 from zsdist.planning.grid import Grid
 from zsdist.replay.buffer import row_bytes
@@ -49,7 +49,7 @@ Watch = Callable[[Transport, float], None]  # called once a round with the runne
 
 
 @dataclass(frozen=True)
-class Place:
+class RoleSpec:
     """One role of a program: its kind, which of them, and the epoch of this incarnation."""
 
     role: str
@@ -62,14 +62,14 @@ class Place:
         return f"{self.role}-{self.id}"
 
 
-def supervisor(epochs: Sequence[int]) -> Place:
+def supervisor(epochs: Sequence[int]) -> RoleSpec:
     """The runner itself, as one that speaks to the scheduler."""
-    return Place("supervisor", "0", epochs[0])
+    return RoleSpec("supervisor", "0", epochs[0])
 
 
-def roles(config: Config, epochs: Sequence[int]) -> list[Place]:
+def roles(config: Config, epochs: Sequence[int]) -> list[RoleSpec]:
     """All roles that do the run's work, in the order in which an inline run steps them."""
-    return [Place(role, identifier, epoch) for (role, identifier), epoch in zip(_names(config), epochs, strict=True)]
+    return [RoleSpec(role, identifier, epoch) for (role, identifier), epoch in zip(_names(config), epochs, strict=True)]
 
 
 def _names(config: Config) -> list[tuple[str, str]]:
@@ -88,7 +88,7 @@ def epoch_count(config: Config) -> int:
     return 2 + role_count(config)
 
 
-class Itinerary:
+class SceneSchedule:
     """Scenes by number, a pure function of the seed. Training and validation scenes have seeds of their own."""
 
     def __init__(self, config: Config) -> None:
@@ -119,25 +119,25 @@ def _source(name: str) -> Callable[[str, int], Scene]:
 
 
 @dataclass(frozen=True)
-class Parts:
+class ActorParts:
     """What an actor is made of besides its agent."""
 
     make_env: Callable[[], CameraEnv]
-    visual_act: VisualAct
-    itinerary: Itinerary
+    visual_act: VisionModel
+    schedule: SceneSchedule
 
 
-def simulation(config: Config) -> Parts:
+def simulation(config: Config) -> ActorParts:
     """The real thing: PyBullet cars, the camera, the shipped visual-act model."""
-    return Parts(
+    return ActorParts(
         make_env=lambda: CarNavigation(config=config, images=False),
         visual_act=PretrainedVisualAct.load(config.vision, config.camera),
-        itinerary=Itinerary(config),
+        schedule=SceneSchedule(config),
     )
 
 
 def vision_here(config: Config) -> VisionIdentity:
-    """By what cars of this configuration see on this machine; raises `WeightsError` as `VisualAct.load`."""
+    """By what cars of this configuration see on this machine; raises `WeightsError` as `VisionModel.load`."""
     return VisionIdentity.of(PretrainedVisualAct.load(config.vision, config.camera), config.vision.network)
 
 
@@ -188,14 +188,14 @@ def warm_up(config: Config) -> VisionIdentity:
     return VisionIdentity.of(parts.visual_act, config.vision.network)
 
 
-def try_out(parts: Parts, config: Config) -> None:
+def try_out(parts: ActorParts, config: Config) -> None:
     """Drives a car for two steps: what is loaded or made at first use, which takes half a second, then is there."""
     car = Car(parts.make_env(), HierarchicalAgent(config))
-    car.begin(Errand(parts.itinerary.training(1), 1, 1.0, True, (0,)), dict.fromkeys(Level, 0))
+    car.begin(EpisodeTask(parts.schedule.training(1), 1, 1.0, True, (0,)), dict.fromkeys(Level, 0))
     q = q_functions({level: _untrained(config, level) for level in Level})
-    sight = Sight(parts.visual_act, Grid.from_config(config.grid), None)
+    perception = Perception(parts.visual_act, Grid.from_config(config.grid), None)
     for _ in range(2):
-        car.advance(*sight.views([car]), q)
+        car.advance(*perception.views([car]), q)
     car.env.close()
 
 
@@ -205,7 +205,7 @@ def _untrained(config: Config, level: Level) -> Parameters:
 
 
 @dataclass(frozen=True)
-class Setting:
+class RunSpec:
     """What every role of a run shares, wherever it lives.
 
     Attributes:
@@ -223,7 +223,7 @@ class Setting:
     folder: Path
     states: dict[str, State]
     vision: VisionIdentity
-    make_parts: Callable[[Config], Parts] = simulation
+    make_parts: Callable[[Config], ActorParts] = simulation
     start: str = field(default_factory=lambda: uuid.uuid4().hex)
 
     def open_hub(self, endpoint: str | None = None) -> ZenohHub:
@@ -232,58 +232,62 @@ class Setting:
         endpoint = endpoint or self.config.transport.endpoint
         return ZenohHub(endpoint, self._identity(permissions.HUB), grants, ports_tried=tries)
 
-    def connect(self, place: Place, endpoint: str) -> ZenohTransport:
+    def connect(self, role_spec: RoleSpec, endpoint: str) -> ZenohTransport:
         """A role's connection to the hub, with its certificate where the run has certificates."""
-        return ZenohTransport(endpoint, self._identity(permissions.certificate_of(place.role, place.id)))
+        return ZenohTransport(endpoint, self._identity(permissions.certificate_of(role_spec.role, role_spec.id)))
 
     def _identity(self, name: str) -> Identity | None:
         folder = self.config.transport.tls
         return None if folder is None else Identity.load(folder, name)
 
-    def context(self, place: Place, transport: Transport, wake: threading.Event) -> Context:
+    def context(self, role_spec: RoleSpec, transport: Transport, wake: threading.Event) -> Context:
         """The context of one role."""
-        return Context(self.config, self.run, place.role, place.id, place.epoch, transport, wake)
+        return Context(self.config, self.run, role_spec.role, role_spec.id, role_spec.epoch, transport, wake)
 
-    def build(self, place: Place, transport: Transport, wake: threading.Event, parts: Parts | None = None) -> Role:
+    def build(
+        self, role_spec: RoleSpec, transport: Transport, wake: threading.Event, parts: ActorParts | None = None
+    ) -> Role:
         """One role, with its state restored where the run is gone on with.
 
         Args:
-            place: which.
+            role_spec: which.
             transport: its own.
             wake: set when mail comes for it.
             parts: what an actor is to be made of, where that has been made already.
         """
-        context, config = self.context(place, transport, wake), self.config
-        match place.role:
+        context, config = self.context(role_spec, transport, wake), self.config
+        match role_spec.role:
             case "scheduler":
                 restored = self.states.get("scheduler")
                 earlier_s = restored.meta["wall_s"] if restored else 0.0
                 return Scheduler(context, RunDirectory(self.folder, self.vision, earlier_s), restored)
             case shards.ROLE:
                 # A start of the run has journals of its own: those of an earlier one are older than its checkpoints.
-                folder = self.folder / "journal" / f"{self.start}-{place.id}"
-                return Replay(context, SHAPES, folder, self.states.get(shards.state_name(int(place.id))))
+                folder = self.folder / "journal" / f"{self.start}-{role_spec.id}"
+                return Replay(context, SHAPES, folder, self.states.get(shards.state_name(int(role_spec.id))))
             case "learner":
-                level = Level(place.id)
+                level = Level(role_spec.id)
                 from zsdist.roles.learner import Learner  # the only role that needs torch: two seconds and 150 MB
 
-                return Learner(context, level, make_learner(config, level), self.states.get(place.name))
+                return Learner(context, level, make_learner(config, level), self.states.get(role_spec.name))
             case "actor":
                 parts = parts or self.make_parts(config)
                 seen = VisionIdentity.of(parts.visual_act, config.vision.network)
                 if seen != self.vision:
-                    raise WeightsError(f"{place.name} sees by {seen}; allowed is what the run sees by, {self.vision}")
+                    raise WeightsError(
+                        f"{role_spec.name} sees by {seen}; allowed is what the run sees by, {self.vision}"
+                    )
                 cars = [Car(parts.make_env(), HierarchicalAgent(config)) for _ in range(config.run.cars_per_actor)]
-                return Actor(context, cars, self._sight(parts.visual_act), parts.itinerary)
-        raise ValueError(f"no role is called {place.role!r}")
+                return Actor(context, cars, self._perception(parts.visual_act), parts.schedule)
+        raise ValueError(f"no role is called {role_spec.role!r}")
 
-    def _sight(self, visual_act: VisualAct) -> Sight:
+    def _perception(self, visual_act: VisionModel) -> Perception:
         size = self.config.vision.cache_bytes
         cache = ReadingCache(size, _seen_by(self.config, visual_act)) if size else None
-        return Sight(visual_act, Grid.from_config(self.config.grid), cache)
+        return Perception(visual_act, Grid.from_config(self.config.grid), cache)
 
 
-def _seen_by(config: Config, visual_act: VisualAct) -> str:
+def _seen_by(config: Config, visual_act: VisionModel) -> str:
     """All that a reading depends on besides scene and lattice state, as far as runs of a machine may differ in it."""
     settings = config.model_dump_json(include={"grid", "camera"})
     code = code_hash.sha256("zsdist.sim.env", "zsdist.vision.visual_act")
@@ -300,24 +304,24 @@ def make_learner(config: Config, level: Level) -> "DqnLearner":
     return DqnLearner(shape.state_size, shape.actions, settings, seed=seed, mirror=features.mirror(level))
 
 
-def make_hub(setting: Setting, place: Place, transport: Transport, wake: threading.Event, endpoint: str) -> Hub:
+def make_hub(spec: RunSpec, role_spec: RoleSpec, transport: Transport, wake: threading.Event, endpoint: str) -> Hub:
     """The hub's role, beside the router that its process holds."""
-    return Hub(setting.context(place, transport, wake), endpoint)
+    return Hub(spec.context(role_spec, transport, wake), endpoint)
 
 
 def supervision(
-    setting: Setting, places: Sequence[Place], *, interrupted: bool, restarts: Mapping[str, int] | None = None
+    spec: RunSpec, role_specs: Sequence[RoleSpec], *, interrupted: bool, restarts: Mapping[str, int] | None = None
 ) -> dict:
     """What a runner tells the scheduler, again and again.
 
     Args:
-        setting: of the run.
-        places: all roles; the actors' newest epochs are told.
+        spec: of the run.
+        role_specs: all roles; the actors' newest epochs are told.
         interrupted: whether to stop early.
         restarts: processes replaced so far in this start, by kind of role.
     """
     return {
-        "epochs": {place.name: place.epoch for place in places if place.role == "actor"},
+        "epochs": {role_spec.name: role_spec.epoch for role_spec in role_specs if role_spec.role == "actor"},
         "restarts": dict(restarts or {}),
         "interrupted": interrupted,
     }

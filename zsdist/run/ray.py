@@ -17,7 +17,7 @@ from zsdist.roles.base import HEARTBEAT_S, Role
 from zsdist.run import program
 from zsdist.run.allocator import keep_freed_memory
 from zsdist.run.directory import issue_epochs
-from zsdist.run.program import Parts, Place, Setting, Watch
+from zsdist.run.program import ActorParts, RoleSpec, RunSpec, Watch
 from zsdist.transport.base import Transport
 from zsdist.transport.zenoh import ZenohHub
 from zsdist.wire import codec, keys
@@ -34,18 +34,18 @@ HUB = "hub-0"
 class RoleHost:
     """Lives in a Ray actor: takes on one role there and steps it until it has finished."""
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, spec: RunSpec) -> None:
         keep_freed_memory()
-        self.setting = setting
+        self.spec = spec
         self.wake = threading.Event()
         self._stop = False
         self._hub: ZenohHub | None = None
-        self._parts: Parts | None = None
+        self._parts: ActorParts | None = None
 
     def warm_up(self) -> None:
         """Makes what takes longest to make, and uses it, so that whatever role is taken on later begins at once."""
-        parts = self.setting.make_parts(self.setting.config)
-        program.try_out(parts, self.setting.config)
+        parts = self.spec.make_parts(self.spec.config)
+        program.try_out(parts, self.spec.config)
         self._parts = parts
 
     def open_hub(self, endpoint: str | None) -> str:
@@ -54,28 +54,28 @@ class RoleHost:
         Args:
             endpoint: where its predecessor listened; None: it is the run's first.
         """
-        self._hub = self.setting.open_hub(endpoint)
+        self._hub = self.spec.open_hub(endpoint)
         return self._hub.endpoint
 
-    def drive(self, place: Place, endpoint: str) -> str:
+    def drive(self, role_spec: RoleSpec, endpoint: str) -> str:
         """Builds a role and steps it to its end; returns an empty string, or in one line why it could not go on."""
-        self._redirect_output(place)
+        self._redirect_output(role_spec)
         transport = None
-        if place.role == "learner":
+        if role_spec.role == "learner":
             import torch
 
             torch.set_num_threads(1)
         try:
-            if place.name == HUB and self._hub is None:
+            if role_spec.name == HUB and self._hub is None:
                 self.open_hub(endpoint)
-            transport = self.setting.connect(place, endpoint)
+            transport = self.spec.connect(role_spec, endpoint)
             if self._hub is None:
-                role = self.setting.build(place, transport, self.wake, self._parts)
+                role = self.spec.build(role_spec, transport, self.wake, self._parts)
             else:
-                role = program.make_hub(self.setting, place, transport, self.wake, endpoint)
+                role = program.make_hub(self.spec, role_spec, transport, self.wake, endpoint)
             self._step(role)
         except ZsdistError as error:
-            return f"{place.name}: {error}"
+            return f"{role_spec.name}: {error}"
         except Exception:
             traceback.print_exc()  # into the role's log; the supervisor ends the run
             raise
@@ -100,12 +100,12 @@ class RoleHost:
             self.wake.wait(max(0.0, due_s - offset_s - time.monotonic()))
             self.wake.clear()
 
-    def _redirect_output(self, place: Place) -> None:
+    def _redirect_output(self, role_spec: RoleSpec) -> None:
         """What the process prints goes to `logs/{role}.log` of the run directory where that is on this machine."""
-        logs = self.setting.folder / "logs"
+        logs = self.spec.folder / "logs"
         if not logs.is_dir():
             return
-        log = os.open(logs / f"{place.name}.log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        log = os.open(logs / f"{role_spec.name}.log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         for stream in (sys.stdout, sys.stderr):
             stream.flush()
             os.dup2(log, stream.fileno())
@@ -113,7 +113,7 @@ class RoleHost:
 
 
 def run(
-    setting: Setting,
+    spec: RunSpec,
     epochs: Sequence[int],
     *,
     interrupted: Callable[[], bool] = lambda: False,
@@ -125,7 +125,7 @@ def run(
     which listens where its predecessor did. The death of any other role ends the run.
 
     Args:
-        setting: what the roles share.
+        spec: what the roles share.
         epochs: fresh ones, as many as `program.epoch_count` says.
         interrupted: asked several times a second.
         watch: called several times a second with a transport to subscribe on and the clock.
@@ -133,15 +133,15 @@ def run(
     Raises:
         RunError: the cluster is not there or too small, or a role failed.
     """
-    _connect(setting)
+    _connect(spec)
     try:
-        _Supervisor(setting, epochs).run(interrupted, watch)
+        _Supervisor(spec, epochs).run(interrupted, watch)
     finally:
         ray.shutdown()
 
 
-def _connect(setting: Setting) -> None:
-    config = setting.config
+def _connect(spec: RunSpec) -> None:
+    config = spec.config
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # else roles that reserve no GPU cannot see one
     wanted = config.run.cpus_per_role * (program.role_count(config) + 1 + config.run.standby)
@@ -174,11 +174,11 @@ def _connect(setting: Setting) -> None:
 class _Supervisor:
     """Starts the roles, replaces those that died and may, and tells the scheduler of both."""
 
-    def __init__(self, setting: Setting, epochs: Sequence[int]) -> None:
-        self.setting = setting
+    def __init__(self, spec: RunSpec, epochs: Sequence[int]) -> None:
+        self.spec = spec
         self.epoch, hub_epoch, *role_epochs = epochs
-        places = [Place("hub", "0", hub_epoch), *program.roles(setting.config, role_epochs)]
-        self.places = {place.name: place for place in places}
+        role_specs = [RoleSpec("hub", "0", hub_epoch), *program.roles(spec.config, role_epochs)]
+        self.role_specs = {role_spec.name: role_spec for role_spec in role_specs}
         self.hosts: dict[str, ray.actor.ActorHandle] = {}
         self.work: dict[ray.ObjectRef, str] = {}
         self.restarts: dict[str, int] = {}
@@ -187,16 +187,16 @@ class _Supervisor:
 
     def run(self, interrupted: Callable[[], bool], watch: Watch) -> None:
         """Until the scheduler has finished."""
-        self.hosts[HUB] = self._host(self.places[HUB])
+        self.hosts[HUB] = self._host(self.role_specs[HUB])
         self.endpoint = self._ask(self.hosts[HUB].open_hub.remote(None), "hub")
-        (self.setting.folder / "endpoint").write_text(self.endpoint)
-        self._drive(self.places[HUB])
-        transport = self.setting.connect(program.supervisor([self.epoch]), self.endpoint)
+        (self.spec.folder / "endpoint").write_text(self.endpoint)
+        self._drive(self.role_specs[HUB])
+        transport = self.spec.connect(program.supervisor([self.epoch]), self.endpoint)
         try:
-            for name, place in self.places.items():
+            for name, role_spec in self.role_specs.items():
                 if name != HUB:
-                    self.hosts[name] = self._host(place)
-                    self._drive(place)
+                    self.hosts[name] = self._host(role_spec)
+                    self._drive(role_spec)
             while "scheduler-0" in self.work.values():
                 self._supervise(transport, interrupted())
                 watch(transport, time.time())
@@ -210,16 +210,16 @@ class _Supervisor:
     def _supervise(self, transport: Transport, interrupted: bool) -> None:
         restarts: Counter[str] = Counter()
         for name, count in self.restarts.items():
-            restarts[self.places[name].role] += count
-        places = list(self.places.values())
-        content = program.supervision(self.setting, places, restarts=restarts, interrupted=interrupted)
+            restarts[self.role_specs[name].role] += count
+        role_specs = list(self.role_specs.values())
+        content = program.supervision(self.spec, role_specs, restarts=restarts, interrupted=interrupted)
         orders = codec.encode(Orders(self.epoch, "scheduler", content))
-        transport.publish(keys.control(self.setting.run, "scheduler"), orders, retained=True)
+        transport.publish(keys.control(self.spec.run, "scheduler"), orders, retained=True)
         ended, _ = ray.wait(list(self.work), timeout=HEARTBEAT_S)
         for reference in ended:
             self._account_for(self.work.pop(reference), reference)
-        if self.standby is None and self.setting.config.run.standby and time.monotonic() > self.standby_due_s:
-            self.standby = self._host(self.places[HUB])
+        if self.standby is None and self.spec.config.run.standby and time.monotonic() > self.standby_due_s:
+            self.standby = self._host(self.role_specs[HUB])
             self.standby.warm_up.remote()
 
     def _account_for(self, name: str, reference: ray.ObjectRef) -> None:
@@ -228,45 +228,45 @@ class _Supervisor:
             reason = ray.get(reference)
         except RayActorError as error:  # its process is gone
             reason = f"{name} died: {_last_line(error)}"
-            if self.places[name].role in RESTARTED:
+            if self.role_specs[name].role in RESTARTED:
                 self._replace(name, reason)
                 return
         except RayError as error:  # a defect would show again: no restart helps
             reason = f"{name} failed: {_last_line(error)}"
         if reason:
-            raise RunError(f"{reason}; its log is {self.setting.folder / 'logs' / name}.log")
+            raise RunError(f"{reason}; its log is {self.spec.folder / 'logs' / name}.log")
 
     def _replace(self, name: str, reason: str) -> None:
         self.restarts[name] = self.restarts.get(name, 0) + 1
         if self.restarts[name] > RESTARTS_ALLOWED:
             raise RunError(f"{reason}; it had been restarted {RESTARTS_ALLOWED} times")
-        old = self.places[name]
-        self.places[name] = Place(old.role, old.id, issue_epochs(self.setting.folder, 1)[0])
-        self.hosts[name] = self._stand_in(self.places[name])
-        self._drive(self.places[name])
+        old = self.role_specs[name]
+        self.role_specs[name] = RoleSpec(old.role, old.id, issue_epochs(self.spec.folder, 1)[0])
+        self.hosts[name] = self._stand_in(self.role_specs[name])
+        self._drive(self.role_specs[name])
 
-    def _drive(self, place: Place) -> None:
-        self.work[self.hosts[place.name].drive.remote(place, self.endpoint)] = place.name
+    def _drive(self, role_spec: RoleSpec) -> None:
+        self.work[self.hosts[role_spec.name].drive.remote(role_spec, self.endpoint)] = role_spec.name
         self.standby_due_s = time.monotonic() + STANDBY_AFTER_S
 
-    def _stand_in(self, place: Place) -> "ray.actor.ActorHandle":
+    def _stand_in(self, role_spec: RoleSpec) -> "ray.actor.ActorHandle":
         """The process that waits for this, or a new one: there is none, or the role may live on another machine."""
-        if self.standby is None or not (self._stays(place) or self.setting.config.run.address is None):
-            return self._host(place)
+        if self.standby is None or not (self._stays(role_spec) or self.spec.config.run.address is None):
+            return self._host(role_spec)
         host, self.standby = self.standby, None
         return host
 
-    def _host(self, place: Place) -> "ray.actor.ActorHandle":
-        options = {"num_cpus": self.setting.config.run.cpus_per_role, "max_restarts": 0, "max_concurrency": 2}
-        if self._stays(place):
+    def _host(self, role_spec: RoleSpec) -> "ray.actor.ActorHandle":
+        options = {"num_cpus": self.spec.config.run.cpus_per_role, "max_restarts": 0, "max_concurrency": 2}
+        if self._stays(role_spec):
             here = ray.get_runtime_context().get_node_id()
             options["scheduling_strategy"] = NodeAffinitySchedulingStrategy(here, soft=False)
-        return ray.remote(**options)(RoleHost).remote(self.setting)
+        return ray.remote(**options)(RoleHost).remote(self.spec)
 
-    def _stays(self, place: Place) -> bool:
+    def _stays(self, role_spec: RoleSpec) -> bool:
         """Whether a role lives on this machine: at the address that was announced, or beside its files and keys."""
-        guarded = self.setting.config.transport.tls is not None and place.role != "actor"
-        return guarded or place.role in ("hub", "scheduler", "replay")
+        guarded = self.spec.config.transport.tls is not None and role_spec.role != "actor"
+        return guarded or role_spec.role in ("hub", "scheduler", "replay")
 
     def _leave(self) -> None:
         """Gives the other roles the time to end by themselves."""

@@ -43,7 +43,7 @@ class Reading(NamedTuple):
     rays: np.ndarray
 
 
-class Look(NamedTuple):
+class Observation(NamedTuple):
     """Where the head looked on B images, and what it found there, in the space of words.
 
     Attributes:
@@ -165,7 +165,7 @@ class VisualAct:
             raise WeightsError("vision.network is 'student', which reads no tokens; allowed is 'head'")
         return Reading(*self._session.run(READ, {"tokens": tokens}))
 
-    def look(self, images: np.ndarray) -> Look:
+    def look(self, images: np.ndarray) -> Observation:
         """Where the head looks on images `(B, px, px, 3)` uint8; its network is opened when first asked for.
 
         Raises:
@@ -176,7 +176,7 @@ class VisualAct:
             raise WeightsError("vision.network is 'student', which has no words for what it sees; allowed is 'head'")
         if self._looking is None:
             self._looking = self._open_looking(self._encoder)
-        return Look(*self._looking.run(LOOKED, {"tokens": self._encoder.tokens(images)}))
+        return Observation(*self._looking.run(LOOKED, {"tokens": self._encoder.tokens(images)}))
 
     def _open_looking(self, encoder: Encoder) -> onnxruntime.InferenceSession:
         weights, native = self._weights, encoder.native_projection()
@@ -221,7 +221,7 @@ def _build_looking(
     """Exports head and projection together and checks them against torch."""
     import torch
 
-    from zsdist.vision.models.looking import Looking
+    from zsdist.vision.models.looking import AttentionReader
     from zsdist.vision.models.projection import projection_of
 
     if isinstance(projection, bytes):
@@ -230,7 +230,7 @@ def _build_looking(
         width, features = projection["weight"].shape
         projected = torch.nn.Linear(features, width)
         projected.load_state_dict({name: torch.from_numpy(value) for name, value in projection.items()})
-    export(Looking(_head(weights, head, encoder), projected), _some_tokens(encoder), out, "tokens", LOOKED)
+    export(AttentionReader(_head(weights, head, encoder), projected), _some_tokens(encoder), out, "tokens", LOOKED)
 
 
 def _head(weights: Folder, content: bytes, encoder: Encoder) -> "torch.nn.Module":

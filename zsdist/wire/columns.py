@@ -161,11 +161,11 @@ def check_priorities(columns: Mapping[str, np.ndarray]) -> None:
 def to_batch(columns: Mapping[str, np.ndarray], actions: int) -> Batch:
     """The batch of checked columns."""
     return Batch(
-        states=half_precision.widen(columns["states"]),
+        states=half_precision.from_half(columns["states"]),
         actions=columns["actions"].astype(np.int64),
         rewards=columns["rewards"],
         discounts=columns["discounts"],
-        next_states=half_precision.widen(columns["next_states"]),
+        next_states=half_precision.from_half(columns["next_states"]),
         next_masks=_unpack_masks(columns["next_masks"], actions),
         masks=_unpack_masks(columns["masks"], actions),
         guides=columns["guides"].astype(np.int64),
@@ -204,7 +204,7 @@ def _narrow(column: np.ndarray, name: str, dtype: type) -> np.ndarray:
     elif column.dtype.kind != "f":
         raise DecodeError("dtype", f"{name} is {column.dtype}")
     elif column.dtype == np.float32 and dtype == np.float16:
-        return half_precision.narrow(column)
+        return half_precision.to_half(column)
     with np.errstate(over="ignore"):  # what overflows becomes infinite, and the check for that follows
         return column.astype(dtype)
 

@@ -10,7 +10,7 @@ from zsdist.agent.situation import Situation
 from zsdist.planning import forward_search
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
-from zsdist.planning.reachability import Ways
+from zsdist.planning.reachability import BlockedMoves
 from zsdist.planning.shortest_path import goal_mask
 from zsdist.types import LatticeState, Level
 
@@ -82,7 +82,7 @@ def situation(parts):
     blocked = TABLE.blocked(parts["occupied"])
     return Situation(
         grid=GRID,
-        ways=Ways.of(blocked),
+        ways=BlockedMoves.of(blocked),
         squeezed=False,
         goals=goal_mask(GRID, parts["goal"], 0.6),
         drive_m=forward_search.metres_from(blocked, parts["state"], way_costs(GRID)),

@@ -7,7 +7,7 @@ from zsdist.config import AgentConfig
 from zsdist.planning import forward_search
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
-from zsdist.planning.reachability import Ways
+from zsdist.planning.reachability import BlockedMoves
 from zsdist.planning.shortest_path import cost_to_go, goal_mask
 from zsdist.types import Action, LatticeState
 
@@ -30,7 +30,7 @@ def situation(occupied=None, state=EAST, goal=(8.0, -1.9), seen=True, advice=(0.
         advice=np.array(advice, np.float32),
         occupied=occupied,
         seen=np.full((size, size), seen),
-        ways=Ways.of(blocked),
+        ways=BlockedMoves.of(blocked),
         squeezed=False,
         goals=goal_mask(GRID, goal, 0.6),
         drive_m=forward_search.metres_from(blocked, state, reward_shaping.way_costs(GRID)),

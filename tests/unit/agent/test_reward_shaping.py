@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from zsdist.agent import reward_shaping
-from zsdist.agent.reward_shaping import Step, Track
+from zsdist.agent.reward_shaping import Step, TrajectoryBuilder
 from zsdist.planning.grid import Grid
 from zsdist.types import NO_GUIDE, Action, Behaviour, Level
 
@@ -10,7 +10,7 @@ PLAIN = {"revisits": 0, "reentries": 0, "squeezed": False, "reached": False, "co
 
 
 def track(level, steps=3, discount=0.5):
-    made = Track(level, discount, weight_version=7)
+    made = TrajectoryBuilder(level, discount, weight_version=7)
     for index in range(steps):
         made.act(np.full(2, index, np.float32), np.ones(5, bool), index, None if index else 2, Behaviour.GREEDY)
         made.reward(float(2**index))
@@ -44,7 +44,7 @@ def test_a_step_that_was_begun_but_not_rewarded_is_no_transition():
     begun.act(np.full(2, 5, np.float32), np.ones(5, bool), 0, None, Behaviour.GREEDY)
     trajectory = begun.close(*END, final=False)
     assert len(trajectory) == 2 and list(trajectory.states[:, 0]) == [0, 1, 9]
-    assert Track(Level.LOW, 0.9, 1).close(*END, final=False) is None
+    assert TrajectoryBuilder(Level.LOW, 0.9, 1).close(*END, final=False) is None
 
 
 def test_progress_is_measured_along_the_way_and_is_nothing_where_there_is_none():

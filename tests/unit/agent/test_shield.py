@@ -5,7 +5,7 @@ from zsdist.planning import forward_search, reachability
 from zsdist.planning.belief import BeliefMap
 from zsdist.planning.footprint import FootprintTable, successor
 from zsdist.planning.grid import Grid
-from zsdist.planning.reachability import Ways
+from zsdist.planning.reachability import BlockedMoves
 from zsdist.planning.shortest_path import STEPS_COST, cost_to_go, goal_mask
 from zsdist.types import Action, LatticeState
 
@@ -173,7 +173,7 @@ def test_what_is_reached_backwards_agrees_with_the_cost_to_go_and_forwards_with_
         squares[fy : fy + 6, fx : fx + 6] = True
     squares &= ~blob(16, 16, half=10)
     blocked = FootprintTable(GRID).blocked(squares)
-    leading = reachability.unpacked(Ways.of(blocked).states_to(reachability.places(goals(5, 5))))
+    leading = reachability.unpacked(BlockedMoves.of(blocked).states_to(reachability.packed_cells(goals(5, 5))))
     assert (leading == np.isfinite(cost_to_go(blocked, goals(5, 5), STEPS_COST))).all()
     cells = np.isfinite(forward_search.metres_from(blocked, EAST, STEPS_COST))
     state = EAST

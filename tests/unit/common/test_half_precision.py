@@ -16,10 +16,10 @@ def bits(column):
 def test_every_half_float_is_widened_to_its_value_and_narrowed_back_to_itself():
     with np.errstate(invalid="ignore"):
         expected = EVERY.astype(np.float32)
-    wide, numbers = half_precision.widen(EVERY), ~np.isnan(EVERY)
+    wide, numbers = half_precision.from_half(EVERY), ~np.isnan(EVERY)
     assert np.array_equal(bits(wide)[numbers], bits(expected)[numbers]) and np.isnan(wide[~numbers]).all()
-    assert np.array_equal(bits(half_precision.narrow(wide))[numbers], bits(EVERY)[numbers])
-    assert np.isnan(half_precision.narrow(wide)[~numbers]).all()
+    assert np.array_equal(bits(half_precision.to_half(wide))[numbers], bits(EVERY)[numbers])
+    assert np.isnan(half_precision.to_half(wide)[~numbers]).all()
 
 
 @pytest.mark.filterwarnings("ignore:overflow")
@@ -30,14 +30,16 @@ def test_what_lies_between_is_rounded_to_the_nearest_and_of_two_to_the_even_one(
     other = np.random.default_rng(0).normal(size=100_000) * 10.0 ** np.random.default_rng(1).integers(-9, 6, 100_000)
     edges = np.array([65519.996, 65520.0, 1e30, np.inf, -np.inf, 2**-25, 2**-26, 0.0, -0.0], np.float32)
     for values in (middles, *beside, other.astype(np.float32), edges):
-        assert np.array_equal(bits(half_precision.narrow(values)), bits(values.astype(np.float16)))
+        assert np.array_equal(bits(half_precision.to_half(values)), bits(values.astype(np.float16)))
 
 
 def test_shapes_are_kept_and_columns_need_not_lie_together():
     column = np.random.default_rng(0).random((6, 4, 8), np.float32)[::2, :, ::2]
-    assert np.array_equal(half_precision.narrow(column), column.astype(np.float16))
-    assert np.array_equal(half_precision.widen(column.astype(np.float16)[:, ::2]), column.astype(np.float16)[:, ::2])
-    assert half_precision.narrow(column[:0]).shape == (0, 4, 4)
+    assert np.array_equal(half_precision.to_half(column), column.astype(np.float16))
+    assert np.array_equal(
+        half_precision.from_half(column.astype(np.float16)[:, ::2]), column.astype(np.float16)[:, ::2]
+    )
+    assert half_precision.to_half(column[:0]).shape == (0, 4, 4)
 
 
 @pytest.mark.parametrize("module", ["zsdist.run.ray", "zsdist.launch", "zsdist.evaluation.workers", "zsdist.monitor"])

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from zsdist.config import CameraConfig
-from zsdist.datasets.captioned import CELLS, cell_shares, describe, described_views, dominant_kind
+from zsdist.datasets.captioned import CELLS, captioned_views, cell_shares, describe, dominant_kind
 from zsdist.errors import SceneError
 from zsdist.sim.scenes.kinds import GROUNDS, KINDS, SEGMENT_GROUND, SEGMENT_SKY
 from zsdist.vision.words.vocabulary import CONCEPTS, GROUND_WORDS, KIND_WORDS
@@ -11,7 +11,7 @@ CAMERA = CameraConfig(size_px=64)
 
 
 def views(count=10, seed=5, split="vision", **options):
-    return list(described_views(["vocabulary"], split, count, seed, CAMERA, **options))
+    return list(captioned_views(["vocabulary"], split, count, seed, CAMERA, **options))
 
 
 def test_concepts_are_the_kinds_the_grounds_and_what_surrounds_them():

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from zsdist.config import CameraConfig
-from zsdist.datasets.labelled import free_pose, label, labelled_views
+from zsdist.datasets.labelled import label, labelled_views
+from zsdist.datasets.sampling import free_pose
 from zsdist.errors import SceneError
 from zsdist.sim.camera import make_camera
 from zsdist.sim.camera.primitives import ARENA_HALF_M
@@ -44,7 +45,7 @@ def test_varied_views_are_drawn_by_both_renderers(monkeypatch):
         asked.append((config.back_end, config.height_m))
         return make_camera(config, look)
 
-    monkeypatch.setattr("zsdist.datasets.labelled.make_camera", camera)
+    monkeypatch.setattr("zsdist.datasets.sampling.make_camera", camera)
     drawn = views(count=96, seed=8, varied=True)
     assert {back_end for back_end, _ in asked} == {"caster", "pybullet"}
     assert len({height for _, height in asked}) == len(asked) == 12

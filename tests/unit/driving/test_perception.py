@@ -6,8 +6,8 @@ from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist.agent.hierarchy import HierarchicalAgent
 from zsdist.config import Config
-from zsdist.driving.episode import Car, Errand
-from zsdist.driving.perception import Sight
+from zsdist.driving.episode import Car, EpisodeTask
+from zsdist.driving.perception import Perception
 from zsdist.planning.grid import Grid
 from zsdist.sim.scenes import families
 from zsdist.sim.scenes.scene import Obstacle, Scene
@@ -37,16 +37,16 @@ def visual_act(tmp_path, monkeypatch):
     return Counted()
 
 
-def sight(visual_act, cached=True, vision="vision"):
+def perception(visual_act, cached=True, vision="vision"):
     cache = ReadingCache(100 * SET_BYTES, vision) if cached else None
-    return Sight(visual_act, Grid(), cache)
+    return Perception(visual_act, Grid(), cache)
 
 
-def car(scene=STILL, moved=(0.0, 0.0, 0.0), **errand):
+def car(scene=STILL, moved=(0.0, 0.0, 0.0), **task):
     """At the start of an errand in `scene`, aside of the lattice by so many metres and radians."""
     env = LatticeEnv()
     car = Car(env, HierarchicalAgent(Config()))
-    car.begin(Errand(scene, 1, 0.5, True, (1,), **errand), dict.fromkeys(Level, 0))
+    car.begin(EpisodeTask(scene, 1, 0.5, True, (1,), **task), dict.fromkeys(Level, 0))
     pose = Pose(*(value + aside for value, aside in zip(env.grid.pose(env.state), moved, strict=True)))
     car._observation["pose"] = np.array(pose)
     asked, picture = [], env.picture
@@ -61,7 +61,7 @@ def with_obstacle(obstacle):
 
 def test_a_picture_is_rendered_and_read_once_for_all_cars_and_episodes(visual_act):
     first, again, other = car(), car(), car(with_obstacle(STANDING))
-    sees = sight(visual_act)
+    sees = perception(visual_act)
     fresh = sees.views([first, other])
     known = sees.views([other, again])
     assert visual_act.batches == [1, 1]  # each by itself
@@ -73,7 +73,7 @@ def test_a_picture_is_rendered_and_read_once_for_all_cars_and_episodes(visual_ac
 
 
 def test_another_actor_of_the_machine_finds_what_was_read(visual_act):
-    one, other = sight(visual_act), sight(visual_act)
+    one, other = perception(visual_act), perception(visual_act)
     one.views([car()])
     other.views([car()])
     assert visual_act.batches == [1] and other.hits == 1
@@ -81,8 +81,8 @@ def test_another_actor_of_the_machine_finds_what_was_read(visual_act):
 
 def test_what_a_car_sees_does_not_depend_on_who_looked_before(visual_act):
     near = (0.06, -0.05, math.radians(3))
-    before = sight(visual_act).views([car(moved=near)])
-    sees = sight(visual_act, vision="as if nobody had looked")
+    before = perception(visual_act).views([car(moved=near)])
+    sees = perception(visual_act, vision="as if nobody had looked")
     sees.views([car(moved=(-0.05, 0.02, -0.05))])
     (after,) = sees.views([car(moved=near)])
     np.testing.assert_array_equal(before[0].ray_probabilities, after.ray_probabilities)
@@ -90,7 +90,7 @@ def test_what_a_car_sees_does_not_depend_on_who_looked_before(visual_act):
 
 
 def test_the_advice_is_for_the_goal_at_hand(visual_act):
-    sees = sight(visual_act)
+    sees = perception(visual_act)
     there, elsewhere = car(), car()
     elsewhere._observation["goal"] = -elsewhere._observation["goal"]
     (one,), (other,) = sees.views([there]), sees.views([elsewhere])
@@ -110,20 +110,20 @@ def test_the_advice_is_for_the_goal_at_hand(visual_act):
     ids=["evaluation drive", "somebody walks", "aside of the lattice", "turned off the lattice"],
 )
 def test_nothing_is_remembered_nor_recalled_where_it_must_not_be(visual_act, made):
-    sees = sight(visual_act)
+    sees = perception(visual_act)
     for _ in range(2):
         looking = made()
         sees.views([looking])
         assert looking.asked == [None]  # at the true pose
     assert visual_act.batches == [1, 1]
     assert sees.hits == sees.misses == 0
-    assert sees.bypasses == (2 if looking.errand.trains else 0)
+    assert sees.bypasses == (2 if looking.task.trains else 0)
     sees.views([car()])
     assert sees.misses == 1  # nothing had been kept
 
 
 def test_an_evaluation_drive_looks_where_a_training_episode_has_looked_before(visual_act):
-    sees = sight(visual_act)
+    sees = perception(visual_act)
     sees.views([car()])
     drive = car(candidate="recent")
     sees.views([drive])
@@ -131,7 +131,7 @@ def test_an_evaluation_drive_looks_where_a_training_episode_has_looked_before(vi
 
 
 def test_without_a_cache_every_picture_is_taken_at_the_true_pose_and_nothing_is_counted(visual_act):
-    sees = sight(visual_act, cached=False)
+    sees = perception(visual_act, cached=False)
     looking = car()
     sees.views([looking])
     sees.views([looking])

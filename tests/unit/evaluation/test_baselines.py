@@ -4,8 +4,8 @@ from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist.config import Config
 from zsdist.evaluation.baselines import BASELINES
-from zsdist.evaluation.drivers import Observed, Sees
-from zsdist.evaluation.episodes import Examiner
+from zsdist.evaluation.drivers import Observability, Observed
+from zsdist.evaluation.episodes import EpisodeRunner
 from zsdist.evaluation.oracle_view import by_camera, by_truth
 from zsdist.sim.scenes import families
 from zsdist.sim.scenes.scene import Obstacle, Scene, Start
@@ -30,10 +30,10 @@ DETOUR = Scene("detour", "grass", Start(-5.3125, 0.3125, 0.0), (6.5625, 0.3125),
 
 def drive(name, scene, seed=0):
     baseline = BASELINES[name]
-    see = by_camera(FakeVisualAct()) if baseline.sees is Sees.CAMERA else by_truth
+    see = by_camera(FakeVisualAct()) if baseline.observability is Observability.CAMERA else by_truth
     driver = baseline.make(CONFIG, see)
-    examiner = Examiner(LatticeEnv(config=CONFIG), CONFIG, driver, baseline.sees, lambda: 0.0)
-    return examiner.drive(scene, np.random.default_rng(seed))
+    runner = EpisodeRunner(LatticeEnv(config=CONFIG), CONFIG, driver, baseline.observability, lambda: 0.0)
+    return runner.drive(scene, np.random.default_rng(seed))
 
 
 def observed(allowed) -> Observed:
@@ -78,7 +78,7 @@ def test_what_was_not_seen_costs_the_frontier_planner_a_longer_way():
 
 
 def test_only_astar_sees_the_true_map():
-    assert {name for name, baseline in BASELINES.items() if baseline.sees is Sees.MAP} == {"astar"}
+    assert {name for name, baseline in BASELINES.items() if baseline.observability is Observability.MAP} == {"astar"}
 
 
 def test_every_baseline_has_one_line_of_its_own():

@@ -8,7 +8,7 @@ from zsdist.dqn import network
 from zsdist.errors import RunError
 from zsdist.evaluation import episode_store
 from zsdist.evaluation.comparison import compare
-from zsdist.evaluation.contenders import Entrant
+from zsdist.evaluation.contenders import Contender
 from zsdist.roles.shapes import SHAPES
 from zsdist.sim.scenes import families
 from zsdist.types import Outcome
@@ -18,7 +18,7 @@ FAILED = dataclasses.replace(RECORD, outcome=Outcome.COLLISION)
 
 
 def write(file, records, baseline="astar", seed=0):
-    return put(file, records, Entrant(Config(), baseline=baseline), baseline, None, seed)
+    return put(file, records, Contender(Config(), baseline=baseline), baseline, None, seed)
 
 
 def write_learned(file, records, policy, weights=0, **kind):
@@ -27,11 +27,11 @@ def write_learned(file, records, policy, weights=0, **kind):
         level: network.initial_parameters(shape.state_size, shape.actions, (8,), weights)
         for level, shape in SHAPES.items()
     }
-    return put(file, records, Entrant(Config(), networks, **kind), policy, f"{weights:064d}", 0)
+    return put(file, records, Contender(Config(), networks, **kind), policy, f"{weights:064d}", 0)
 
 
-def put(file, records, entrant, policy, weights_sha256, seed):
-    book = episode_store.Ledger(file, entrant, policy, weights_sha256, "iid", seed, SCENES)
+def put(file, records, contender, policy, weights_sha256, seed):
+    book = episode_store.EpisodeStore(file, contender, policy, weights_sha256, "iid", seed, SCENES)
     for index, record in enumerate(records):
         book.add(index, record)
     return file

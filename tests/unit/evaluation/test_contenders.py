@@ -5,8 +5,8 @@ from fakes import FakeVisualAct, LatticeEnv
 from zsdist.config import load
 from zsdist.dqn import network
 from zsdist.evaluation.baselines import BASELINES
-from zsdist.evaluation.contenders import VARIANTS, Entrant, untrained
-from zsdist.evaluation.drivers import Sees
+from zsdist.evaluation.contenders import VARIANTS, Contender, untrained
+from zsdist.evaluation.drivers import Observability
 from zsdist.evaluation.workers import Simulation, make_examiner
 from zsdist.run import program
 from zsdist.sim.scenes import families
@@ -25,28 +25,28 @@ def make_env(config, *, images, exact):
 KINEMATIC = Simulation(make_env, lambda config: FakeVisualAct())
 
 
-def drive(entrant, index=0):
+def drive(contender, index=0):
     scene = families.draw("iid", "validation", index)
-    return make_examiner(entrant, KINEMATIC).drive(scene, np.random.default_rng(0))
+    return make_examiner(contender, KINEMATIC).drive(scene, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_every_variant_drives(variant):
-    assert drive(Entrant(CONFIG, TRAINED, variant=variant)).steps > 0
+    assert drive(Contender(CONFIG, TRAINED, variant=variant)).steps > 0
 
 
 @pytest.mark.parametrize("baseline", BASELINES)
 def test_every_baseline_drives(baseline):
-    assert drive(Entrant(CONFIG, baseline=baseline)).steps > 0
+    assert drive(Contender(CONFIG, baseline=baseline)).steps > 0
 
 
 @pytest.mark.parametrize("variant", ["untrained-high", "untrained-low", "untrained"])
 def test_untrained_levels_have_fresh_networks_of_the_same_shapes_and_the_others_their_own(variant):
-    entrant = Entrant(CONFIG, TRAINED, variant=variant)
+    contender = Contender(CONFIG, TRAINED, variant=variant)
     for level in Level:
         fresh = level in VARIANTS[variant].untrained
-        assert (network.sha256(entrant.networks[level]) != network.sha256(TRAINED[level])) == fresh
-        assert {k: v.shape for k, v in entrant.networks[level].items()} == {
+        assert (network.sha256(contender.networks[level]) != network.sha256(TRAINED[level])) == fresh
+        assert {k: v.shape for k, v in contender.networks[level].items()} == {
             k: v.shape for k, v in TRAINED[level].items()
         }
 
@@ -57,24 +57,24 @@ def test_untrained_is_what_a_learner_of_such_shapes_and_seed_starts_from():
 
 def test_with_planners_on_both_levels_the_weights_do_not_matter():
     one, other = (
-        drive(Entrant(CONFIG, {level: untrained(TRAINED[level], seed) for level in Level}, variant="oracle-levels"))
+        drive(Contender(CONFIG, {level: untrained(TRAINED[level], seed) for level in Level}, variant="oracle-levels"))
         for seed in (1, 2)
     )
     assert one.poses == other.poses and one.outcome is Outcome.SUCCESS
 
 
 def test_variants_leave_the_policys_own_configuration_alone():
-    entrant = Entrant(CONFIG, TRAINED, variant="hybrid")
-    assert (entrant.settings.agent.high_policy, entrant.settings.agent.low_policy) == ("learned", "planner")
-    assert entrant.config is CONFIG and Entrant(CONFIG, TRAINED).settings == CONFIG
+    contender = Contender(CONFIG, TRAINED, variant="hybrid")
+    assert (contender.settings.agent.high_policy, contender.settings.agent.low_policy) == ("learned", "planner")
+    assert contender.config is CONFIG and Contender(CONFIG, TRAINED).settings == CONFIG
 
 
 def test_pictures_are_taken_for_those_that_see_by_them_and_the_car_is_exact_where_asked():
     asked = {}
     for variant in ("full", "oracle-depth", "oracle-motion"):
-        make_examiner(Entrant(CONFIG, TRAINED, variant=variant), KINEMATIC)
+        make_examiner(Contender(CONFIG, TRAINED, variant=variant), KINEMATIC)
         asked[variant] = ASKED[-1]
     assert asked == {"full": (True, False), "oracle-depth": (False, False), "oracle-motion": (True, True)}
-    make_examiner(Entrant(CONFIG, TRAINED, variant="oracle-depth"), KINEMATIC, images=True)
+    make_examiner(Contender(CONFIG, TRAINED, variant="oracle-depth"), KINEMATIC, images=True)
     assert ASKED[-1] == (True, False)
-    assert Entrant(CONFIG, TRAINED, variant="oracle-depth").sees is Sees.RANGES
+    assert Contender(CONFIG, TRAINED, variant="oracle-depth").observability is Observability.RANGES

@@ -7,16 +7,16 @@ from fakes import RECORD
 from zsdist.config import Config, load
 from zsdist.errors import RunError
 from zsdist.evaluation import episode_store
-from zsdist.evaluation.contenders import Entrant
-from zsdist.evaluation.episode_store import Ledger
+from zsdist.evaluation.contenders import Contender
+from zsdist.evaluation.episode_store import EpisodeStore
 from zsdist.sim.scenes import families
 
-ASTAR = Entrant(Config(), baseline="astar")
+ASTAR = Contender(Config(), baseline="astar")
 SCENES = [families.draw("iid", "test", index) for index in range(3)]
 
 
-def opened(file, entrant=ASTAR, seed=0, chosen=SCENES, policy="astar", scenes="iid"):
-    return Ledger(file, entrant, policy, None, scenes, seed, list(chosen))
+def opened(file, contender=ASTAR, seed=0, chosen=SCENES, policy="astar", scenes="iid"):
+    return EpisodeStore(file, contender, policy, None, scenes, seed, list(chosen))
 
 
 @pytest.fixture
@@ -43,13 +43,13 @@ def test_other_code_makes_lines_stale(file, monkeypatch):
 
 
 def test_other_settings_make_lines_stale(file):
-    entrant = Entrant(load(overrides=("sim.max_steps=20",)), baseline="astar")
-    assert (opened(file, entrant).known, opened(file, entrant).stale) == ({}, 2)
+    contender = Contender(load(overrides=("sim.max_steps=20",)), baseline="astar")
+    assert (opened(file, contender).known, opened(file, contender).stale) == ({}, 2)
 
 
 def test_lines_of_other_policies_scenes_and_seeds_are_neither_known_nor_stale(file):
     others = (
-        opened(file, Entrant(Config(), baseline="random"), policy="random"),
+        opened(file, Contender(Config(), baseline="random"), policy="random"),
         opened(file, seed=1),
         opened(file, scenes="ood-layout", chosen=[families.draw("ood-layout", "test", 0)]),
     )

@@ -7,8 +7,8 @@ from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist.config import Config, load
 from zsdist.evaluation.contenders import VARIANTS
-from zsdist.evaluation.drivers import Driver, LearnedDriver, Sees
-from zsdist.evaluation.episodes import Course, Examiner
+from zsdist.evaluation.drivers import Driver, LearnedDriver, Observability
+from zsdist.evaluation.episodes import Course, EpisodeRunner
 from zsdist.evaluation.oracle_view import TRUE_EDGES_M, by_camera
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
@@ -49,8 +49,10 @@ class Scripted(Driver):
         self.results.append((terms, terminated, truncated))
 
 
-def examine(driver, scene, sees=Sees.NOTHING, config=CONFIG, clock=lambda: 0.0):
-    return Examiner(LatticeEnv(config=config), config, driver, sees, clock).drive(scene, np.random.default_rng(0))
+def examine(driver, scene, observability=Observability.NOTHING, config=CONFIG, clock=lambda: 0.0):
+    return EpisodeRunner(LatticeEnv(config=config), config, driver, observability, clock).drive(
+        scene, np.random.default_rng(0)
+    )
 
 
 def test_a_straight_drive_to_the_goal_is_a_success_without_detour():
@@ -87,18 +89,23 @@ def test_decisions_are_timed_by_the_clock():
 
 @pytest.mark.parametrize(
     ("sees", "map_shown", "truth_shown"),
-    [(Sees.NOTHING, False, False), (Sees.CAMERA, False, False), (Sees.RANGES, False, True), (Sees.MAP, True, False)],
+    [
+        (Observability.NOTHING, False, False),
+        (Observability.CAMERA, False, False),
+        (Observability.RANGES, False, True),
+        (Observability.MAP, True, False),
+    ],
 )
-def test_a_driver_is_shown_only_what_it_declared(sees, map_shown, truth_shown):
+def test_a_driver_is_shown_only_what_it_declared(observability, map_shown, truth_shown):
     driver = Scripted(Action.FORWARD)
-    examine(driver, POLE, sees)
+    examine(driver, POLE, observability)
     assert (driver.truth is not None) == map_shown
     assert all((observed.truth is not None) == truth_shown for observed in driver.seen)
 
 
 def test_true_distances_are_those_of_the_camera_at_its_place():
     driver = Scripted(Action.FORWARD)
-    examine(driver, POLE, Sees.RANGES)
+    examine(driver, POLE, Observability.RANGES)
     middle = [TRUE_EDGES_M[observed.truth.ray_probabilities[45].argmax()] for observed in driver.seen]
     expected = [min(5.0, -0.2 - (observed.pose.x_m + CONFIG.camera.forward_m)) for observed in driver.seen]
     assert middle == pytest.approx(expected, abs=0.05)
@@ -123,23 +130,23 @@ def learned(config=CONFIG, **parts):
 
 def test_the_learned_driver_is_greedy_so_randomness_changes_nothing():
     config = load(overrides=("sim.max_steps=25",))
-    examiner = Examiner(LatticeEnv(config=config), config, learned(config), Sees.CAMERA, lambda: 0.0)
-    first, second = (examiner.drive(POLE, np.random.default_rng(seed)) for seed in (1, 2))
+    runner = EpisodeRunner(LatticeEnv(config=config), config, learned(config), Observability.CAMERA, lambda: 0.0)
+    first, second = (runner.drive(POLE, np.random.default_rng(seed)) for seed in (1, 2))
     assert first.poses == second.poses and math.isfinite(first.path_m)
 
 
 def test_the_learned_driver_counts_what_the_shield_changed_for_each_episode_anew():
     config = load(overrides=("sim.max_steps=25",))
-    examiner = Examiner(LatticeEnv(config=config), config, learned(config), Sees.CAMERA, lambda: 0.0)
-    first, second = (examiner.drive(POLE, np.random.default_rng(0)) for _ in range(2))
+    runner = EpisodeRunner(LatticeEnv(config=config), config, learned(config), Observability.CAMERA, lambda: 0.0)
+    first, second = (runner.drive(POLE, np.random.default_rng(0)) for _ in range(2))
     assert first.shield_changes == second.shield_changes <= first.steps
 
 
 def test_a_watcher_sees_every_decision_with_what_was_known_and_then_the_end():
     config = load(overrides=("sim.max_steps=5",))
     moments = []
-    examiner = Examiner(LatticeEnv(config=config), config, learned(config), Sees.CAMERA, lambda: 0.0)
-    record = examiner.drive(POLE, np.random.default_rng(0), moments.append)
+    runner = EpisodeRunner(LatticeEnv(config=config), config, learned(config), Observability.CAMERA, lambda: 0.0)
+    record = runner.drive(POLE, np.random.default_rng(0), moments.append)
     assert [moment.observed.pose for moment in moments] == list(record.poses)
     assert [int(moment.thought.decision.action) for moment in moments[:-1]] == [m.action for m in moments[:-1]]
     grid = Grid.from_config(config.grid)
@@ -149,17 +156,17 @@ def test_a_watcher_sees_every_decision_with_what_was_known_and_then_the_end():
 
 def test_watching_changes_nothing_of_an_episode():
     config = load(overrides=("sim.max_steps=25",))
-    examiner = Examiner(LatticeEnv(config=config), config, learned(config), Sees.CAMERA, lambda: 0.0)
-    first = examiner.drive(POLE, np.random.default_rng(0))
-    assert examiner.drive(POLE, np.random.default_rng(0), lambda moment: None) == first
+    runner = EpisodeRunner(LatticeEnv(config=config), config, learned(config), Observability.CAMERA, lambda: 0.0)
+    first = runner.drive(POLE, np.random.default_rng(0))
+    assert runner.drive(POLE, np.random.default_rng(0), lambda moment: None) == first
 
 
 def test_shuffled_advice_is_drawn_anew_by_the_episodes_randomness():
     config = load(overrides=("sim.max_steps=25", "seed=1"))  # of networks in which the advice turns a choice
     driver = learned(config, shuffled=("advice",))
-    examiner = Examiner(LatticeEnv(config=config), config, driver, Sees.CAMERA, lambda: 0.0)
-    plain = examine(learned(config), POLE, Sees.CAMERA, config).poses
-    one, two, again = (examiner.drive(POLE, np.random.default_rng(seed)).poses for seed in (1, 2, 1))
+    runner = EpisodeRunner(LatticeEnv(config=config), config, driver, Observability.CAMERA, lambda: 0.0)
+    plain = examine(learned(config), POLE, Observability.CAMERA, config).poses
+    one, two, again = (runner.drive(POLE, np.random.default_rng(seed)).poses for seed in (1, 2, 1))
     assert one == again and len({plain, one, two}) > 1
 
 
@@ -168,11 +175,11 @@ def test_shuffled_rays_draw_another_map():
     scene = families.draw("iid", "validation", 0)
     plain, shuffled = learned(config), learned(config, shuffled=VARIANTS["shuffled-vision"].shuffled)
     for driver in (plain, shuffled):
-        examine(driver, scene, Sees.CAMERA, config)
+        examine(driver, scene, Observability.CAMERA, config)
     assert (plain.thought.situation.occupied != shuffled.thought.situation.occupied).any()
 
 
 def test_without_the_shield_nothing_is_changed():
     config = load(overrides=("sim.max_steps=25",))
-    shielded, bare = (examine(learned(config, shielded=on), POLE, Sees.CAMERA, config) for on in (True, False))
+    shielded, bare = (examine(learned(config, shielded=on), POLE, Observability.CAMERA, config) for on in (True, False))
     assert bare.shield_changes == 0 < shielded.shield_changes

@@ -1,7 +1,7 @@
 from zsdist.common import code_hash
 from zsdist.config import Config, load
 from zsdist.evaluation import fingerprint
-from zsdist.evaluation.contenders import Entrant
+from zsdist.evaluation.contenders import Contender
 from zsdist.run import program
 from zsdist.types import Level
 
@@ -24,7 +24,7 @@ def test_the_hash_of_the_code_is_the_same_each_time():
 
 def learned(config=CONFIG, **changes):
     parameters = {level: program.make_learner(config, level).parameters() for level in Level}
-    return fingerprint.entrant_sha256(Entrant(config, parameters, **changes))
+    return fingerprint.entrant_sha256(Contender(config, parameters, **changes))
 
 
 def test_whatever_an_episode_depends_on_makes_another_entrant():
@@ -37,7 +37,7 @@ def test_whatever_an_episode_depends_on_makes_another_entrant():
         learned(load(overrides=("seed=1",))),
         learned(load(overrides=("vision.network=student",))),
         learned(load(overrides=("sim.max_steps=20",))),
-        fingerprint.entrant_sha256(Entrant(CONFIG, baseline="random")),
+        fingerprint.entrant_sha256(Contender(CONFIG, baseline="random")),
     ]
     assert len(set(hashes)) == len(hashes)
 

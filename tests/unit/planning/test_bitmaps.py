@@ -20,7 +20,7 @@ def flags(rows, size):
 
 @pytest.mark.parametrize("size", SIZES)
 def test_rows_hold_each_square_at_its_bit_and_nothing_beyond(size):
-    rows = bitmaps.rows(patches(size))
+    rows = bitmaps.packed_rows(patches(size))
     assert np.array_equal(flags(rows, size), patches(size))
     assert np.unpackbits(rows.view(np.uint8)).sum() == patches(size).sum() > 0
 
@@ -30,8 +30,8 @@ def test_rows_hold_each_square_at_its_bit_and_nothing_beyond(size):
 def test_shrinking_and_opening_are_those_of_image_processing(size, steps):
     away = np.abs(np.arange(-steps, steps + 1))
     diamond = (away[:, None] + away <= steps).astype(np.uint8)
-    image, rows = patches(size, steps), bitmaps.rows(patches(size, steps))
-    for made, operation in ((bitmaps.shrunk, cv2.MORPH_ERODE), (bitmaps.opened, cv2.MORPH_OPEN)):
+    image, rows = patches(size, steps), bitmaps.packed_rows(patches(size, steps))
+    for made, operation in ((bitmaps.eroded, cv2.MORPH_ERODE), (bitmaps.opening, cv2.MORPH_OPEN)):
         expected = cv2.morphologyEx(image.astype(np.uint8), operation, diamond).astype(bool)
         assert np.array_equal(flags(made(rows, steps), size), expected)
 
@@ -39,7 +39,7 @@ def test_shrinking_and_opening_are_those_of_image_processing(size, steps):
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("first", [-70, -3, 0, 4, 66])
 def test_a_window_shows_the_squares_from_its_corner_and_outside_the_frame_all_are_set(size, first):
-    shown = flags(bitmaps.window(bitmaps.rows(patches(size)), first, 90, 3), 192)
+    shown = flags(bitmaps.window(bitmaps.packed_rows(patches(size)), first, 90, 3), 192)
     wide = np.ones((400, 400), bool)
     wide[100 : 100 + size, 100 : 100 + size] = patches(size)
     assert np.array_equal(shown, wide[100 + first : 190 + first, 100 + first : 292 + first])

@@ -3,7 +3,7 @@ import numpy as np
 from zsdist.config import CameraConfig, Config
 from zsdist.datasets import masked
 from zsdist.pretraining.job import Job
-from zsdist.pretraining.sources import Shard, make, scene_numbers, shards, sources
+from zsdist.pretraining.sources import PictureShard, make, scene_numbers, shards, sources
 
 
 def job(**changes):
@@ -38,7 +38,7 @@ def test_masked_pictures_stand_behind_their_original_with_its_scene_and_differ_w
     made, real = [], masked.masked_view
     monkeypatch.setattr(masked, "masked_view", lambda *arguments: made.append(real(*arguments)) or made[-1])
     small = job(config=Config(camera=CameraConfig(size_px=64)))
-    arrays = make(small, Shard("masked", 0, 10), MeanColours())
+    arrays = make(small, PictureShard("masked", 0, 10), MeanColours())
     whole = np.flatnonzero(arrays["original"] < 0)
     assert len(whole) == len(made) == 10 and len(np.unique(arrays["scene"])) == 2
     assert (arrays["scene"][whole] == scene_numbers(view.scene_hash for view in made)).all()

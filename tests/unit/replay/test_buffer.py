@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from zsdist.errors import RunError
 from zsdist.replay import segments
 from zsdist.replay.buffer import REASONS, RingBuffer, row_bytes
-from zsdist.replay.priorities import SMALLEST_ERROR, Priorities
+from zsdist.replay.priorities import SMALLEST_ERROR, RowPriorities
 from zsdist.types import Level, Trajectory
 
 STATE_SIZE, ACTIONS = 4, 5
@@ -249,7 +249,7 @@ def test_a_state_that_contradicts_itself_is_refused_and_changes_nothing(spoil, m
 
 
 def prioritised(capacity):
-    return RingBuffer(STATE_SIZE, ACTIONS, capacity, priorities=Priorities(capacity, 1.0, 1.0))
+    return RingBuffer(STATE_SIZE, ACTIONS, capacity, priorities=RowPriorities(capacity, 1.0, 1.0))
 
 
 @settings(max_examples=60, deadline=None)

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from zsdist.replay.priorities import SMALLEST_ERROR, Priorities, SumTree
+from zsdist.replay.priorities import SMALLEST_ERROR, RowPriorities, SumTree
 
 
 @settings(max_examples=80, deadline=None)
@@ -49,7 +49,7 @@ def test_a_mass_at_the_very_end_is_not_found_where_there_is_nothing():
 @pytest.mark.parametrize("exponent", [0.0, 0.6, 1.0])
 def test_rows_are_drawn_in_proportion_to_their_priorities(exponent):
     rng, errors = np.random.default_rng(0), np.array([0.0, 0.5, 1.0, 2.0, 8.0], np.float32)
-    priorities = Priorities(9, exponent, 0.4)
+    priorities = RowPriorities(9, exponent, 0.4)
     priorities.written(np.arange(5))
     priorities.update(np.arange(5), errors)
     drawn = np.concatenate([priorities.draw(rng, 4, 5)[0] for _ in range(10_000)])
@@ -62,7 +62,7 @@ def test_rows_are_drawn_in_proportion_to_their_priorities(exponent):
 
 def test_importance_weights_make_good_for_the_priorities():
     rng, values = np.random.default_rng(1), np.array([3.0, -1.0, 5.0, 10.0])
-    priorities = Priorities(4, 1.0, 1.0)
+    priorities = RowPriorities(4, 1.0, 1.0)
     priorities.update(np.arange(4), np.array([0.1, 1.0, 2.0, 4.0], np.float32))
     places, weights = priorities.draw(rng, 200_000, 4)
     assert weights.dtype == np.float32 and weights.max() == 1.0
@@ -70,14 +70,14 @@ def test_importance_weights_make_good_for_the_priorities():
 
 
 def test_equal_priorities_have_equal_weights():
-    priorities = Priorities(6, 0.6, 0.4)
+    priorities = RowPriorities(6, 0.6, 0.4)
     priorities.written(np.arange(6))
     _, weights = priorities.draw(np.random.default_rng(0), 64, 6)
     assert (weights == 1.0).all()
 
 
 def test_new_rows_have_the_largest_priority_so_far():
-    priorities = Priorities(4, 1.0, 0.4)
+    priorities = RowPriorities(4, 1.0, 0.4)
     priorities.written(np.array([0]))
     priorities.update(np.array([0]), np.array([9.0], np.float32))
     priorities.update(np.array([0]), np.array([2.0], np.float32))
@@ -86,7 +86,7 @@ def test_new_rows_have_the_largest_priority_so_far():
 
 
 def test_no_weight_is_zero_however_unequal_the_priorities():
-    priorities = Priorities(2, 1.0, 1.0)
+    priorities = RowPriorities(2, 1.0, 1.0)
     priorities.update(np.array([0, 1]), np.array([0.0, np.finfo(np.float32).max]))
     _, weights = priorities.draw(np.random.default_rng(0), 1000, 2)
     assert (weights > 0).all() and np.isfinite(weights).all()
@@ -97,7 +97,7 @@ def test_drawing_and_updating_touch_as_many_sums_as_rows_times_depth(size, monke
     touched = []
     unique = np.unique
     monkeypatch.setattr(np, "unique", lambda nodes: touched.append(len(nodes)) or unique(nodes))
-    priorities = Priorities(size, 0.6, 0.4)
+    priorities = RowPriorities(size, 0.6, 0.4)
     priorities.written(np.arange(size))
     touched.clear()
     priorities.update(np.arange(0, size, size // 100)[:100], np.ones(100, np.float32))

@@ -7,16 +7,16 @@ from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist import config
 from zsdist.errors import RunError
-from zsdist.evaluation.contenders import Entrant
-from zsdist.evaluation.drivers import LearnedDriver, Sees
-from zsdist.evaluation.episodes import Examiner
+from zsdist.evaluation.contenders import Contender
+from zsdist.evaluation.drivers import LearnedDriver, Observability
+from zsdist.evaluation.episodes import EpisodeRunner
 from zsdist.evaluation.oracle_view import by_camera
 from zsdist.evaluation.workers import Simulation
 from zsdist.reporting import film
 from zsdist.run import program
 from zsdist.sim.scenes.scene import Obstacle, Scene, Start
 from zsdist.types import Action, Level, Pose
-from zsdist.vision.visual_act import Look
+from zsdist.vision.visual_act import Observation
 
 CONFIG = config.load(overrides=("sim.max_steps=3", "camera.size_px=64"))
 SCENE = Scene(
@@ -34,14 +34,14 @@ class Looking(FakeVisualAct):
     def look(self, images):
         attention = np.zeros((len(images), 3, 196), np.float32)
         attention[:, 0, 0] = attention[:, 1, 182] = attention[:, 2, 195] = 1.0
-        return Look(attention, np.zeros((len(images), 4, 8), np.float32))
+        return Observation(attention, np.zeros((len(images), 4, 8), np.float32))
 
 
 @pytest.fixture(scope="module")
 def moments():
     parameters = {level: program.make_learner(CONFIG, level).parameters() for level in Level}
     driver, seen = LearnedDriver(CONFIG, parameters, by_camera(FakeVisualAct())), []
-    Examiner(LatticeEnv(config=CONFIG), CONFIG, driver, Sees.CAMERA, lambda: 0.0).drive(
+    EpisodeRunner(LatticeEnv(config=CONFIG), CONFIG, driver, Observability.CAMERA, lambda: 0.0).drive(
         SCENE, np.random.default_rng(0), seen.append
     )
     return seen
@@ -121,7 +121,7 @@ def test_each_scene_becomes_a_film_and_a_still_named_by_its_outcome(tmp_path):
     simulation = Simulation(lambda config, **_: LatticeEnv(config=config), lambda config: FakeVisualAct())
     told = []
     files = film.film(
-        Entrant(CONFIG, baseline="random"), [SCENE, SCENE], 0, tmp_path / "films", told.append, simulation
+        Contender(CONFIG, baseline="random"), [SCENE, SCENE], 0, tmp_path / "films", told.append, simulation
     )
     assert told == files and all(file.stat().st_size > 1000 for file in files)
     names = [file.stem.rpartition("-") for file in files]

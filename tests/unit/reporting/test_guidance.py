@@ -6,8 +6,8 @@ from zsdist.agent.blocks import GOAL_CHOICE
 from zsdist.agent.features import HIGH_STATE_SIZE
 from zsdist.config import Config
 from zsdist.dqn import network
-from zsdist.evaluation.drivers import LearnedDriver, Sees
-from zsdist.evaluation.episodes import Examiner
+from zsdist.evaluation.drivers import LearnedDriver, Observability
+from zsdist.evaluation.episodes import EpisodeRunner
 from zsdist.evaluation.oracle_view import by_camera
 from zsdist.reporting import guidance
 from zsdist.run import program
@@ -28,10 +28,14 @@ def of_network(scene, parameters):
     learned = {level: program.make_learner(CONFIG, level).parameters() for level in Level}
     moments = []
     config = CONFIG.model_copy(update={"sim": CONFIG.sim.model_copy(update={"max_steps": 30})})
-    examiner = Examiner(
-        LatticeEnv(config=config), config, LearnedDriver(config, learned, by_camera(visual_act)), Sees.CAMERA, float
+    runner = EpisodeRunner(
+        LatticeEnv(config=config),
+        config,
+        LearnedDriver(config, learned, by_camera(visual_act)),
+        Observability.CAMERA,
+        float,
     )
-    examiner.drive(scene, np.random.default_rng(0), moments.append)
+    runner.drive(scene, np.random.default_rng(0), moments.append)
     env.reset(options={"scene": scene})
     known = moments[-1].thought.situation
     return known, guidance.guidance_of(CONFIG, parameters or learned[Level.HIGH], known, env.picture, visual_act)

@@ -4,7 +4,7 @@ from matplotlib.image import imread
 
 from zsdist.planning.grid import Grid
 from zsdist.reporting import maps, style
-from zsdist.reporting.maps import Track
+from zsdist.reporting.maps import DrivenPath
 from zsdist.sim.scenes import families
 from zsdist.sim.scenes.kinds import KINDS
 from zsdist.sim.scenes.scene import Obstacle, Scene, Start
@@ -24,7 +24,9 @@ def test_paths_are_drawn_over_any_number_of_scenes(tmp_path, count):
     for index in range(count):
         scene = families.draw("ood-all", "test", index)
         points = np.linspace((scene.start.x_m, scene.start.y_m), scene.goal, 10)
-        panels.append((scene, [Track(points, Outcome.SUCCESS, "one", True), Track(points + 1, Outcome.COLLISION, "b")]))
+        panels.append(
+            (scene, [DrivenPath(points, Outcome.SUCCESS, "one", True), DrivenPath(points + 1, Outcome.COLLISION, "b")])
+        )
     assert maps.draw_paths(panels, 25.0, tmp_path, "paths") == "paths.png"
     assert imread(tmp_path / "paths.png").std() > 0
     assert "one: success" in (tmp_path / "paths.svg").read_text()
@@ -35,7 +37,7 @@ def test_a_paths_colour_tells_how_it_ended(tmp_path):
     points = np.linspace((-10, 10), (10, 10), 50)
     pictures = []
     for outcome in (Outcome.SUCCESS, Outcome.COLLISION):
-        maps.draw_paths([(scene, [Track(points, outcome, "")])], 25.0, tmp_path, "one")
+        maps.draw_paths([(scene, [DrivenPath(points, outcome, "")])], 25.0, tmp_path, "one")
         pictures.append(imread(tmp_path / "one.png")[..., :3])
     changed = np.abs(pictures[0] - pictures[1]).sum(-1) > 0.5
     assert pictures[0][changed][:, 1].mean() > pictures[0][changed][:, 0].mean()  # green where it succeeded

@@ -7,7 +7,7 @@ from made_runs import RESULT, WEIGHTS_SHA256, make_run
 from zsdist.config import Config
 from zsdist.errors import RunError
 from zsdist.evaluation import episode_store
-from zsdist.evaluation.contenders import Entrant
+from zsdist.evaluation.contenders import Contender
 from zsdist.evaluation.fingerprint import code_sha256
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.reporting import runs
@@ -128,9 +128,9 @@ def test_several_runs_in_one_file_are_taken_apart(tmp_path):
 
 def test_episodes_on_file_are_summed_up_by_who_drove_what_and_older_code_is_left_out(tmp_path):
     scenes = [families.draw("iid", "test", index) for index in range(3)]
-    file, entrant = tmp_path / "episodes.jsonl", Entrant(Config(), baseline="random")
+    file, contender = tmp_path / "episodes.jsonl", Contender(Config(), baseline="random")
     record = EpisodeRecord("made", Outcome.SUCCESS, 10, 8, 6.0, 5.0, 0.0, 0.4, True, (1.0,) * 10, 0, ())
-    book = episode_store.Ledger(file, entrant, "random", None, "iid", 0, scenes)
+    book = episode_store.EpisodeStore(file, contender, "random", None, "iid", 0, scenes)
     book.add(0, replace(record, outcome=Outcome.COLLISION))
     old = file.read_text().replace(code_sha256(), "0" * 16)
     book.add(1, record)

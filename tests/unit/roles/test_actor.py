@@ -4,7 +4,7 @@ import pytest
 
 from zsdist.config import parse
 from zsdist.dqn import network
-from zsdist.driving.perception import Sight
+from zsdist.driving.perception import Perception
 from zsdist.roles.actor import Actor
 from zsdist.roles.base import Context
 from zsdist.roles.shapes import SHAPES
@@ -18,7 +18,7 @@ LOW = SHAPES[Level.LOW]
 PARAMETERS = network.initial_parameters(LOW.state_size, LOW.actions, (4,), seed=0)
 
 
-class Blind(Sight):
+class Blind(Perception):
     def __init__(self):
         pass
 

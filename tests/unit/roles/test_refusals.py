@@ -46,7 +46,7 @@ def test_a_replay_follows_no_orders_that_are_senseless_too_large_or_stale(bench)
     replay.send(key, Orders(5, "actor", REPLAY))
     replay.send(key, Ack(1, "actor-0", 7, "low", 0, None))
     assert replay.refused() == {"content": 4, "size": 1, "stale": 1, "key": 1, "unexpected": 1}
-    assert replay.role.shelves[Level.LOW].buffer.capacity == 2000
+    assert replay.role.level_replays[Level.LOW].buffer.capacity == 2000
 
 
 def test_a_replay_gives_its_state_and_batches_only_to_a_question_for_them_and_queues_not_without_end(bench):

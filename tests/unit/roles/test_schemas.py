@@ -14,8 +14,8 @@ SOUND = [
     (schemas.Supervision, SUPERVISION),
     (schemas.StateRequest, {"ask": "state"}),
     (schemas.DriveJobs, JOBS),
-    (schemas.EpisodeRecord, EPISODE),
-    (schemas.DriveRecord, RESULT),
+    (schemas.TrainingRecord, EPISODE),
+    (schemas.CandidateRecord, RESULT),
 ]
 
 
@@ -48,13 +48,13 @@ def test_sound_content_is_read_and_nothing_may_be_missing_or_of_another_type(mod
         (schemas.StateRequest, {"ask": "money"}),
         (schemas.DriveJobs, JOBS | {"drives": [["recent"]]}),
         (schemas.DriveJobs, JOBS | {"drives": [["recent", 0.5]]}),
-        (schemas.EpisodeRecord, EPISODE | {"outcome": "victory"}),
-        (schemas.EpisodeRecord, EPISODE | {"return": 1e300}),
-        (schemas.EpisodeRecord, EPISODE | {"epsilon": 2.0}),
-        (schemas.EpisodeRecord, EPISODE | {"path": [[0.0]]}),
-        (schemas.EpisodeRecord, EPISODE | {"options": [1]}),
-        (schemas.EpisodeRecord, EPISODE | {"scene": "s" * 2000}),
-        (schemas.EpisodeRecord, EPISODE | {"episode": 2**40}),
+        (schemas.TrainingRecord, EPISODE | {"outcome": "victory"}),
+        (schemas.TrainingRecord, EPISODE | {"return": 1e300}),
+        (schemas.TrainingRecord, EPISODE | {"epsilon": 2.0}),
+        (schemas.TrainingRecord, EPISODE | {"path": [[0.0]]}),
+        (schemas.TrainingRecord, EPISODE | {"options": [1]}),
+        (schemas.TrainingRecord, EPISODE | {"scene": "s" * 2000}),
+        (schemas.TrainingRecord, EPISODE | {"episode": 2**40}),
     ],
 )
 def test_what_is_almost_content_is_refused(model, changed):
@@ -79,9 +79,9 @@ def test_a_frame_of_records_holds_only_those_of_its_actor_and_stream():
 
 
 def test_a_state_without_books_or_versions_is_refused():
-    shelf = {"open": 0, "books": {"produced": 1}, "more": []}
+    level_replay = {"open": 0, "books": {"produced": 1}, "more": []}
     learner = {"version": 1, "updates": 1, "merge": 0, "sha256": "0" * 64}
-    assert len(schemas.parts(State("replay", {"low": shelf, "high": shelf}, {}))) == 2
+    assert len(schemas.parts(State("replay", {"low": level_replay, "high": level_replay}, {}))) == 2
     assert schemas.parts(State("learner-low", learner, {}))
     for state in (State("replay", {"low": {}}, {}), State("learner-low", learner | {"sha256": 1}, {})):
         with pytest.raises(DecodeError):

@@ -10,7 +10,7 @@ from zsdist.common import cli
 from zsdist.errors import WeightsError
 from zsdist.run import directory, program
 from zsdist.run.directory import RunDirectory
-from zsdist.run.program import Place, Setting
+from zsdist.run.program import RoleSpec, RunSpec
 from zsdist.types import Level
 from zsdist.wire.messages import State
 
@@ -81,6 +81,6 @@ def test_going_on_with_another_head_is_said(trained, monkeypatch, capsys):
 
 
 def test_an_actor_that_sees_by_something_else_than_its_run_is_refused(tmp_path):
-    setting = Setting(SETTINGS, "run", tmp_path, {}, replace(SEEN, weights_sha256="d" * 64), kinematic)
+    setting = RunSpec(SETTINGS, "run", tmp_path, {}, replace(SEEN, weights_sha256="d" * 64), kinematic)
     with pytest.raises(WeightsError, match="actor-0 sees by"):
-        setting.build(Place("actor", "0", 0), None, None)
+        setting.build(RoleSpec("actor", "0", 0), None, None)

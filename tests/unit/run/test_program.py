@@ -11,8 +11,8 @@ def seen_by():
 
 
 @pytest.mark.parametrize("setting", ["camera.height_m=0.9", "camera.back_end=pybullet", "grid.cells=16"])
-def test_what_another_camera_or_lattice_shows_is_another_vision(setting, seen_by):
-    assert program._seen_by(load(overrides=(setting,)), FakeVisualAct()) != seen_by
+def test_what_another_camera_or_lattice_shows_is_another_vision(spec, seen_by):
+    assert program._seen_by(load(overrides=(spec,)), FakeVisualAct()) != seen_by
 
 
 @pytest.mark.parametrize("name", ["encoder_sha256", "weights_sha256"])

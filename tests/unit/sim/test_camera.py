@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from zsdist.config import CameraConfig
-from zsdist.datasets.degradation import worn
+from zsdist.datasets.degradation import degrade
 from zsdist.sim.camera import make_camera
 from zsdist.sim.camera.appearance import of_scene, varied
 from zsdist.sim.camera.optics import mount
@@ -170,7 +170,7 @@ def test_positive_roll_puts_the_right_side_down():
 def test_wear_keeps_shape_and_type_and_follows_its_seed():
     image = make_camera(CAMERA).render(EVERY_KIND, POSES[0])
     for seed in range(5):
-        once, twice = (worn(image, np.random.default_rng(seed)) for _ in range(2))
+        once, twice = (degrade(image, np.random.default_rng(seed)) for _ in range(2))
         assert once.shape == image.shape and once.dtype == np.uint8
         assert (once == twice).all()
-    assert any((worn(image, np.random.default_rng(seed)) != image).any() for seed in range(5))
+    assert any((degrade(image, np.random.default_rng(seed)) != image).any() for seed in range(5))

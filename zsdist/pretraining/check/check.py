@@ -17,7 +17,7 @@ from zsdist.errors import RunError, WeightsError
 from zsdist.evaluation.statistics import wilson_95
 from zsdist.pretraining.check import objects, words
 from zsdist.pretraining.check.predictions import CALIBRATED_SHARE, Readings, read
-from zsdist.pretraining.check.sets import SETS, Shot, of_set, wilderness
+from zsdist.pretraining.check.sets import SETS, Sample, of_set, wilderness
 from zsdist.sim.scenes.kinds import SIGHT_HEIGHT_M
 from zsdist.vision.encoders import open_encoder
 from zsdist.vision.labels import nearest, openness, progress, reward_label
@@ -68,11 +68,11 @@ def check(
         raise RunError(f"--json is {str(out)!r}; allowed is a file in a folder that exists")
     model = VisualAct.load(config.vision, config.camera)
     depth_rays, left_out = [], {}
-    looks = words.Looks.of(model, config, left_out)
+    looks = words.Observations.of(model, config, left_out)
     rng = np.random.default_rng([seed, 3])
 
-    def also(batch: list[Shot]) -> None:
-        depth_rays.extend(_depth_rays(shot.depth_m, config.camera) for shot in batch)
+    def also(batch: list[Sample]) -> None:
+        depth_rays.extend(_depth_rays(sample.depth_m, config.camera) for sample in batch)
         if looks is not None:
             looks.take(batch)
 
@@ -163,7 +163,7 @@ def milliseconds(config: Config, seed: int, left_out: dict[str, str]) -> dict[st
     `trunk` is the encoder alone, `head` the whole reading by encoder and head, `student` the whole reading by the
     student.
     """
-    pictures = [shot.image[None] for shot in wilderness(_TIMED + _UNTIMED, seed + 1, config.camera)]
+    pictures = [sample.image[None] for sample in wilderness(_TIMED + _UNTIMED, seed + 1, config.camera)]
     times = {}
     for name in ("head", "student"):
         try:

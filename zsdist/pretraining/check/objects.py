@@ -18,19 +18,19 @@ from typing import Any
 import numpy as np
 
 from zsdist.config import CameraConfig, Config
-from zsdist.datasets.labelled import rays_met
+from zsdist.datasets.labelled import camera_angles_rad
 from zsdist.errors import RunError
 from zsdist.evaluation.statistics import wilson_95
 from zsdist.planning.belief import BeliefMap
 from zsdist.planning.grid import Grid
 from zsdist.sim.camera import make_camera
 from zsdist.sim.camera.primitives import ARENA_HALF_M
+from zsdist.sim.ground_truth import rays_met
 from zsdist.sim.physics.collision import touching
 from zsdist.sim.scenes.families import generate
 from zsdist.sim.scenes.manifest import OOD_FAMILIES, SPLITS, split_seed
 from zsdist.sim.scenes.scene import Obstacle, Scene
 from zsdist.types import Pose
-from zsdist.vision.rays import RAYS, ray_angles_rad
 from zsdist.vision.visual_act import VisualAct
 
 LOOKS = 30
@@ -53,7 +53,7 @@ class Approach:
 
 def approach(number: int, seed: int, camera: CameraConfig) -> Approach:
     """The `number`-th approach of a seed, whatever others are made; no pose of it touches anything."""
-    rng = np.random.default_rng([seed, 5, number])
+    rng, angles_rad = np.random.default_rng([seed, 5, number]), camera_angles_rad(camera)
     for family in itertools.islice(itertools.cycle(OOD_FAMILIES), number % len(OOD_FAMILIES), None):
         scene = generate(family, split_seed("test", int(rng.integers(len(SPLITS["test"])))))
         circles, boxes = scene.circles(), scene.boxes()
@@ -62,7 +62,7 @@ def approach(number: int, seed: int, camera: CameraConfig) -> Approach:
             poses = _poses(scene.obstacles[index], camera.forward_m, rng)
             if any(touching(pose, circles, boxes, arena_m=2 * ARENA_HALF_M) for pose in poses):
                 continue
-            if (rays_met(scene, poses[-1], camera)[1] == ray_index(scene, index)).sum() >= 2:
+            if (rays_met(scene, poses[-1], camera, angles_rad).obstacle == ray_index(scene, index)).sum() >= 2:
                 return Approach(scene, index, poses)
     raise AssertionError("families never end")
 
@@ -80,14 +80,14 @@ def drive_up(model: VisualAct, drive: Approach, config: Config) -> bool:
 
 def visible_side(drive: Approach, grid: Grid, camera: CameraConfig) -> np.ndarray:
     """Squares `(fine_size, fine_size)` bool within `AROUND_M` of where a look's ray meets the object, others' aside."""
-    angles = ray_angles_rad(RAYS, math.radians(camera.field_of_view_deg))
+    angles_rad = camera_angles_rad(camera)
     wanted, (xs, ys) = ray_index(drive.scene, drive.index), grid.fine_centres()
     side = np.zeros((grid.fine_size, grid.fine_size), bool)
     for pose in drive.poses:
-        distance, hit = rays_met(drive.scene, pose, camera)
-        met = hit == wanted
-        distance = distance[met]
-        heading = pose.heading_rad + angles[met]
+        rays = rays_met(drive.scene, pose, camera, angles_rad)
+        met = rays.obstacle == wanted
+        distance = rays.distance_m[met]
+        heading = pose.heading_rad + angles_rad[met]
         points_x = pose.x_m + camera.forward_m * math.cos(pose.heading_rad) + distance * np.cos(heading)
         points_y = pose.y_m + camera.forward_m * math.sin(pose.heading_rad) + distance * np.sin(heading)
         for x_m, y_m in zip(points_x, points_y, strict=True):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zsdist.pretraining.batches import BATCH, batched
-from zsdist.pretraining.check.sets import Shot
+from zsdist.pretraining.check.sets import Sample
 from zsdist.vision.labels import openness, progress, random_goals, reward_label
 from zsdist.vision.rays import RANGE_M, quantile_m
 from zsdist.vision.scores import action_scores, calibration, ray_scores, unseen_objects
@@ -27,7 +27,7 @@ class Readings:
         labels: `(N, 3)` true R_p.
         true_clearance_m: `(N, 3)`.
         true_rays_m: `(N, R)`.
-        objects: `(N, R)` as of `Shot`.
+        objects: `(N, R)` as of `Sample`.
         families: `(N,)` str, of the scenes.
         goal_bearing_rad: `(N,)`.
         goal_distance_m: `(N,)`.
@@ -71,24 +71,24 @@ class Readings:
 
 def read(
     model: VisualAct,
-    shots: Iterable[Shot],
+    samples: Iterable[Sample],
     quantile: float,
     rng: np.random.Generator,
-    also: Callable[[list[Shot]], None] = lambda batch: None,
+    also: Callable[[list[Sample]], None] = lambda batch: None,
 ) -> Readings:
     """What `model` says of pictures; they are not kept.
 
     Args:
         model: that reads.
-        shots: at least one.
+        samples: at least one.
         quantile: at which distances are taken.
         rng: draws a goal for each picture, mostly ahead.
         also: is shown each batch of pictures as it passes.
     """
     said, truths = [], []
-    for batch in batched(shots, BATCH):
+    for batch in batched(samples, BATCH):
         bearing, distance = random_goals(len(batch), rng)
-        views = model(np.stack([shot.image for shot in batch]), bearing, distance)
+        views = model(np.stack([sample.image for sample in batch]), bearing, distance)
         probabilities = np.stack([view.ray_probabilities for view in views])
         said.append(
             (
@@ -99,10 +99,13 @@ def read(
             )
         )
         clearance_m, dynamic, rays_m = (
-            np.stack([shot.truth[key] for shot in batch]) for key in ("clearance_m", "dynamic", "ray_clearance_m")
+            np.stack([sample.truth[key] for sample in batch]) for key in ("clearance_m", "dynamic", "ray_clearance_m")
         )
         labels = reward_label(openness(clearance_m, dynamic, distance[:, None]), progress(bearing, distance))
-        objects, families = np.stack([shot.objects for shot in batch]), np.array([shot.family for shot in batch])
+        objects, families = (
+            np.stack([sample.objects for sample in batch]),
+            np.array([sample.family for sample in batch]),
+        )
         truths.append((labels, clearance_m, rays_m, objects, families, bearing, distance))
         also(batch)
     columns = [np.concatenate(column) for rows in (said, truths) for column in zip(*rows, strict=True)]

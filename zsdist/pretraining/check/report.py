@@ -13,7 +13,7 @@ from zsdist.pretraining.check import figures, words
 from zsdist.pretraining.check.check import FIGURES, SET_FIGURES, over_sets
 from zsdist.pretraining.check.figures import Miss
 from zsdist.pretraining.check.predictions import Readings, read
-from zsdist.pretraining.check.sets import SETS, WILDERNESS, Shot, of_set, wilderness
+from zsdist.pretraining.check.sets import SETS, WILDERNESS, Sample, of_set, wilderness
 from zsdist.reporting.markdown import table
 from zsdist.vision import folder
 from zsdist.vision.folder import HISTORY_FILE
@@ -53,11 +53,11 @@ def write(config: Config, images: int, seed: int, out: Path) -> Path:
 
 def _write(model: VisualAct, config: Config, images: int, seed: int, out: Path) -> Path:
     left_out: dict[str, str] = {}
-    looks = words.Looks.of(model, config, left_out)
+    looks = words.Observations.of(model, config, left_out)
     quantile, rng = config.vision.ray_quantile, np.random.default_rng([seed, 3])
-    shots = list(wilderness(images, seed, config.camera))
-    wild = read(model, shots, quantile, rng, looks.take if looks is not None else lambda batch: None)
-    misses = worst_misses(wild, shots, WILDERNESS.title, _MISSES_OF_A_SET)
+    samples = list(wilderness(images, seed, config.camera))
+    wild = read(model, samples, quantile, rng, looks.take if looks is not None else lambda batch: None)
+    misses = worst_misses(wild, samples, WILDERNESS.title, _MISSES_OF_A_SET)
     sets = {}
     for name, pictures in SETS.items():
         of_it = list(of_set(name, images, seed, config.camera))
@@ -73,7 +73,7 @@ def _write(model: VisualAct, config: Config, images: int, seed: int, out: Path) 
         *_actions(wild),
         *_sets(sets),
         *_table3(looks.figures() if looks is not None else None, left_out),
-        *_attention(model, shots, looks is not None, left_out, out),
+        *_attention(model, samples, looks is not None, left_out, out),
         *_clearance(wild, sets, out),
         *_reliability(wild, sets, out),
         *_misses(misses, config, out),
@@ -83,13 +83,13 @@ def _write(model: VisualAct, config: Config, images: int, seed: int, out: Path) 
     return path
 
 
-def worst_misses(readings: Readings, shots: Sequence[Shot], title: str, count: int) -> list[Miss]:
+def worst_misses(readings: Readings, samples: Sequence[Sample], title: str, count: int) -> list[Miss]:
     """Up to `count` pictures with missed rays (as `ray_scores` counts), those of which most was missed first."""
     missed = (readings.true_rays_m < MISS_M[0]) & (readings.rays_m > MISS_M[1])
     beyond = np.where(missed, readings.rays_m - readings.true_rays_m, 0.0)
     order = np.argsort(-beyond.sum(1), kind="stable")[:count]
     return [
-        Miss(shots[i].image, readings.true_rays_m[i], readings.rays_m[i], int(beyond[i].argmax()), title)
+        Miss(samples[i].image, readings.true_rays_m[i], readings.rays_m[i], int(beyond[i].argmax()), title)
         for i in order
         if missed[i].any()
     ]
@@ -181,28 +181,28 @@ def _table3(found: dict[str, Any] | None, left_out: dict[str, str]) -> list[str]
     ]
 
 
-def _attention(model: VisualAct, shots: list[Shot], known: bool, left_out: dict[str, str], out: Path) -> list[str]:
+def _attention(model: VisualAct, samples: list[Sample], known: bool, left_out: dict[str, str], out: Path) -> list[str]:
     if not known:
         return ["## Where each action looks", "", f"Left out: {left_out['attention']}.", ""]
-    chosen = attention_examples(shots)
-    found = model.look(np.stack([shot.image for shot in chosen.values()]))
+    chosen = attention_examples(samples)
+    found = model.look(np.stack([sample.image for sample in chosen.values()]))
     figures.draw_attention(
-        [shot.image for shot in chosen.values()], found.attention, list(chosen), out / "vision-attention.jpg"
+        [sample.image for sample in chosen.values()], found.attention, list(chosen), out / "vision-attention.jpg"
     )
     return ["## Where each action looks", "", "![attention of each action](vision-attention.jpg)", ""]
 
 
-def attention_examples(shots: Sequence[Shot]) -> dict[str, Shot]:
+def attention_examples(samples: Sequence[Sample]) -> dict[str, Sample]:
     """By kind a picture of one near by, the first of those given in which it takes up six rays or more."""
     chosen = {}
     for kind in _ATTENTION_KINDS:
         segment = words.KINDS[kind].segment_id
-        for shot in shots:
-            rays = shot.truth["ray_segment"] == segment
-            if rays.sum() >= 6 and shot.truth["ray_clearance_m"][rays].min() > 1.0:
-                chosen[kind.replace("_", " ")] = shot
+        for sample in samples:
+            rays = sample.truth["ray_segment"] == segment
+            if rays.sum() >= 6 and sample.truth["ray_clearance_m"][rays].min() > 1.0:
+                chosen[kind.replace("_", " ")] = sample
                 break
-    return chosen or {shots[0].family: shots[0]}
+    return chosen or {samples[0].family: samples[0]}
 
 
 def _clearance(wild: Readings, sets: dict[str, Readings], out: Path) -> list[str]:

@@ -12,9 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from zsdist.config import CameraConfig
-from zsdist.datasets.degradation import worn
-from zsdist.datasets.labelled import drawn_scenes, free_pose, label, people_on_paths, rays_met, varied_camera
+from zsdist.datasets.degradation import degrade
+from zsdist.datasets.labelled import camera_angles_rad, label
+from zsdist.datasets.sampling import drawn_scenes, free_pose, people_on_paths, varied_camera
 from zsdist.sim.camera import Camera, make_camera
+from zsdist.sim.ground_truth import rays_met
 from zsdist.sim.scenes.manifest import OOD_FAMILIES, TRAINED_GROUNDS, WITHHELD_GROUNDS
 from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Pose
@@ -22,7 +24,7 @@ from zsdist.types import Pose
 _TILT_RAD = 0.05  # of the car in pictures that are varied as in training
 
 
-class Shot(NamedTuple):
+class Sample(NamedTuple):
     """A picture, its depth image, where it was taken, and the truth about it.
 
     Attributes:
@@ -78,17 +80,17 @@ SETS: dict[str, PictureSet] = {
 WILDERNESS = PictureSet("wilderness", OOD_FAMILIES)
 
 
-def wilderness(count: int, seed: int, camera: CameraConfig) -> Iterator[Shot]:
+def wilderness(count: int, seed: int, camera: CameraConfig) -> Iterator[Sample]:
     """Pictures of scenes from the families and seeds that are kept for tests, as they look when driven through."""
-    return shots(WILDERNESS, count, np.random.default_rng([seed, 2]), camera)
+    return samples(WILDERNESS, count, np.random.default_rng([seed, 2]), camera)
 
 
-def of_set(name: str, count: int, seed: int, camera: CameraConfig) -> Iterator[Shot]:
+def of_set(name: str, count: int, seed: int, camera: CameraConfig) -> Iterator[Sample]:
     """Pictures of the set `name` of `SETS`, the same for the same arguments."""
-    return shots(SETS[name], count, np.random.default_rng([seed, 4, list(SETS).index(name)]), camera)
+    return samples(SETS[name], count, np.random.default_rng([seed, 4, list(SETS).index(name)]), camera)
 
 
-def shots(pictures: PictureSet, count: int, rng: np.random.Generator, camera: CameraConfig) -> Iterator[Shot]:
+def samples(pictures: PictureSet, count: int, rng: np.random.Generator, camera: CameraConfig) -> Iterator[Sample]:
     """`count` pictures of a set; the families take turns, a scene gives several."""
     if pictures.back_end is not None:
         camera = camera.model_copy(update={"back_end": pictures.back_end})
@@ -102,20 +104,22 @@ def shots(pictures: PictureSet, count: int, rng: np.random.Generator, camera: Ca
                 yield (_varied_shot if pictures.varied else _plain_shot)(eye, scene, family, rng)
 
 
-def shot_at(eye: Camera, scene: Scene, family: str, pose: Pose, people: np.ndarray | None = None) -> Shot:
+def sample_at(eye: Camera, scene: Scene, family: str, pose: Pose, people: np.ndarray | None = None) -> Sample:
     """What a level camera sees from a pose of the car."""
     image, depth_m, _ = eye.render_labelled(scene, pose, people=people)
-    truth, (_, objects) = label(scene, pose, eye.config, people), rays_met(scene, pose, eye.config, people)
-    return Shot(image, depth_m, scene, family, pose, truth, objects)
+    truth = label(scene, pose, eye.config, people)
+    objects = rays_met(scene, pose, eye.config, camera_angles_rad(eye.config), people).obstacle
+    return Sample(image, depth_m, scene, family, pose, truth, objects)
 
 
-def _plain_shot(eye: Camera, scene: Scene, family: str, rng: np.random.Generator) -> Shot:
-    return shot_at(eye, scene, family, free_pose(scene, rng))
+def _plain_shot(eye: Camera, scene: Scene, family: str, rng: np.random.Generator) -> Sample:
+    return sample_at(eye, scene, family, free_pose(scene, rng))
 
 
-def _varied_shot(eye: Camera, scene: Scene, family: str, rng: np.random.Generator) -> Shot:
+def _varied_shot(eye: Camera, scene: Scene, family: str, rng: np.random.Generator) -> Sample:
     people = people_on_paths(scene, rng)
     pose = free_pose(scene, rng, people)
     image, depth_m, _ = eye.render_labelled(scene, pose, *rng.uniform(-_TILT_RAD, _TILT_RAD, 2), people)
-    truth, (_, objects) = label(scene, pose, eye.config, people), rays_met(scene, pose, eye.config, people)
-    return Shot(worn(image, rng), depth_m, scene, family, pose, truth, objects)
+    truth = label(scene, pose, eye.config, people)
+    objects = rays_met(scene, pose, eye.config, camera_angles_rad(eye.config), people).obstacle
+    return Sample(degrade(image, rng), depth_m, scene, family, pose, truth, objects)

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from zsdist.config import CameraConfig, Config
-from zsdist.datasets.captioned import described_views
+from zsdist.datasets.captioned import captioned_views
 from zsdist.errors import WeightsError
 from zsdist.pretraining.batches import BATCH, batched
-from zsdist.pretraining.check.sets import Shot
+from zsdist.pretraining.check.sets import Sample
 from zsdist.sim.scenes.kinds import KINDS
 from zsdist.sim.scenes.manifest import MANIFEST
 from zsdist.vision import folder
@@ -41,7 +41,7 @@ UNSEEN_EPOCHS = 8
 _HELD_OUT = 160
 
 
-class Looks:
+class Observations:
     """Gathers where each action looked on pictures as they pass, for Table 3 and the shares of attention."""
 
     def __init__(self, model: VisualAct, words: dict[str, np.ndarray], angles_rad: np.ndarray) -> None:
@@ -60,12 +60,12 @@ class Looks:
             return None
         return cls(model, word_rows(config), ray_angles_rad(RAYS, math.radians(config.camera.field_of_view_deg)))
 
-    def take(self, batch: list[Shot]) -> None:
+    def take(self, batch: list[Sample]) -> None:
         """Looks at a batch of pictures."""
-        self._embeddings.append(self._model.look(np.stack([shot.image for shot in batch])).embeddings)
-        self._segments += [shot.truth["ray_segment"] for shot in batch]
-        self._distances += [shot.truth["ray_clearance_m"] for shot in batch]
-        self._grounds += [shot.scene.ground for shot in batch]
+        self._embeddings.append(self._model.look(np.stack([sample.image for sample in batch])).embeddings)
+        self._segments += [sample.truth["ray_segment"] for sample in batch]
+        self._distances += [sample.truth["ray_clearance_m"] for sample in batch]
+        self._grounds += [sample.scene.ground for sample in batch]
 
     def figures(self) -> dict[str, Any]:
         """`table3` beside the paper's figures, and `attention`: of objects and of grounds."""
@@ -145,7 +145,7 @@ def words(config: Config, seed: int, count: int, unseen_kinds: bool, left_out: d
     encoder = open_encoder(config.vision.encoder)
     tokens, dominant = [], []
     for batch in batched(
-        described_views(MANIFEST["word-training"].families, "test", count, seed, config.camera), BATCH
+        captioned_views(MANIFEST["word-training"].families, "test", count, seed, config.camera), BATCH
     ):
         tokens.append(encoder.tokens(np.stack([view.image for view in batch])).astype(np.float16))
         dominant += [view.dominant for view in batch]
@@ -215,7 +215,7 @@ def _word_examples(encoder: Encoder, count: int, seed: int, camera: CameraConfig
     from zsdist.vision.training.projection import WordExamples
 
     purpose = MANIFEST["word-training"]
-    views = described_views(purpose.families, purpose.split, count, seed, camera, varied=True)
+    views = captioned_views(purpose.families, purpose.split, count, seed, camera, varied=True)
     columns = [
         (
             encoder.tokens(np.stack([view.image for view in batch])).astype(np.float16),

@@ -17,8 +17,8 @@ from zsdist.replay import segments
 from zsdist.replay.buffer import RingBuffer
 from zsdist.replay.journal import Journal, Record
 from zsdist.replay.limiter import BAND, Limiter
-from zsdist.replay.priorities import Priorities
-from zsdist.roles.replay.shards import Shard
+from zsdist.replay.priorities import RowPriorities
+from zsdist.roles.replay.shards import ReplayShard
 from zsdist.roles.shapes import Shape
 from zsdist.transport.base import Message
 from zsdist.types import Level
@@ -34,10 +34,10 @@ class Entry(IntEnum):
 
     PUSH = 1  # a frame as it came, once all frames before it have come
     EPOCH = 2  # JSON: an actor and the epoch that was issued to it
-    PACE = 3  # JSON: `Shelf.pace`
+    PACE = 3  # JSON: `LevelReplay.pace`
 
 
-class Shelf:
+class LevelReplay:
     """One level's part of a shard of the replay: ring, sizes, limiter and inbox, with the requests that wait.
 
     Args:
@@ -50,12 +50,12 @@ class Shelf:
     """
 
     def __init__(
-        self, level: Level, shape: Shape, config: Config, shard: Shard, sender_epoch: int, folder: Path
+        self, level: Level, shape: Shape, config: Config, shard: ReplayShard, sender_epoch: int, folder: Path
     ) -> None:
         self.level = level
         self.batch_size = config.replay.batch_initial
         settings, size = config.replay, shard.part(config.replay.size_initial)
-        priorities = Priorities(size, settings.priority_exponent, settings.importance_exponent)
+        priorities = RowPriorities(size, settings.priority_exponent, settings.importance_exponent)
         self.buffer = RingBuffer(
             shape.state_size, shape.actions, size, settings.n_step, priorities if settings.prioritised else None
         )

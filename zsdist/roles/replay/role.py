@@ -9,8 +9,8 @@ from pathlib import Path
 
 from zsdist.roles import schemas
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
-from zsdist.roles.replay.level_replay import Shelf
-from zsdist.roles.replay.shards import ROLE, Shard
+from zsdist.roles.replay.level_replay import LevelReplay
+from zsdist.roles.replay.shards import ROLE, ReplayShard
 from zsdist.roles.schemas import ReplayOrders, StateRequest
 from zsdist.roles.shapes import Shape
 from zsdist.types import Level
@@ -35,13 +35,13 @@ class Replay(Role):
     ) -> None:
         super().__init__(context)
         run = context.run
-        self.shard = Shard.of(context.config, int(context.id))
-        self.shelves: dict[Level, Shelf] = {}
+        self.shard = ReplayShard.of(context.config, int(context.id))
+        self.level_replays: dict[Level, LevelReplay] = {}
         self._folder = folder
         for level, shape in shapes.items():
-            shelf = Shelf(level, shape, context.config, self.shard, context.epoch, folder / level)
-            shelf.recover((restored.meta[level.value], restored.part(f"{level}/")) if restored else None)
-            self.shelves[level] = shelf
+            level_replay = LevelReplay(level, shape, context.config, self.shard, context.epoch, folder / level)
+            level_replay.recover((restored.meta[level.value], restored.part(f"{level}/")) if restored else None)
+            self.level_replays[level] = level_replay
         self._pushes = self.mailbox("push")
         self._requests = self.mailbox("sample")
         self._errors = self.mailbox("priority")
@@ -49,7 +49,7 @@ class Replay(Role):
         self._checkpoints = self.mailbox("checkpoint")
         for actor in sorted(self.shard.actors or (keys.ANY,)):
             self.transport.subscribe(keys.push(run, keys.ANY, actor, keys.ANY), self._pushes)
-        for level in self.shelves:
+        for level in self.level_replays:
             self.transport.serve(keys.sample(run, level, self.shard.index), self._requests)
             if context.config.replay.prioritised:
                 self.transport.subscribe(keys.priority(run, level, self.shard.index), self._errors)
@@ -59,70 +59,70 @@ class Replay(Role):
     @property
     def recovered(self) -> int:
         """Frames read from journals."""
-        return sum(shelf.recovered for shelf in self.shelves.values())
+        return sum(level_replay.recovered for level_replay in self.level_replays.values())
 
     def work(self, now: float) -> float:
         """Stores what has come and answers who may be answered; writes it down, then acknowledges and grants credit."""
         for content in self.orders(self._orders, {Orders: ReplayOrders}):
             self._follow(content)
         for message, push in self.messages(self._pushes, Push):
-            self.shelves[push.stream].receive(push, message.payload, now)
+            self.level_replays[push.stream].receive(push, message.payload, now)
         for _, found in self.messages(self._errors, Priorities):
-            shelf = self.shelves[found.level]
-            shelf.prioritised += shelf.buffer.prioritise(found.serials, found.errors)
+            level_replay = self.level_replays[found.level]
+            level_replay.prioritised += level_replay.buffer.prioritise(found.serials, found.errors)
         for message, request in self.messages(self._requests, SampleRequest):
-            waiting = self.shelves[request.level].waiting
+            waiting = self.level_replays[request.level].waiting
             if len(waiting) < MAX_WAITING:
                 waiting.append((now, message, request.batches))
             else:
                 self.refuse("requests")
-        for shelf in self.shelves.values():
-            shelf.serve(now)
-            shelf.write_down(now)
+        for level_replay in self.level_replays.values():
+            level_replay.serve(now)
+            level_replay.write_down(now)
         wake_s = now + HEARTBEAT_S
-        for shelf in self.shelves.values():
-            for ack in shelf.inbox.acks(now, shelf.credit):
+        for level_replay in self.level_replays.values():
+            for ack in level_replay.inbox.acks(now, level_replay.credit):
                 self.transport.publish(keys.ack(self.context.run, ack.actor), codec.encode(ack))
-            wake_s = min(wake_s, shelf.inbox.next_wake(now) or wake_s)
+            wake_s = min(wake_s, level_replay.inbox.next_wake(now) or wake_s)
         for message, ask in self.messages(self._checkpoints, Orders):
             if self.checked(schemas.read, StateRequest, ask.content) is not None:
                 message.reply(codec.encode(self.state()))
         if self.finished:
-            for shelf in self.shelves.values():
-                shelf.journal.close()
+            for level_replay in self.level_replays.values():
+                level_replay.journal.close()
             shutil.rmtree(self._folder, ignore_errors=True)  # the last checkpoint holds everything
         return wake_s
 
     def statistics(self) -> dict[str, float | str]:
         """Books, sizes and pace of both levels, and the journal's size."""
         fields: dict[str, float | str] = {
-            "journal_bytes": sum(shelf.journal.nbytes for shelf in self.shelves.values()),
+            "journal_bytes": sum(level_replay.journal.nbytes for level_replay in self.level_replays.values()),
             "recovered_frames": self.recovered,
         }
-        for level, shelf in self.shelves.items():
-            books = {f"{level}_{name}": count for name, count in shelf.books().items()}
+        for level, level_replay in self.level_replays.items():
+            books = {f"{level}_{name}": count for name, count in level_replay.books().items()}
             fields |= books | {
-                f"{level}_size": len(shelf.buffer),
-                f"{level}_capacity": shelf.buffer.capacity,
-                f"{level}_batch_size": shelf.batch_size,
-                f"{level}_updates_served": shelf.limiter.updates,
-                f"{level}_samples_per_insert": round(shelf.sampled / max(1, shelf.stored), 3),
-                f"{level}_waiting_requests": len(shelf.waiting),
-                f"{level}_bytes": shelf.buffer.nbytes,
+                f"{level}_size": len(level_replay.buffer),
+                f"{level}_capacity": level_replay.buffer.capacity,
+                f"{level}_batch_size": level_replay.batch_size,
+                f"{level}_updates_served": level_replay.limiter.updates,
+                f"{level}_samples_per_insert": round(level_replay.sampled / max(1, level_replay.stored), 3),
+                f"{level}_waiting_requests": len(level_replay.waiting),
+                f"{level}_bytes": level_replay.buffer.nbytes,
             }
             if self.config.replay.prioritised:
-                fields[f"{level}_prioritised"] = shelf.prioritised
-            if len(shelf.buffer):
-                fields[f"{level}_oldest_version"] = shelf.buffer.oldest_version
-                fields[f"{level}_oldest_age_versions"] = shelf.buffer.oldest_age_versions
-            fields |= {f"{level}_refused_{reason}": count for reason, count in shelf.inbox.refused.items()}
+                fields[f"{level}_prioritised"] = level_replay.prioritised
+            if len(level_replay.buffer):
+                fields[f"{level}_oldest_version"] = level_replay.buffer.oldest_version
+                fields[f"{level}_oldest_age_versions"] = level_replay.buffer.oldest_age_versions
+            fields |= {f"{level}_refused_{reason}": count for reason, count in level_replay.inbox.refused.items()}
         return fields
 
     def state(self) -> State:
         """Everything needed to go on."""
         meta, arrays = {}, {}
-        for level, shelf in self.shelves.items():
-            meta[level.value], columns = shelf.state()
+        for level, level_replay in self.level_replays.items():
+            meta[level.value], columns = level_replay.state()
             arrays |= {f"{level}/{name}": array for name, array in columns.items()}
         return State(self.shard.name, meta, arrays)
 
@@ -133,8 +133,8 @@ class Replay(Role):
             return
         for actor, epoch in content.epochs.items():
             if self.shard.owns(actor):
-                for shelf in self.shelves.values():
-                    shelf.issue(actor, epoch)
-        for shelf in self.shelves.values():
-            shelf.resize(content.buffer_size, content.batch_size)
+                for level_replay in self.level_replays.values():
+                    level_replay.issue(actor, epoch)
+        for level_replay in self.level_replays.values():
+            level_replay.resize(content.buffer_size, content.batch_size)
         self.finished = content.stop

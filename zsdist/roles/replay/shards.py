@@ -16,7 +16,7 @@ ROLE = "replay"
 
 
 @dataclass(frozen=True)
-class Shard:
+class ReplayShard:
     """One of a level's replay processes.
 
     Attributes:
@@ -53,7 +53,7 @@ class Shard:
 
 
 def state_name(index: int) -> str:
-    """See `Shard.name`."""
+    """See `ReplayShard.name`."""
     return f"{ROLE}-{index}" if index else ROLE
 
 

@@ -11,7 +11,7 @@ from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.replay import shards
 from zsdist.roles.scheduler.leases import Leases
 from zsdist.roles.scheduler.merge import BEST, DISTILLED, RECENT, Merge, Phase
-from zsdist.roles.scheduler.run_log import Ledger
+from zsdist.roles.scheduler.run_log import RunLog
 from zsdist.roles.schemas import Supervision
 from zsdist.telemetry.snapshot import Fields, Snapshot
 from zsdist.types import Level, Outcome
@@ -34,7 +34,7 @@ class Stage(StrEnum):
 class Scheduler(Role):
     """Counts finished episodes; exploration and merges follow this one count."""
 
-    def __init__(self, context: Context, ledger: Ledger, restored: State | None = None) -> None:
+    def __init__(self, context: Context, ledger: RunLog, restored: State | None = None) -> None:
         super().__init__(context)
         self.ledger = ledger
         self.snapshot = Snapshot()

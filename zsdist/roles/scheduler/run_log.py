@@ -6,7 +6,7 @@ from zsdist.telemetry.snapshot import Fields
 from zsdist.wire.messages import State
 
 
-class Ledger(Protocol):
+class RunLog(Protocol):
     """The run directory as the scheduler needs it."""
 
     def episode(self, record: dict) -> None:

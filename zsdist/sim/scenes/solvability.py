@@ -5,7 +5,7 @@ from functools import cache
 from zsdist.config import SimConfig
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
-from zsdist.planning.shortest_path import Path, cost_to_go, goal_mask, length_m, metres_cost, path
+from zsdist.planning.shortest_path import LatticePath, cost_to_go, goal_mask, length_m, metres_cost, path
 from zsdist.sim.scenes.scene import DEFAULT_GRID, Scene
 
 SUCCESS_RADIUS_M = SimConfig().success_radius_m
@@ -17,7 +17,7 @@ def footprints(grid: Grid) -> FootprintTable:
     return FootprintTable(grid)
 
 
-def solve(scene: Scene, grid: Grid = DEFAULT_GRID, success_radius_m: float = SUCCESS_RADIUS_M) -> Path | None:
+def solve(scene: Scene, grid: Grid = DEFAULT_GRID, success_radius_m: float = SUCCESS_RADIUS_M) -> LatticePath | None:
     """The shortest way from the lattice state nearest to the start to a cell within the success radius of the goal.
 
     Walking people are left out, since they give way; all standing obstacles count, with the footprint's margin.

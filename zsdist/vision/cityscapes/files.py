@@ -62,7 +62,7 @@ class Calibration:
 
 
 @dataclass(frozen=True)
-class Frame:
+class CityscapesFrame:
     """One frame as it is on disk.
 
     Attributes:
@@ -100,7 +100,7 @@ def frames(folder: Path, split: str) -> list[Path]:
     return found
 
 
-def read_frame(picture: Path) -> Frame:
+def read_frame(picture: Path) -> CityscapesFrame:
     """The frame of a picture that `frames` found.
 
     Raises:
@@ -127,11 +127,11 @@ def read_frame(picture: Path) -> Frame:
     measured = values > 1  # 0: not measured; 1: no disparity, so infinitely far
     depth_m[measured] = calibration.baseline_m * calibration.fx_px / ((values[measured] - 1.0) / 256.0)
     objects = _objects(_polygons(parts["polygons"]), instances, labels)
-    return Frame(name, image, labels, objects, depth_m, calibration)
+    return CityscapesFrame(name, image, labels, objects, depth_m, calibration)
 
 
 def _objects(polygons: list[tuple[str, np.ndarray]], instances: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """`Frame.objects`, from the polygons' labels and corners in the order in which they were drawn."""
+    """`CityscapesFrame.objects`, from the polygons' labels and corners in the order in which they were drawn."""
     drawn = np.full(instances.shape, -1, np.int32)
     for number, (label, corners) in enumerate(polygons):
         if label in STANDING:

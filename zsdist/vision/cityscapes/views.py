@@ -23,7 +23,17 @@ import numpy as np
 
 from zsdist.config import CameraConfig
 from zsdist.errors import ConfigError
-from zsdist.vision.cityscapes.files import BORDER, EGO_VEHICLE, GROUND, MOVING, SKY, STANDING, Frame, frames, read_frame
+from zsdist.vision.cityscapes.files import (
+    BORDER,
+    EGO_VEHICLE,
+    GROUND,
+    MOVING,
+    SKY,
+    STANDING,
+    CityscapesFrame,
+    frames,
+    read_frame,
+)
 from zsdist.vision.masks import Mask, MaskedView, choose
 from zsdist.vision.rays import RAYS
 
@@ -105,7 +115,7 @@ class _Level:
         name: of the frame.
         image: `(size_px, size_px, 3)` uint8.
         labels: the data set's, or `_OUTSIDE`.
-        objects: as of `Frame.objects`.
+        objects: as of `CityscapesFrame.objects`.
         distance_m: horizontal, over the scale; infinite where it is not known.
         in_the_way: of what stands or moves below `SIGHT_HEIGHT_M`.
         range_m: of the camera.
@@ -165,7 +175,7 @@ def _levels(
             yield level
 
 
-def _level(frame: Frame, camera: CameraConfig, scale: float) -> _Level:
+def _level(frame: CityscapesFrame, camera: CameraConfig, scale: float) -> _Level:
     """A frame as a level camera would have taken it, with distances from stereo or, where it has none, from the ground.
 
     A pixel of the level view looks along `(1, right, down)`. What stands where the stereo measured nothing is as far
@@ -215,7 +225,9 @@ def _ground_below_m(labels: np.ndarray, down: np.ndarray, height_m: float) -> np
     return np.where(below < n, np.take_along_axis(ahead_m, np.minimum(below, n - 1), 0), np.inf)
 
 
-def _picture(frame: Frame, columns: np.ndarray, rows: np.ndarray, inside: np.ndarray, size: int) -> np.ndarray:
+def _picture(
+    frame: CityscapesFrame, columns: np.ndarray, rows: np.ndarray, inside: np.ndarray, size: int
+) -> np.ndarray:
     fine = cv2.remap(
         np.ascontiguousarray(frame.picture), columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )

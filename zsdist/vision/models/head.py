@@ -13,7 +13,7 @@ ACTIONS = 3
 MASK_MARGIN = 0  # token columns of the neighbouring directions that an action may also look at; 2 blurs I_1 to I_3
 
 
-class Reading(NamedTuple):
+class HeadOutput(NamedTuple):
     """What the head says of a batch of images, for the actions forward, left and right.
 
     Attributes:
@@ -146,7 +146,7 @@ class VisualActHead(nn.Module):
         self.mean.copy_(torch.from_numpy(mean))
         self.scale.copy_(1 / torch.from_numpy(np.maximum(deviation, 1e-6)))
 
-    def forward(self, tokens: Tensor) -> Reading:
+    def forward(self, tokens: Tensor) -> HeadOutput:
         """What is to be read from tokens `(B, side, side, features)`."""
         batch, side = tokens.shape[:2]
         x = torch.relu(self.project((tokens - self.mean) * self.scale))
@@ -159,7 +159,7 @@ class VisualActHead(nn.Module):
         actions = torch.stack([network(looked[:, a]) for a, network in enumerate(self.action_networks)], 1)
         columns = self.columns((self.spread @ columns).transpose(1, 2))
         rays = self.ray_bins(columns).transpose(1, 2)
-        return Reading(actions[..., :BINS], actions[..., BINS], rays, weights)
+        return HeadOutput(actions[..., :BINS], actions[..., BINS], rays, weights)
 
 
 class Probabilities(nn.Module):
@@ -170,7 +170,7 @@ class Probabilities(nn.Module):
         self.network = network
 
     def forward(self, tokens: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Probabilities of clearance, dynamic and rays, in the shapes of `Reading`."""
+        """Probabilities of clearance, dynamic and rays, in the shapes of `HeadOutput`."""
         clearance, dynamic, rays, _ = self.network(tokens)
         return (
             (clearance / self.network.clearance_temperature).softmax(-1),

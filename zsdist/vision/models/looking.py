@@ -7,7 +7,7 @@ from zsdist.vision.models.head import VisualActHead
 from zsdist.vision.models.projection import attended_embeddings, image_embedding
 
 
-class Looking(nn.Module):
+class AttentionReader(nn.Module):
     """Head and projection together.
 
     Args:

@@ -6,7 +6,7 @@ from torch import Tensor, nn
 
 from zsdist.vision.labels import sectors
 from zsdist.vision.models import STUDENT_PX
-from zsdist.vision.models.head import ACTIONS, Reading, Residual1d, attention
+from zsdist.vision.models.head import ACTIONS, HeadOutput, Residual1d, attention
 from zsdist.vision.rays import BINS, RAYS, ray_angles_rad
 
 LEVELS = 64.0  # of 255, the spread of a usual picture
@@ -52,7 +52,7 @@ class Student(nn.Module):
         self.register_buffer("rays_temperature", torch.ones(()))
         self.register_buffer("allowed", _allowed(field_of_view_rad), persistent=False)
 
-    def forward(self, images: Tensor) -> Reading:
+    def forward(self, images: Tensor) -> HeadOutput:
         """What is to be read from pictures `(B, 128, 128, 3)`, 0 to 255; the attention `(B, 3, RAYS)` is of columns."""
         x = self.trunk((images.permute(0, 3, 1, 2).float() - 127) / LEVELS)
         columns = self.fold(x.flatten(1, 2))
@@ -62,7 +62,7 @@ class Student(nn.Module):
         looked, weights = attention(self.queries, self.keys(each), each, self.allowed)
         looked = torch.cat([looked, each.mean(1, keepdim=True).expand(-1, ACTIONS, -1)], -1)
         actions = torch.stack([network(looked[:, a]) for a, network in enumerate(self.action_networks)], 1)
-        return Reading(actions[..., :BINS], actions[..., BINS], self.ray_bins(columns).transpose(1, 2), weights)
+        return HeadOutput(actions[..., :BINS], actions[..., BINS], self.ray_bins(columns).transpose(1, 2), weights)
 
 
 def _allowed(field_of_view_rad: float) -> Tensor:

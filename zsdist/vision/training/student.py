@@ -23,7 +23,7 @@ NOISE_LEVELS = 8.0  # most noise, in levels of 255
 
 
 @dataclass(frozen=True)
-class Lesson:
+class TrainingPass:
     """What the trained head says of N examples, as probabilities in float16.
 
     Attributes:
@@ -37,7 +37,7 @@ class Lesson:
     rays: np.ndarray
 
 
-def teach(head: VisualActHead, examples: Examples, batch: int = 64) -> Lesson:
+def teach(head: VisualActHead, examples: Examples, batch: int = 64) -> TrainingPass:
     """The answers of `head` to the tokens of `examples`."""
     head.eval()
     parts = []
@@ -46,7 +46,7 @@ def teach(head: VisualActHead, examples: Examples, batch: int = 64) -> Lesson:
             tokens = torch.from_numpy(examples.tokens[start : start + batch].astype(np.float32))
             clearance, dynamic, rays, _ = head(tokens)
             parts.append([part.half().numpy() for part in (clearance.softmax(-1), dynamic.sigmoid(), rays.softmax(-1))])
-    return Lesson(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    return TrainingPass(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
 def new_student(field_of_view_rad: float, seed: int) -> Student:
@@ -63,7 +63,7 @@ def train(
     recipe: Recipe,
     rng: np.random.Generator,
     time_used: Callable[[], float],
-    lesson: Lesson | None = None,
+    training_pass: TrainingPass | None = None,
 ) -> Trainer:
     """Trains `student` in place, an epoch each `next`; ends with the weights of the best epoch on `validation`.
 
@@ -76,7 +76,7 @@ def train(
         recipe: how.
         rng: decides orders, mirrors, goals and what is done to the pictures.
         time_used: share of the time allowed that is gone.
-        lesson: what the head says of `examples`; None: the truth alone teaches.
+        training_pass: what the head says of `examples`; None: the truth alone teaches.
     """
     pictures, unseen = of_pictures(examples), of_pictures(validation)
 
@@ -85,8 +85,8 @@ def train(
         for start in range(0, len(order), recipe.batch):
             chosen = order[start : start + recipe.batch]
             batch = targets(pictures, chosen, mirrored[chosen], rng)
-            if lesson is not None:
-                batch = taught(batch, lesson, chosen, mirrored[chosen])
+            if training_pass is not None:
+                batch = taught(batch, training_pass, chosen, mirrored[chosen])
             yield loss(student, replace(batch, tokens=disturbed(batch.tokens)))
 
     steps = math.ceil(len(examples) / recipe.batch)
@@ -104,13 +104,13 @@ def of_pictures(examples: Examples) -> Examples:
     return replace(examples, tokens=examples.images)
 
 
-def taught(batch: Targets, lesson: Lesson, index: np.ndarray, mirrored: np.ndarray) -> Targets:
+def taught(batch: Targets, training_pass: TrainingPass, index: np.ndarray, mirrored: np.ndarray) -> Targets:
     """A batch whose labels are in part the head's answers to the views `index`, mirrored where the views are.
 
     The cross-entropy is linear in the label, so this is the weighted sum of learning from either.
     """
     clearance, dynamic, rays = (
-        part[index].astype(np.float32) for part in (lesson.clearance, lesson.dynamic, lesson.rays)
+        part[index].astype(np.float32) for part in (training_pass.clearance, training_pass.dynamic, training_pass.rays)
     )
     clearance[mirrored], dynamic[mirrored] = clearance[mirrored][:, [0, 2, 1]], dynamic[mirrored][:, [0, 2, 1]]
     rays[mirrored] = rays[mirrored][:, ::-1]

@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 
 from zsdist.config import Config
-from zsdist.datasets.labelled import label, rays_met
+from zsdist.datasets.labelled import camera_angles_rad, label
 from zsdist.errors import RunError
 from zsdist.planning.grid import Grid
 from zsdist.pretraining.check import objects
 from zsdist.pretraining.check.objects import Approach, approach, drive_up, measure, ray_index, summary, visible_side
+from zsdist.sim.ground_truth import rays_met
 from zsdist.sim.physics.collision import touching
 from zsdist.sim.scenes.scene import Obstacle, Scene, Start
 from zsdist.types import Pose, View
@@ -73,9 +74,13 @@ def crowded_squares(obstacle):
     return Scene("alone", "grass", SCENE.start, SCENE.goal, (obstacle,)).occupancy(GRID)
 
 
+def rays(scene, pose):
+    return rays_met(scene, pose, CONFIG.camera, camera_angles_rad(CONFIG.camera))
+
+
 def test_the_number_of_a_ray_is_that_of_the_obstacle_it_meets():
     assert [ray_index(SCENE, index) for index in range(3)] == [2, 0, 1]
-    assert (rays_met(SCENE, DRIVE.poses[-1], CONFIG.camera)[1] == ray_index(SCENE, 1)).any()
+    assert (rays(SCENE, DRIVE.poses[-1]).obstacle == ray_index(SCENE, 1)).any()
 
 
 def test_approaches_come_near_touch_nothing_and_follow_from_their_number():
@@ -85,7 +90,7 @@ def test_approaches_come_near_touch_nothing_and_follow_from_their_number():
         assert len(drive.poses) == objects.LOOKS
         assert not any(touching(pose, circles, boxes, arena_m=25.0) for pose in drive.poses)
         assert approach(number, 7, CONFIG.camera) == drive
-        met = rays_met(drive.scene, drive.poses[-1], CONFIG.camera)[1] == ray_index(drive.scene, drive.index)
+        met = rays(drive.scene, drive.poses[-1]).obstacle == ray_index(drive.scene, drive.index)
         assert label(drive.scene, drive.poses[-1], CONFIG.camera)["ray_clearance_m"][met].min() < 2.5
 
 

@@ -2,7 +2,7 @@ import numpy as np
 
 from zsdist.pretraining.check.predictions import Readings
 from zsdist.pretraining.check.report import SHARES, reliability, worst_misses
-from zsdist.pretraining.check.sets import Shot
+from zsdist.pretraining.check.sets import Sample
 from zsdist.vision.rays import BINS, RAYS
 
 
@@ -19,8 +19,8 @@ def test_the_worst_misses_are_those_of_which_most_was_missed():
     true, said = np.full((3, RAYS), 1.0), np.full((3, RAYS), 1.0)
     said[0, 4] = 5.0
     said[1, 2:8], said[1, 5] = 3.0, 4.0
-    shots = [Shot(np.zeros((8, 8, 3), np.uint8), *[None] * 6) for _ in range(3)]
-    found = worst_misses(readings(said, true), shots, "made up", 3)
+    samples = [Sample(np.zeros((8, 8, 3), np.uint8), *[None] * 6) for _ in range(3)]
+    found = worst_misses(readings(said, true), samples, "made up", 3)
     assert [miss.said_m.tolist() for miss in found] == [said[1].tolist(), said[0].tolist()]
     assert found[0].worst == 5 and found[1].worst == 4
 

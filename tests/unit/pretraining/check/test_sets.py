@@ -8,8 +8,8 @@ from zsdist.sim.scenes.manifest import MANIFEST, TRAINED_GROUNDS, WITHHELD_GROUN
 CAMERA = CameraConfig(size_px=64)
 
 
-def kinds(shots):
-    return {obstacle.kind for shot in shots for obstacle in shot.scene.obstacles}
+def kinds(samples):
+    return {obstacle.kind for sample in samples for obstacle in sample.scene.obstacles}
 
 
 def test_the_wilderness_is_the_same_for_a_seed_and_another_for_another():
@@ -20,24 +20,24 @@ def test_the_wilderness_is_the_same_for_a_seed_and_another_for_another():
 
 @pytest.mark.parametrize("name", SETS)
 def test_a_set_has_as_many_pictures_as_asked_for_each_with_its_truth(name):
-    shots = list(of_set(name, 10, 5, CAMERA))
-    assert len(shots) == 10
-    for shot in shots:
-        assert shot.image.shape == (64, 64, 3) and shot.image.dtype == np.uint8
-        near = shot.truth["ray_clearance_m"] < CAMERA.range_m
-        assert (near >= (shot.objects >= 0)).all()  # whatever is met is within the range
+    samples = list(of_set(name, 10, 5, CAMERA))
+    assert len(samples) == 10
+    for sample in samples:
+        assert sample.image.shape == (64, 64, 3) and sample.image.dtype == np.uint8
+        near = sample.truth["ray_clearance_m"] < CAMERA.range_m
+        assert (near >= (sample.objects >= 0)).all()  # whatever is met is within the range
 
 
 def test_sets_differ_from_training_in_what_their_names_say():
     trained = MANIFEST["vision-training"].kinds
-    shots = {name: list(of_set(name, 32, 6, CAMERA)) for name in ("same", "new_kinds", "new_grounds", "both")}
+    samples = {name: list(of_set(name, 32, 6, CAMERA)) for name in ("same", "new_kinds", "new_grounds", "both")}
     for name, new_ground in (("same", False), ("new_kinds", False), ("new_grounds", True), ("both", True)):
         allowed = WITHHELD_GROUNDS if new_ground else TRAINED_GROUNDS
-        assert {shot.scene.ground for shot in shots[name]} <= set(allowed)
-    assert kinds(shots["same"]) | kinds(shots["new_grounds"]) <= set(trained)
-    assert kinds(shots["new_kinds"]) & set(WITHHELD_KINDS) and kinds(shots["both"]) & set(WITHHELD_KINDS)
+        assert {sample.scene.ground for sample in samples[name]} <= set(allowed)
+    assert kinds(samples["same"]) | kinds(samples["new_grounds"]) <= set(trained)
+    assert kinds(samples["new_kinds"]) & set(WITHHELD_KINDS) and kinds(samples["both"]) & set(WITHHELD_KINDS)
 
 
 def test_scenes_of_the_sets_are_of_the_test_split():
-    seeds = [int(shot.scene.name.rpartition("-")[2]) for name in SETS for shot in of_set(name, 1, 7, CAMERA)]
+    seeds = [int(sample.scene.name.rpartition("-")[2]) for name in SETS for sample in of_set(name, 1, 7, CAMERA)]
     assert all(2_000_000 <= seed < 3_000_000 for seed in seeds)

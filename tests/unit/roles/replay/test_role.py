@@ -101,7 +101,10 @@ def test_the_next_replay_goes_on_where_the_last_one_died(bench):
     (ack,) = bench.step()
     assert (ack.sender_epoch, ack.received) == (2, 3)
     assert ack.credit > 9
-    assert after.shelves[Level.LOW].books()["stored"] == 9 and after.shelves[Level.LOW].books()["duplicates"] == 1
+    assert (
+        after.level_replays[Level.LOW].books()["stored"] == 9
+        and after.level_replays[Level.LOW].books()["duplicates"] == 1
+    )
 
 
 @pytest.mark.parametrize("capacity", [2000, 7])
@@ -111,11 +114,11 @@ def test_what_was_folded_comes_back_too_and_what_left_the_ring_leaves_the_disk(t
     bench = Bench(tmp_path / "journal")
     bench.begin(config=config)
     bench.issue(a=7)
-    bench.replay.shelves[Level.LOW].buffer.resize(capacity)
+    bench.replay.level_replays[Level.LOW].buffer.resize(capacity)
     for number in range(40):
         bench.push(number, 2 * number + 2, trajectory(number, 2))
         bench.step()
-        bench.replay.shelves[Level.LOW].resize(capacity, 16)  # as it was, whatever the orders say
+        bench.replay.level_replays[Level.LOW].resize(capacity, 16)  # as it was, whatever the orders say
         if number % 5 == 4:
             before = bench.replay.state()
             alike(before, bench.begin(epoch=number, config=config).state())
@@ -140,7 +143,7 @@ def test_nothing_is_acknowledged_that_the_journal_does_not_hold(bench, monkeypat
     def full(records):
         raise RunError("the disk is full")
 
-    monkeypatch.setattr(bench.replay.shelves[Level.LOW].journal, "append", full)
+    monkeypatch.setattr(bench.replay.level_replays[Level.LOW].journal, "append", full)
     bench.push(2, 9, trajectory(40, 1))
     with pytest.raises(RunError, match="disk is full"):
         bench.step()
@@ -154,7 +157,7 @@ def test_refused_frames_and_repeats_are_not_written_down(bench):
     bench.push(0, 5, trajectory(10, 5), actor="stranger")
     bench.step()
     assert bench.replay.statistics()["journal_bytes"] == size
-    assert bench.replay.shelves[Level.LOW].inbox.refused.total() == 2
+    assert bench.replay.level_replays[Level.LOW].inbox.refused.total() == 2
 
 
 def test_a_run_that_is_resumed_begins_a_journal_from_its_checkpoint_and_knows_no_old_actor(bench, tmp_path):
@@ -164,7 +167,7 @@ def test_a_run_that_is_resumed_begins_a_journal_from_its_checkpoint_and_knows_no
     resumed.issue(a=21)
     resumed.push(0, 4, trajectory(60, 4), epoch=21)
     resumed.step()
-    books = resumed.replay.shelves[Level.LOW].books()
+    books = resumed.replay.level_replays[Level.LOW].books()
     assert (books["stored"], books["produced"]) == (12, 12)
     assert resumed.replay.statistics()["low_size"] == 12
 
@@ -198,7 +201,7 @@ def test_after_a_while_it_gives_what_the_limiter_allows(bench):
     assert given == [(5, 40), (2, 16)]
     assert bench.now < 1.0
     assert bench.replay.statistics()["low_updates_served"] == 8
-    assert bench.replay.shelves[Level.LOW].books()["sampled"] == 64
+    assert bench.replay.level_replays[Level.LOW].books()["sampled"] == 64
 
 
 def test_it_waits_for_no_more_than_the_actors_can_go_on_without(tmp_path):

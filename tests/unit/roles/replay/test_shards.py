@@ -3,7 +3,7 @@ import pytest
 from zsdist.config import parse
 from zsdist.errors import ConfigError
 from zsdist.roles.replay import shards
-from zsdist.roles.replay.shards import Shard
+from zsdist.roles.replay.shards import ReplayShard
 
 
 def config(count, actors):
@@ -13,7 +13,7 @@ def config(count, actors):
 @pytest.mark.parametrize(("count", "actors"), [(1, 1), (2, 2), (2, 5), (3, 7), (4, 4)])
 def test_every_actor_has_one_shard_and_every_shard_its_part(count, actors):
     settings = config(count, actors)
-    every = [Shard.of(settings, index) for index in range(count)]
+    every = [ReplayShard.of(settings, index) for index in range(count)]
     for number in range(actors):
         assert sum(shard.owns(f"actor-{number}") for shard in every) == 1
     assert sum(shard.share for shard in every) == 1
@@ -22,20 +22,20 @@ def test_every_actor_has_one_shard_and_every_shard_its_part(count, actors):
 
 
 def test_parts_add_up_to_the_whole_but_for_rounding():
-    every = [Shard.of(config(3, 7), index) for index in range(3)]
+    every = [ReplayShard.of(config(3, 7), index) for index in range(3)]
     assert abs(sum(shard.part(10_000) for shard in every) - 10_000) <= 1
     assert [shard.part(1) for shard in every] == [1, 1, 1]
 
 
 def test_the_only_shard_owns_actors_of_any_name():
-    assert Shard.of(config(1, 1), 0).owns("anybody")
-    assert not Shard.of(config(2, 2), 0).owns("anybody")
+    assert ReplayShard.of(config(1, 1), 0).owns("anybody")
+    assert not ReplayShard.of(config(2, 2), 0).owns("anybody")
 
 
 def test_the_first_shard_is_called_as_if_it_were_the_only_one():
     assert shards.state_names(config(1, 3)) == ["replay"]
     assert shards.state_names(config(3, 3)) == ["replay", "replay-1", "replay-2"]
-    assert [Shard.of(config(2, 2), index).name for index in range(2)] == ["replay", "replay-1"]
+    assert [ReplayShard.of(config(2, 2), index).name for index in range(2)] == ["replay", "replay-1"]
 
 
 def test_a_shard_without_actors_is_refused():

@@ -96,9 +96,9 @@ class Bench:
         """The roles tell their states, the learners as of after so many merges."""
         for request in requests:
             role = codec.decode(request.payload).role
-            shelf = {"open": 1, "books": {"stored": merge}}
+            level_replay = {"open": 1, "books": {"stored": merge}}
             learner = {"version": 1, "updates": 1, "merge": merge, "sha256": "0" * 64}
-            meta = {"high": shelf, "low": shelf} if role == "replay" else learner
+            meta = {"high": level_replay, "low": level_replay} if role == "replay" else learner
             request.reply(codec.encode(State(role, meta, {})))
 
 

@@ -10,7 +10,7 @@ from zsdist.vision.rays import BIN_CENTRES_M, BINS, RANGE_M, RAYS, ray_angles_ra
 from zsdist.vision.training import student as training
 from zsdist.vision.training.examples import Examples, targets
 from zsdist.vision.training.head import new_head, validate
-from zsdist.vision.training.student import Lesson, disturbed, new_student, of_pictures, taught, teach
+from zsdist.vision.training.student import TrainingPass, disturbed, new_student, of_pictures, taught, teach
 from zsdist.vision.training.trainer import Recipe
 
 ANGLES = ray_angles_rad(RAYS, math.pi / 2)
@@ -34,16 +34,18 @@ def small():
         return Student(math.pi / 2, (4, 6, 8, 8), 16)
 
 
-def history(network, lesson=None, recipe=QUICK):
+def history(network, training_pass=None, recipe=QUICK):
     data = examples(48, 0)
-    return list(training.train(network, data, examples(16, 1), recipe, np.random.default_rng(0), lambda: 0.0, lesson))
+    return list(
+        training.train(network, data, examples(16, 1), recipe, np.random.default_rng(0), lambda: 0.0, training_pass)
+    )
 
 
 def oracle(data):
     """A lesson that is true, and sure of it."""
     sure = np.eye(BINS, dtype=np.float16)
     bins = np.abs(np.log(BIN_CENTRES_M) - np.log(data.ray_distance_m)[..., None]).argmin(-1)
-    return Lesson(sure[np.zeros((len(data), 3), int)], np.zeros((len(data), 3), np.float16), sure[bins])
+    return TrainingPass(sure[np.zeros((len(data), 3), int)], np.zeros((len(data), 3), np.float16), sure[bins])
 
 
 def test_training_lowers_the_loss_on_pictures_it_has_not_seen():
@@ -65,10 +67,10 @@ def test_training_repeats_exactly_with_its_seed():
 def test_the_head_teaches_its_answers_to_the_same_examples():
     data = examples(5, 3)
     head = new_head(data, math.pi / 2, 0)
-    lesson = teach(head, data, batch=2)
+    training_pass = teach(head, data, batch=2)
     rays = head(torch.from_numpy(data.tokens.astype(np.float32))).rays.softmax(-1)
-    np.testing.assert_allclose(lesson.rays, rays.detach(), atol=1e-3)
-    assert lesson.clearance.shape == (5, 3, BINS) and lesson.dynamic.shape == (5, 3)
+    np.testing.assert_allclose(training_pass.rays, rays.detach(), atol=1e-3)
+    assert training_pass.clearance.shape == (5, 3, BINS) and training_pass.dynamic.shape == (5, 3)
 
 
 def test_a_lesson_changes_what_is_learned():
@@ -79,19 +81,21 @@ def test_a_lesson_changes_what_is_learned():
 def test_a_taught_label_lies_between_truth_and_answer_mirrored_with_its_picture():
     data, index = of_pictures(examples(4, 3)), np.arange(4)
     shapes = ((4, 3, BINS), (4, 3), (4, RAYS, BINS))
-    lesson = Lesson(*(np.random.default_rng(0).random(shape).astype(np.float16) for shape in shapes))
+    training_pass = TrainingPass(*(np.random.default_rng(0).random(shape).astype(np.float16) for shape in shapes))
     for mirrored in (False, True):
         batch = targets(data, index, np.full(4, mirrored), np.random.default_rng(0))
-        mixed = taught(batch, lesson, index, np.full(4, mirrored))
+        mixed = taught(batch, training_pass, index, np.full(4, mirrored))
         sides = [0, 2, 1] if mirrored else [0, 1, 2]
-        said = lesson.rays[:, ::-1] if mirrored else lesson.rays
+        said = training_pass.rays[:, ::-1] if mirrored else training_pass.rays
         share = training.TAUGHT_SHARE
         np.testing.assert_allclose(mixed.rays, (1 - share) * batch.rays.numpy() + share * said, atol=1e-3)
         np.testing.assert_allclose(
-            mixed.clearance, (1 - share) * batch.clearance.numpy() + share * lesson.clearance[:, sides], atol=1e-3
+            mixed.clearance,
+            (1 - share) * batch.clearance.numpy() + share * training_pass.clearance[:, sides],
+            atol=1e-3,
         )
         np.testing.assert_allclose(
-            mixed.dynamic, (1 - share) * batch.dynamic.numpy() + share * lesson.dynamic[:, sides], atol=1e-3
+            mixed.dynamic, (1 - share) * batch.dynamic.numpy() + share * training_pass.dynamic[:, sides], atol=1e-3
         )
         assert torch.equal(mixed.reward, batch.reward) and torch.equal(mixed.present, batch.present)
 
