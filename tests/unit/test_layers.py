@@ -29,6 +29,7 @@ STRANGERS = {  # units that do not know each other although the rows would allow
     ("evaluation", "datasets"),
 }
 OWNERS = {
+    "numba": "common/compiled.py",
     "ray": "run/ray.py",
     "zenoh": "transport/zenoh.py",
     "cryptography": "transport/certificates.py",

@@ -4,10 +4,10 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
-import numba
 import numpy as np
 
 from zsdist.agent.situation import Situation
+from zsdist.common.compiled import compiled
 from zsdist.planning import reachability
 from zsdist.planning.footprint import CELLS_A_WORD
 from zsdist.planning.grid import HEADINGS, STEPS
@@ -79,7 +79,7 @@ def _leading_on(situation: Situation) -> np.ndarray:
     return elsewhere.states_to(reachability.packed_cells(situation.goals))
 
 
-@numba.njit(cache=True)
+@compiled()
 def _headings(states, ix, iy):  # noqa: ANN001, ANN202
     """In how many headings a set of states has a cell."""
     count = np.uint64(0)
@@ -88,7 +88,7 @@ def _headings(states, ix, iy):  # noqa: ANN001, ANN202
     return count
 
 
-@numba.njit(cache=True)
+@compiled()
 def _survey(drive_m, leading, bx, by, heading, goal_x, goal_y, size, cell, half):  # noqa: ANN001, ANN202
     """What there is of each neighbouring block: `exists`, `blocks`, `subgoals` and `onward` of `Choices`.
 

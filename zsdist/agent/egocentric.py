@@ -2,9 +2,9 @@
 
 import math
 
-import numba
 import numpy as np
 
+from zsdist.common.compiled import compiled
 from zsdist.planning.footprint import ADVANCES, TURNS
 from zsdist.planning.forward_search import forwards
 from zsdist.planning.grid import STEPS
@@ -25,7 +25,7 @@ _BODY_M = 0.6  # corridors begin beside the car
 _LINE_POINTS = 33
 
 
-@numba.njit(cache=True)
+@compiled()
 def clearances(occupied, seen, x, y, heading, arena_half, grid_half, square):  # noqa: ANN001, ANN201
     """Room for the car's width, and distance to unseen ground, in each direction.
 
@@ -67,7 +67,7 @@ def clearances(occupied, seen, x, y, heading, arena_half, grid_half, square):  #
     return out
 
 
-@numba.njit(cache=True)
+@compiled()
 def action_features(
     blocked: np.ndarray,
     after_each: np.ndarray,
@@ -131,7 +131,7 @@ def action_features(
     return out
 
 
-@numba.njit(cache=True)
+@compiled()
 def block_shares(squares: np.ndarray, border: int, side: int, blocks: int, bx: int, by: int) -> np.ndarray:
     """Share of the squares that are set, of a block and of those about it, `[by, bx]` `(blocks, blocks)`; 0 elsewhere.
 
@@ -155,7 +155,7 @@ def block_shares(squares: np.ndarray, border: int, side: int, blocks: int, bx: i
     return shares
 
 
-@numba.njit(cache=True)
+@compiled()
 def block_features(
     exists: np.ndarray,
     mask: np.ndarray,
@@ -229,7 +229,7 @@ def block_features(
     return out
 
 
-@numba.njit(cache=True)
+@compiled()
 def line(occupied, seen, x, y, to_x, to_y, arena_half, square):  # noqa: ANN001, ANN201
     """How far along the straight line to a point nothing is occupied, and how much of it was seen, as shares.
 
@@ -261,7 +261,7 @@ def line(occupied, seen, x, y, to_x, to_y, arena_half, square):  # noqa: ANN001,
     return free, known / (2 * _LINE_POINTS)
 
 
-@numba.njit(cache=True)
+@compiled()
 def _run(blocked, seen, visits, x, y, h, sub_x, sub_y, cell, grid_half, border):  # noqa: ANN001, ANN202
     """Straight on from a state while nothing blocks: metres, nearest to the subgoal, unseen and fresh shares."""
     length, nearest, unseen, fresh, count = 0.0, 1e9, 0, 0, 0

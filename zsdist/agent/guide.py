@@ -5,11 +5,11 @@ Both serve training; who is evaluated with one in a network's place is called by
 
 import math
 
-import numba
 import numpy as np
 
 from zsdist.agent.blocks import GOAL_CHOICE, Choices
 from zsdist.agent.situation import Situation
+from zsdist.common.compiled import compiled
 from zsdist.config import AgentConfig
 from zsdist.planning import policy_map, potential
 from zsdist.planning.footprint import ACTIONS, successor
@@ -140,7 +140,7 @@ def _trail(situation: Situation) -> np.ndarray:
     return _visited(situation.visits, grid.cell_size_m, grid.side_m / 2)
 
 
-@numba.njit(cache=True)
+@compiled()
 def _places(squares: np.ndarray, west: float, south: float, side: float) -> np.ndarray:
     """Centres `(N, 2)` of the squares that are set; `west`, `south` is that of the first."""
     places, count = np.empty((squares.size, 2)), 0
@@ -152,7 +152,7 @@ def _places(squares: np.ndarray, west: float, south: float, side: float) -> np.n
     return places[:count]
 
 
-@numba.njit(cache=True)
+@compiled()
 def _visited(visits: np.ndarray, cell: float, half: float) -> np.ndarray:
     """Centres `(M, 2)` of the cells of a grid with the given half side, each as often as it was visited."""
     places, count = np.empty((_MOST_TRAIL * visits.shape[0] * visits.shape[1], 2)), 0

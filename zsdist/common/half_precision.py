@@ -1,7 +1,8 @@
 """Half floats, as which states travel and are held: 11 significant bits, magnitudes up to 65504."""
 
 import numpy as np
-from numba import njit
+
+from zsdist.common.compiled import compiled
 
 _INFINITE = 0x7C00 << 1  # bits of infinity; of NaN they are more
 _ROUND, _REBIAS = np.uint32(0xFFF), np.uint32(112 << 23)  # what is cut off, but for its last bit; between the exponents
@@ -42,7 +43,7 @@ def finite_rows(column: np.ndarray) -> np.ndarray:
     return ((column.view(np.uint16) << 1) < _INFINITE).all(axis=1)
 
 
-@njit(cache=True)
+@compiled()
 def _narrow(values: np.ndarray, bits: np.ndarray, out: np.ndarray) -> None:
     """Half floats of `values`, whose bits are given beside them, to the nearest; of two as near to the even one."""
     for index in range(len(bits)):
@@ -54,7 +55,7 @@ def _narrow(values: np.ndarray, bits: np.ndarray, out: np.ndarray) -> None:
         out[index] = half | ((bits[index] >> np.uint32(16)) & np.uint32(0x8000))
 
 
-@njit(cache=True)
+@compiled()
 def _place(halves: np.ndarray, out: np.ndarray) -> None:
     """Bits of half floats where a float32 has them; the exponent stays a half float's, unless all its bits are set."""
     for index in range(len(halves)):
@@ -64,7 +65,7 @@ def _place(halves: np.ndarray, out: np.ndarray) -> None:
         out[index] = bits | (half & np.uint32(0x8000)) << np.uint32(16)
 
 
-@njit(cache=True)
+@compiled()
 def _rescale(floats: np.ndarray) -> None:
     """From a half float's exponent to a float32's; subnormal ones become normal."""
     for index in range(len(floats)):

@@ -10,8 +10,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
-from numba import njit
 
+from zsdist.common.compiled import compiled
 from zsdist.config import LevelConfig
 from zsdist.dqn import losses, network, torch_network
 from zsdist.errors import RunError, WeightsError
@@ -281,7 +281,7 @@ def reflect(columns: Columns, mirror: Mirror, rows: np.ndarray) -> None:
     _reflect(*columns, rows, mirror.state_index, mirror.state_sign, mirror.action_index)
 
 
-@njit(cache=True)
+@compiled()
 def _reflect(states, masks, actions, guides, rows, index, sign, swap):  # noqa: ANN001, ANN202
     for row in np.flatnonzero(rows):
         actions[row] = swap[actions[row]]
@@ -295,7 +295,7 @@ def _reflect(states, masks, actions, guides, rows, index, sign, swap):  # noqa: 
                 masks[at, action] = allowed[swap[action]]
 
 
-@njit(cache=True)
+@compiled()
 def _gradient(  # noqa: ANN202
     q: np.ndarray,
     actions: np.ndarray,

@@ -4,7 +4,8 @@
 """
 
 import numpy as np
-from numba import njit
+
+from zsdist.common.compiled import compiled
 
 
 def td_targets(
@@ -36,7 +37,7 @@ def td_targets(
     return _targets(reward_t, discount_t, target_q_tp1, mask_tp1, chooser)
 
 
-@njit(cache=True)
+@compiled()
 def td_error(q_t: np.ndarray, action_t: np.ndarray, target_t: np.ndarray) -> np.ndarray:
     """`Q(s_t, a_t) - target_t`, `(B,)`.
 
@@ -57,7 +58,7 @@ def td_loss(error_t: np.ndarray, huber: bool) -> float:
     return float((bounded * (error_t - bounded / 2)).mean())
 
 
-@njit(cache=True)
+@compiled()
 def td_gradient(q_t: np.ndarray, action_t: np.ndarray, error_t: np.ndarray, huber: bool) -> np.ndarray:
     """Gradient of `td_loss` with respect to `q_t`, `(B, A)`; both kinds have the same for errors below 1."""
     gradient, rows = np.zeros_like(q_t), np.float32(len(error_t))
@@ -87,7 +88,7 @@ def margin_loss(q_t: np.ndarray, mask_t: np.ndarray, guide_t: np.ndarray, margin
     return float((q_t[rows, rivals] + margin * (rivals != guides) - q_t[rows, guides]).sum() / len(q_t))
 
 
-@njit(cache=True)
+@compiled()
 def margin_gradient(q_t: np.ndarray, mask_t: np.ndarray, guide_t: np.ndarray, margin: float) -> np.ndarray:
     """Gradient of `margin_loss` with respect to `q_t`, `(B, A)`."""
     gradient, share = np.zeros_like(q_t), np.float32(1.0 / len(q_t))
@@ -99,7 +100,7 @@ def margin_gradient(q_t: np.ndarray, mask_t: np.ndarray, guide_t: np.ndarray, ma
     return gradient
 
 
-@njit(cache=True)
+@compiled()
 def _targets(
     reward_t: np.ndarray,
     discount_t: np.ndarray,
@@ -114,7 +115,7 @@ def _targets(
     return targets
 
 
-@njit(cache=True)
+@compiled()
 def _rivals(q_t: np.ndarray, mask_t: np.ndarray, guide_t: np.ndarray, margin: np.float32) -> np.ndarray:
     """The best allowed action where all but the guide's are lifted by `margin`; -1 where the row counts nothing."""
     rivals, lifted = np.full(len(q_t), -1), np.empty_like(q_t[0])
@@ -127,7 +128,7 @@ def _rivals(q_t: np.ndarray, mask_t: np.ndarray, guide_t: np.ndarray, margin: np
     return rivals
 
 
-@njit(cache=True)
+@compiled()
 def _best(values: np.ndarray, mask: np.ndarray) -> int:
     """The allowed action of the highest value, the first of several; 0 where none is allowed."""
     best, most = 0, -np.inf

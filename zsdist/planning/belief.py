@@ -6,9 +6,9 @@ through it, so no single reading decides.
 
 import math
 
-import numba
 import numpy as np
 
+from zsdist.common.compiled import compiled
 from zsdist.planning.footprint import CAR_LENGTH_M, CAR_WIDTH_M
 from zsdist.planning.grid import Grid
 from zsdist.types import Pose, View
@@ -85,7 +85,7 @@ class BeliefMap:
         return self._seen.copy()
 
 
-@numba.njit(cache=True)
+@compiled()
 def _below(values: np.ndarray, limit: float) -> int:
     """How many values are below a limit: where it belongs among ascending ones, without branches as a bisection has."""
     count = 0
@@ -94,7 +94,7 @@ def _below(values: np.ndarray, limit: float) -> int:
     return count
 
 
-@numba.njit(cache=True)
+@compiled()
 def _bin(edges: np.ndarray, distance: float) -> tuple[int, float]:
     """The bin in which a distance lies, by its upper edge, and which share of it lies below; mass is spread evenly."""
     last = len(edges) - 1
@@ -106,7 +106,7 @@ def _bin(edges: np.ndarray, distance: float) -> tuple[int, float]:
     return upper, (distance - edges[upper - 1]) / (edges[upper] - edges[upper - 1])
 
 
-@numba.njit(cache=True)
+@compiled()
 def _look(log_odds, seen, camera_x, camera_y, heading, probabilities, ray_angles, bin_edges, square):  # noqa: ANN001, ANN202
     if len(ray_angles) == 0:
         return
@@ -161,7 +161,7 @@ def _look(log_odds, seen, camera_x, camera_y, heading, probabilities, ray_angles
                 seen[iy, ix] = True
 
 
-@numba.njit(cache=True)
+@compiled()
 def _clear_box(log_odds, seen, x, y, heading, half_length, half_width, square):  # noqa: ANN001, ANN202
     size = log_odds.shape[0]
     cosine, sine, reach = math.cos(heading), math.sin(heading), math.hypot(half_length, half_width)

@@ -4,12 +4,13 @@ Rows are `(size, words)` uint64; bit j of a row's word w is its square `SQUARES_
 """
 
 import numpy as np
-from numba import njit
+
+from zsdist.common.compiled import compiled
 
 SQUARES_A_WORD = 64
 
 
-@njit(cache=True)
+@compiled()
 def packed_rows(squares: np.ndarray) -> np.ndarray:
     """Rows of `[iy, ix]` `(size, size)` bool; 0 beyond the last square."""
     size = squares.shape[1]
@@ -26,7 +27,7 @@ def packed_rows(squares: np.ndarray) -> np.ndarray:
     return out
 
 
-@njit(cache=True)
+@compiled()
 def eroded(squares: np.ndarray, steps: int) -> np.ndarray:
     """Squares from which no way of so many steps along rows and columns leads to one that is not among them.
 
@@ -56,13 +57,13 @@ def eroded(squares: np.ndarray, steps: int) -> np.ndarray:
     return now[1:-1].copy()
 
 
-@njit(cache=True)
+@compiled()
 def opening(squares: np.ndarray, steps: int) -> np.ndarray:
     """Squares within so many steps of one that `shrunk` leaves: slivers among them are gone, the rest is whole."""
     return ~eroded(~eroded(squares, steps), steps)
 
 
-@njit(cache=True)
+@compiled()
 def window(squares: np.ndarray, first: int, tall: int, words: int) -> np.ndarray:
     """`(tall, words)` words of squares from the row and column `first` on; outside the frame all are set."""
     size, held = squares.shape

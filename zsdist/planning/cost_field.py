@@ -1,8 +1,8 @@
 """Costs to go to one target, kept up while the map changes: a look changes few ways, so no search need begin anew."""
 
 import numpy as np
-from numba import njit
 
+from zsdist.common.compiled import compiled
 from zsdist.planning.footprint import ACTIONS
 from zsdist.planning.grid import HEADINGS
 from zsdist.planning.lattice import ends, origins
@@ -43,7 +43,7 @@ class CostField:
         return self._cost
 
 
-@njit(cache=True)
+@compiled()
 def _into(targets: np.ndarray, before: np.ndarray) -> np.ndarray:
     """Ways, `state * actions + action`, that end in a target, by what precedes each action."""
     leading, count = np.empty(before.size, np.int32), 0
@@ -55,7 +55,7 @@ def _into(targets: np.ndarray, before: np.ndarray) -> np.ndarray:
     return leading[:count]
 
 
-@njit(cache=True)
+@compiled()
 def _changed(old_words: np.ndarray, new_words: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
     """Ways, `ACTIONS * state + action`, in which two maps differ; `words` are the same in eights."""
     changed, count = np.empty(len(new), np.int32), 0
@@ -67,7 +67,7 @@ def _changed(old_words: np.ndarray, new_words: np.ndarray, old: np.ndarray, new:
     return changed[:count]
 
 
-@njit(cache=True)
+@compiled()
 def _repair(
     cost: np.ndarray,
     blocked: np.ndarray,

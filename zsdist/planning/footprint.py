@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from zsdist.common.compiled import compiled
 from zsdist.planning import bitmaps
 from zsdist.planning.grid import FINE_PER_CELL, HEADINGS, STEPS, Grid
 from zsdist.types import Action, LatticeState
@@ -171,7 +171,7 @@ def _runs(sweeps: list[np.ndarray]) -> np.ndarray:
     return np.array(runs, np.int32)
 
 
-@njit(cache=True)
+@compiled()
 def _every_fourth(squares: np.uint64) -> np.uint64:
     """Bits 0, 4, 8, ... of a word, side by side."""
     bits = squares & np.uint64(0x1111111111111111)
@@ -181,7 +181,7 @@ def _every_fourth(squares: np.uint64) -> np.uint64:
     return (bits | bits >> np.uint64(24)) & np.uint64(0xFFFF)
 
 
-@njit(cache=True)
+@compiled()
 def _hits(surroundings: np.ndarray, runs: np.ndarray, made_of: np.ndarray, off: np.ndarray, reach: int) -> np.ndarray:
     """Which footprint, of two sweeps, at which cell meets an occupied square or is `off` anyway.
 
@@ -230,7 +230,7 @@ def _hits(surroundings: np.ndarray, runs: np.ndarray, made_of: np.ndarray, off: 
     return hits
 
 
-@njit(cache=True)
+@compiled()
 def unpacked(words: np.ndarray) -> np.ndarray:
     """Bits `(planes, words, cells)` as `(cells, cells, planes)` bool."""
     planes, _, cells = words.shape

@@ -1,8 +1,8 @@
 """How far free ways lead from a state."""
 
-import numba
 import numpy as np
 
+from zsdist.common.compiled import compiled
 from zsdist.planning.footprint import ACTIONS
 from zsdist.planning.grid import HEADINGS
 from zsdist.planning.lattice import ends, flat_state
@@ -21,7 +21,7 @@ def metres_from(blocked: np.ndarray, state: LatticeState, action_costs: np.ndarr
     return _metres(blocked.ravel(), ends(cells), action_costs, flat_state(state, cells)).reshape(cells, cells)
 
 
-@numba.njit(cache=True)
+@compiled()
 def forwards(blocked, after, action_costs, start, limit, cost):  # noqa: ANN001, ANN201
     """Puts the least cost from a state into `cost`, of every state that costs no more than `limit`.
 
@@ -58,7 +58,7 @@ def forwards(blocked, after, action_costs, start, limit, cost):  # noqa: ANN001,
         count = kept
 
 
-@numba.njit(cache=True)
+@compiled()
 def _metres(blocked, after, action_costs, start):  # noqa: ANN001, ANN202
     """The least cost from a state to any state of each cell."""
     cost = np.full(len(after), np.inf)

@@ -7,8 +7,8 @@ A word holds 64 cells of a row, bit j its j-th. Places are `(words, cells)` uint
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
+from zsdist.common.compiled import compiled
 from zsdist.planning import bitmaps
 from zsdist.planning.footprint import ACTIONS, ADVANCES, CELLS_A_WORD, TURNS, FootprintTable, unpacked
 from zsdist.planning.grid import HEADINGS, STEPS
@@ -67,7 +67,7 @@ class BlockedMoves:
         return BlockedMoves(_leaving(self.words, states))
 
 
-@njit(cache=True)
+@compiled()
 def packed_states(flags: np.ndarray) -> np.ndarray:
     """Words `(planes, words, cells)` of `(cells, cells, planes)` bool; 0 beyond a row's last cell."""
     rows, columns, planes = flags.shape
@@ -91,7 +91,7 @@ def contains(states: np.ndarray, state: LatticeState) -> bool:
     return bool(word >> state.ix % CELLS_A_WORD & 1)
 
 
-@njit(cache=True)
+@compiled()
 def _arriving(states: np.ndarray, heading: int, out: np.ndarray) -> None:
     """Cells from which an advance ends in one of the states, of one heading; both with a border of zeros about them."""
     dx, dy = _STEPS[heading]
@@ -106,7 +106,7 @@ def _arriving(states: np.ndarray, heading: int, out: np.ndarray) -> None:
             out[word, row] = here
 
 
-@njit(cache=True)
+@compiled()
 def _grow(states: np.ndarray, from_where: np.ndarray, blocked: np.ndarray) -> bool:
     """Adds to states of one heading those from where an action is not blocked; whether there were any new ones."""
     grown = np.uint64(0)
@@ -118,7 +118,7 @@ def _grow(states: np.ndarray, from_where: np.ndarray, blocked: np.ndarray) -> bo
     return grown != 0
 
 
-@njit(cache=True)
+@compiled()
 def _states_to(blocked: np.ndarray, packed_cells: np.ndarray) -> np.ndarray:
     words, rows = packed_cells.shape
     found = np.zeros((HEADINGS, words + 2, rows + 2), np.uint64)
@@ -140,7 +140,7 @@ def _states_to(blocked: np.ndarray, packed_cells: np.ndarray) -> np.ndarray:
     return found[:, 1:-1, 1:-1].copy()
 
 
-@njit(cache=True)
+@compiled()
 def _leaving(blocked: np.ndarray, states: np.ndarray) -> np.ndarray:
     _, words, rows = states.shape
     inside, from_where = np.zeros((words + 2, rows + 2), np.uint64), np.zeros((words + 2, rows + 2), np.uint64)

@@ -8,8 +8,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from zsdist.common.compiled import compiled
 from zsdist.planning.cost_field import CostField
 from zsdist.planning.footprint import ACTIONS, ADVANCES, TURNS
 from zsdist.planning.grid import HEADINGS, STEPS, Grid
@@ -124,7 +124,7 @@ def live_states(blocked: np.ndarray) -> np.ndarray:
     return _live(blocked.ravel(), predecessors(cells)).reshape(cells, cells, HEADINGS)
 
 
-@njit(cache=True)
+@compiled()
 def _follow(
     cost: np.ndarray, blocked: np.ndarray, action_costs: np.ndarray, after: np.ndarray, start: int
 ) -> tuple[np.ndarray, np.ndarray, bool]:
@@ -148,7 +148,7 @@ def _follow(
     return states[: count + 1], actions[:count], True
 
 
-@njit(cache=True)
+@compiled()
 def _live(blocked: np.ndarray, before: np.ndarray) -> np.ndarray:
     """Takes away states without an action left, then what led only to them, until nothing changes."""
     count, actions = before.shape

@@ -8,15 +8,15 @@ of its bounding box only.
 import math
 
 import numpy as np
-from numba import njit
 
+from zsdist.common.compiled import compiled
 from zsdist.sim.camera.primitives import Form
 
 # Finite arithmetic only; nothing here may produce inf or NaN, sky has depth SKY_DEPTH_M.
 FAST = {"contract", "arcp", "afn", "reassoc", "nsz"}
 # Of what is called for each row of pixels. To count the references to slices would take as long as the short loops
 # over them, so that is left out; such a kernel cannot make arrays, and whoever calls it holds those that it is given.
-ROWWISE = {"cache": True, "fastmath": FAST, "error_model": "numpy", "_nrt": False}
+ROWWISE = {"fastmath": FAST, "error_model": "numpy", "_nrt": False}
 SKY_DEPTH_M = 1e6
 NEAR_M = 0.02
 SKY, GROUND = -2, -1  # in the index image; primitives count from 0
@@ -30,7 +30,7 @@ _AT_ONCE = 8  # pixels: at least as many as the processor does in one go
 FRUSTUM, ELLIPSOID = int(Form.FRUSTUM), int(Form.ELLIPSOID)
 
 
-@njit(cache=True)
+@compiled()
 def widened(first: int, last: int, size: int) -> tuple[int, int]:
     """A stretch of a row of `size` pixels, made a multiple of `_AT_ONCE` long where the row has room.
 
@@ -41,7 +41,7 @@ def widened(first: int, last: int, size: int) -> tuple[int, int]:
     return first, first + length
 
 
-@njit(cache=True)
+@compiled()
 def extents(form: int, row: np.ndarray) -> tuple[float, float, float, float]:
     """Half extents in x and y and the z range of a primitive's bounding box, in its own frame."""
     if form == FRUSTUM:
@@ -52,7 +52,7 @@ def extents(form: int, row: np.ndarray) -> tuple[float, float, float, float]:
     return row[4], row[5], 0.0, row[3]
 
 
-@njit(cache=True)
+@compiled()
 def _rectangle(
     form: int,
     row: np.ndarray,
@@ -104,7 +104,7 @@ def _rectangle(
     return row0, row1, *widened(column0, column1, size)
 
 
-@njit(cache=True)
+@compiled()
 def into_frame(row: np.ndarray, vector: np.ndarray, out: np.ndarray) -> None:
     """A world vector turned into the primitive's frame."""
     c, s = math.cos(row[6]), math.sin(row[6])
@@ -113,7 +113,7 @@ def into_frame(row: np.ndarray, vector: np.ndarray, out: np.ndarray) -> None:
     out[2] = vector[2]
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def cast(
     forms: np.ndarray,
     rows: np.ndarray,
@@ -154,7 +154,7 @@ def cast(
         _cast_primitive(forms[p], row, local, rectangles[p], tangents, depth, index, p)
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _cast_grounds(
     origin: np.ndarray, axes: np.ndarray, tangents: np.ndarray, depth: np.ndarray, index: np.ndarray
 ) -> None:
@@ -162,7 +162,7 @@ def _cast_grounds(
         _cast_ground(origin, axes, tangents[i], tangents, depth[i], index[i])
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _cast_primitive(
     form: int,
     row: np.ndarray,
@@ -186,7 +186,7 @@ def _cast_primitive(
             _cast_box(row, o, f, left, up, tangents[i], a, t, which, p)
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def row_directions(
     forward: np.ndarray, left: np.ndarray, up: np.ndarray, b: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -201,7 +201,7 @@ def row_directions(
     )
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _cast_ground(
     origin: np.ndarray, axes: np.ndarray, b: float, a: np.ndarray, depth: np.ndarray, index: np.ndarray
 ) -> None:
@@ -214,7 +214,7 @@ def _cast_ground(
         index[j] = GROUND if down else SKY
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _cast_frustum(
     row: np.ndarray,
     o: np.ndarray,
@@ -254,7 +254,7 @@ def _cast_frustum(
         index[j] = p if hit else index[j]
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _cast_ball(
     o: np.ndarray,
     f: np.ndarray,
@@ -280,7 +280,7 @@ def _cast_ball(
         index[j] = p if hit else index[j]
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _cast_box(
     row: np.ndarray,
     o: np.ndarray,
@@ -312,7 +312,7 @@ def _cast_box(
         index[j] = p if hit else index[j]
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def look_up(numbers: np.ndarray, index: np.ndarray, out: np.ndarray) -> None:
     """Fill `out` `(n, n)` with the number of what each pixel shows: those of `SKY`, `GROUND` and each primitive."""
     for i in range(len(index)):

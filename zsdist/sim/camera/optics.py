@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from zsdist.common.compiled import compiled
 from zsdist.types import Pose
 
 
@@ -23,7 +23,7 @@ def mount(
     return _mount(float(pose.x_m), float(pose.y_m), float(pose.heading_rad), forward_m, height_m, roll_rad, pitch_rad)
 
 
-@njit(cache=True)
+@compiled()
 def _mount(
     x_m: float, y_m: float, heading: float, forward_m: float, height_m: float, roll: float, pitch: float
 ) -> tuple[np.ndarray, np.ndarray]:

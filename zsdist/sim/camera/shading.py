@@ -10,8 +10,8 @@ a loop writes one row, or two and reads three at most.
 import math
 
 import numpy as np
-from numba import njit
 
+from zsdist.common.compiled import compiled
 from zsdist.sim.camera.appearance import Pattern, Texture
 from zsdist.sim.camera.kernels import GROUND, LEVEL, ROWWISE, SKY, row_directions, widened
 from zsdist.sim.camera.primitives import Form
@@ -32,7 +32,7 @@ _BYTE, _TWO_BYTES, _THREE_BYTES, _LAST_BYTE = (np.uint32(value) for value in (8,
 _BARK_STRETCH = np.float32(0.2)
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _packed(red: float, green: float, blue: float) -> int:
     """A colour, each part in 0 to 1, as the bytes red, green, blue, 0 of a little-endian number."""
     first = np.int32(min(max(red, _ZERO), _ONE) * _WHITE)
@@ -41,7 +41,7 @@ def _packed(red: float, green: float, blue: float) -> int:
     return first | (second << np.int32(8)) | (third << np.int32(16))
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _sky(pyramid, sky, gain, axes, b, a, work, at, line):  # noqa: ANN001, ANN202
     """Colours a stretch of a row as sky: clear overhead, pale at the horizon, clouds on a plane far up."""
     n = len(a)
@@ -63,7 +63,7 @@ def _sky(pyramid, sky, gain, axes, b, a, work, at, line):  # noqa: ANN001, ANN20
         line[j] = _packed((r0 + r1 * clear) * gain, (g0 + g1 * clear) * gain, (b0 + b1 * clear) * gain)
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _ground(pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axes, b, a, step, work, at, line):  # noqa: ANN001, ANN202
     """Colours a stretch of a row as ground: shadows, patches, a pattern, grain."""
     n = len(a)
@@ -123,7 +123,7 @@ def shadow_corners(light: np.ndarray) -> np.ndarray:
     return level[:-1, :-1] | level[:-1, 1:] << 8 | level[1:, :-1] << 16 | level[1:, 1:] << 24
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def sunshine(corners: np.ndarray, half_m: float, x: np.ndarray, y: np.ndarray, at: np.ndarray, out: np.ndarray) -> None:
     """How much light reaches places on the ground, between the cells of the shadow map."""
     cells = corners.shape[0]
@@ -143,17 +143,17 @@ def sunshine(corners: np.ndarray, half_m: float, x: np.ndarray, y: np.ndarray, a
         out[j] = (near + fy * (far - near)) * _PER_LEVEL
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _cell(place_m: float, per_m: float, middle: float, last: float) -> float:
     return min(max(place_m * per_m + middle, _ZERO), last)
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _light(bytes_: int) -> float:
     return np.float32(np.int32(bytes_ & _LAST_BYTE))
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _darken(disc: np.ndarray, x: np.ndarray, y: np.ndarray, lit: np.ndarray) -> None:
     """The shade about the feet of something that walks: a disc of x, y, radius in metres."""
     dx, dy, per_radius = np.float32(disc[0]), np.float32(disc[1]), np.float32(1.0 / disc[2])
@@ -162,7 +162,7 @@ def _darken(disc: np.ndarray, x: np.ndarray, y: np.ndarray, lit: np.ndarray) -> 
         lit[j] *= min(_SHADE + _LIGHTER * max(gap - _ONE, _ZERO), _ONE)
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _frame(row: np.ndarray, origin: np.ndarray, light: np.ndarray) -> tuple[float, float, float, float, float, float]:
     """Cosine and sine of a primitive's heading, the camera's place from its own, and the sun in its frame."""
     co, si = math.cos(row[6]), math.sin(row[6])
@@ -177,7 +177,7 @@ def _frame(row: np.ndarray, origin: np.ndarray, light: np.ndarray) -> tuple[floa
     )
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _frustum_normals(row, x, y, z, nx, ny, nz):  # noqa: ANN001, ANN202
     """Unit normals of a frustum at places on it, from its own; z is above the ground."""
     top, slope = np.float32(row[2] + row[3]) - _EDGE, np.float32((row[5] - row[4]) / row[3])
@@ -189,7 +189,7 @@ def _frustum_normals(row, x, y, z, nx, ny, nz):  # noqa: ANN001, ANN202
         nz[j] = _ONE if z[j] > top else -slope / np.sqrt(_ONE + slope * slope)
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _ball_normals(row, x, y, z, nx, ny, nz):  # noqa: ANN001, ANN202
     """As `_frustum_normals`, of an ellipsoid."""
     middle = np.float32(row[2])
@@ -203,7 +203,7 @@ def _ball_normals(row, x, y, z, nx, ny, nz):  # noqa: ANN001, ANN202
         nz[j] = gz / np.sqrt(gx * gx + gy * gy + gz * gz + _SMALL)
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _box_normals(row, x, y, z, nx, ny, nz):  # noqa: ANN001, ANN202
     """As `_frustum_normals`, of a box: of the face that is nearest to each place."""
     top, length, width = np.float32(row[2] + row[3]), np.float32(row[4]), np.float32(row[5])
@@ -217,7 +217,7 @@ def _box_normals(row, x, y, z, nx, ny, nz):  # noqa: ANN001, ANN202
         ny[j] = _ZERO if along else (side if y[j] > _ZERO else -side)
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _surface(pyramid, form, row, material, light, frame, height, axes, b, a, step, t, work, at):  # noqa: ANN001, ANN202
     """What the surface of one primitive needs to be coloured along a stretch of a row.
 
@@ -270,7 +270,7 @@ def _surface(pyramid, form, row, material, light, frame, height, axes, b, a, ste
         grain[j] = t[j] / (t[j] + haze)
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _paint(material, sky, gain, work, which, p, line):  # noqa: ANN001, ANN202
     """Colours those pixels of a stretch of a row in which primitive `p` was found, as `_surface` left them."""
     n = len(which)
@@ -286,7 +286,7 @@ def _paint(material, sky, gain, work, which, p, line):  # noqa: ANN001, ANN202
         line[j] = colour if which[j] == p else line[j]
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def shade(
     forms: np.ndarray,
     rows: np.ndarray,
@@ -363,7 +363,7 @@ def shade(
                 _paint(materials[p], sky, light[6], work, which, p, image[i, first:last])
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _stretch(index: np.ndarray, which: int) -> tuple[int, int]:
     """The least stretch of a row, first and end, that holds every pixel of `which`; empty where there is none."""
     n, it = np.int32(len(index)), np.int32(which)

@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from zsdist.common.compiled import compiled
 from zsdist.sim.camera.kernels import ELLIPSOID, FAST, FRUSTUM, NEAR_M, SKY_DEPTH_M, extents, into_frame
 from zsdist.sim.camera.primitives import Form
 
@@ -12,7 +12,7 @@ _IN_SHADOW, _CONTACT_M = np.float32(0.55), 0.5
 _BOX = int(Form.BOX)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def _enter(form: int, row: np.ndarray, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
     """Depth at which a ray in the primitive's own frame (origin at its row's place) first meets it; -1: never."""
     if form == FRUSTUM:
@@ -61,7 +61,7 @@ def _enter(form: int, row: np.ndarray, ox: float, oy: float, oz: float, dx: floa
     return enter if NEAR_M < enter <= leave else -1.0
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def shadow_map(
     forms: np.ndarray, rows: np.ndarray, fixed: np.ndarray, sun: np.ndarray, half: float, out: np.ndarray
 ) -> None:

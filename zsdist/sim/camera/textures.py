@@ -3,8 +3,8 @@
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
+from zsdist.common.compiled import compiled
 from zsdist.sim.camera.appearance import Pattern, Texture
 from zsdist.sim.camera.kernels import ROWWISE
 
@@ -55,7 +55,7 @@ def noise_pyramid() -> np.ndarray:
     return np.rint(127 * np.array(rows)).astype(np.int8)
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def noise(
     pyramid: np.ndarray,
     u: np.ndarray,
@@ -80,7 +80,7 @@ def noise(
     _texels(pyramid, halvings, per_m, u[first:], v[first:], at, out[first:])
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _halvings(texels: float) -> int:
     """How often the noise is to be halved so that one pixel spans one texel or less, where it spans `texels` now."""
     halvings = 0
@@ -89,7 +89,7 @@ def _halvings(texels: float) -> int:
     return halvings
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def _texels(
     pyramid: np.ndarray, halvings: int, per_m: float, u: np.ndarray, v: np.ndarray, at: np.ndarray, out: np.ndarray
 ) -> None:
@@ -108,7 +108,7 @@ def _texels(
         out[j] = np.float32(level[at[j]]) * _PER_UNIT
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def ground_figure(pattern: int, x: np.ndarray, y: np.ndarray, period: float, out: np.ndarray) -> None:
     """Whether places on the ground bear the pattern's second colour, 0 to 1."""
     per_m, dash = np.float32(1.0 / period), np.float32(0.12 / period)
@@ -126,7 +126,7 @@ def ground_figure(pattern: int, x: np.ndarray, y: np.ndarray, period: float, out
         out[j] = _ONE if borne else _ZERO
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def road_figure(
     along: np.ndarray, left: np.ndarray, road: np.ndarray, slab_m: float, footprint: np.ndarray, out: np.ndarray
 ) -> None:
@@ -153,7 +153,7 @@ def road_figure(
         out[j] = road_share if beyond < _ZERO else pavement_share
 
 
-@njit(**ROWWISE)
+@compiled(**ROWWISE)
 def surface_figure(texture: int, u: np.ndarray, v: np.ndarray, period: float, out: np.ndarray) -> None:
     """Whether places on a surface bear the texture's second colour, 0 to 1."""
     per_m = np.float32(1.0 / period)

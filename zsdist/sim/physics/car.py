@@ -6,8 +6,7 @@ base, the cabinet and the outlines of the wheels, alone touches obstacles.
 
 import math
 
-from numba import njit
-
+from zsdist.common.compiled import compiled
 from zsdist.sim.bullet import pybullet
 from zsdist.sim.physics.controller import STOPPED, WHEEL_RADIUS_M, Motion, Rates
 from zsdist.types import Pose
@@ -134,7 +133,7 @@ class Car:
 _DISTANCE, _NORMAL_FORCE = 8, 9  # fields of a PyBullet contact point
 
 
-@njit(cache=True)
+@compiled()
 def heading_and_speed(
     x_m: float,
     y_m: float,

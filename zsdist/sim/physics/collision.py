@@ -6,8 +6,8 @@ Circles are rows `x, y, radius`; boxes are rows `x, y, length, width, heading_ra
 import math
 
 import numpy as np
-from numba import njit
 
+from zsdist.common.compiled import compiled
 from zsdist.planning.footprint import CAR_LENGTH_M, CAR_WIDTH_M
 from zsdist.planning.grid import Grid
 from zsdist.types import Pose
@@ -52,7 +52,7 @@ def clearance_m(
     return box_clearance(pose[0], pose[1], pose[2], length_m / 2, width_m / 2, circles, boxes, arena_m / 2)
 
 
-@njit(cache=True)
+@compiled()
 def box_clearance(
     x: float,
     y: float,
@@ -87,7 +87,7 @@ def box_clearance(
     return max(nearest, 0.0)
 
 
-@njit(cache=True)
+@compiled()
 def _box_gap(
     cx: float, cy: float, cos: float, sin: float, half_l: float, half_w: float, half_l2: float, half_w2: float
 ) -> float:
@@ -124,7 +124,7 @@ def rasterise(circles: np.ndarray, boxes: np.ndarray, grid: Grid) -> np.ndarray:
     return _rasterise(circles, boxes, grid.fine_size, grid.fine_m)
 
 
-@njit(cache=True)
+@compiled()
 def _rasterise(circles: np.ndarray, boxes: np.ndarray, size: int, square: float) -> np.ndarray:
     occupied = np.zeros((size, size), dtype=np.bool_)
     origin, half = -size * square / 2, square / 2

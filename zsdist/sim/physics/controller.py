@@ -4,8 +4,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from zsdist.common.compiled import compiled
 from zsdist.types import Pose
 
 WHEEL_RADIUS_M = 0.5  # Table 1
@@ -94,7 +94,7 @@ class Manoeuvre:
         return None if math.isnan(rates.left) else rates
 
 
-@njit(cache=True)
+@compiled()
 def steer(
     state: np.ndarray, x_m: float, y_m: float, heading: float, speed_mps: float, turn_rate: float
 ) -> tuple[float, float]:
@@ -146,6 +146,6 @@ def steer(
     return hold_mps / WHEEL_RADIUS_M - rate, hold_mps / WHEEL_RADIUS_M + rate
 
 
-@njit(cache=True)
+@compiled()
 def _clip(value: float, most: float) -> float:
     return max(-most, min(most, value))

@@ -3,7 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from zsdist.common.compiled import compiled
 
 HIT_NOTHING = -1
 HIT_WALL = -2
@@ -44,7 +45,7 @@ def ray_distances(
     )
 
 
-@njit(cache=True)
+@compiled()
 def _ray_distances(
     circles: np.ndarray, boxes: np.ndarray, half: float, x: float, y: float, angles: np.ndarray, max_m: float
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -4,8 +4,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from zsdist.common.compiled import compiled
 from zsdist.errors import SceneError
 from zsdist.planning.footprint import ADVANCES, CAR_LENGTH_M, CAR_WIDTH_M, TURNS, successor
 from zsdist.planning.grid import HEADINGS, Grid
@@ -314,7 +314,7 @@ def _sides(middle: float) -> list[tuple[float, float, float]]:
     return [(0.0, middle, 0.0), (0.0, -middle, 0.0), (middle, 0.0, math.pi / 2), (-middle, 0.0, math.pi / 2)]
 
 
-@njit(cache=True)
+@compiled()
 def _watch(
     state: np.ndarray, circles: np.ndarray, boxes: np.ndarray, wall: float, *moving: float
 ) -> tuple[float, float, float, float]:
