@@ -173,7 +173,9 @@ def test_what_is_reached_backwards_agrees_with_the_cost_to_go_and_forwards_with_
         squares[fy : fy + 6, fx : fx + 6] = True
     squares &= ~blob(16, 16, half=10)
     blocked = FootprintTable(GRID).blocked(squares)
-    leading = reachability.unpacked(BlockedMoves.of(blocked).states_to(reachability.packed_cells(goals(5, 5))))
+    leading = reachability.unpack_states(
+        BlockedMoves.from_array(blocked).states_reaching(reachability.pack_cells(goals(5, 5)))
+    )
     assert (leading == np.isfinite(cost_to_go(blocked, goals(5, 5), STEPS_COST))).all()
     cells = np.isfinite(forward_search.metres_from(blocked, EAST, STEPS_COST))
     state = EAST
