@@ -134,10 +134,10 @@ def _repair(
     front, in_front = np.empty(states + 1, np.uint32), np.zeros(states, np.bool_)
     count = np.uint64(0)
     for index in range(ACTIONS * losses + len(changed)):
-        of_lost = index < ACTIONS * losses
-        move = (
-            ACTIONS * lost_states[index // ACTIONS] + index % ACTIONS if of_lost else changed[index - ACTIONS * losses]
-        )
+        if index < ACTIONS * losses:
+            move = ACTIONS * lost_states[index // ACTIONS] + index % ACTIONS
+        else:
+            move = changed[index - ACTIONS * losses]
         state, action = move // ACTIONS, move % ACTIONS
         total = cost[after[state, action]] + action_costs[state & 7, action]
         if not blocked[move] and total < cost[state]:

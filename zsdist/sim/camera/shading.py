@@ -1,10 +1,10 @@
-"""Numba kernels that colour what the ray caster found: light, shadow, texture, haze.
+"""Numba kernels that colour the pixels of the ray caster: light, shadow, texture, haze.
 
-A picture is coloured row by row: the sky and the ground each over the columns they may take, then each primitive over
-those in which it was found. What is needed of a row (light, noise, figures) stands in rows of numbers of its own, so
-that every inner loop is short, in single precision and without branches, and the compiler does many pixels at once.
-For that it must know that the rows which a loop reads and writes do not overlap, and it checks eight pairs at most: so
-a loop writes one row, or two and reads three at most.
+A picture is coloured row by row: the sky and the ground each over their span of columns, then each primitive over the
+span in which it was found. The intermediate values of a row (light, noise, figures) are stored in scratch rows, so that
+every inner loop is short, in single precision and without branches, and the compiler vectorises it. For that the
+compiler must know that the rows which a loop reads and writes do not overlap. It checks eight pairs at most, so a loop
+writes one row, or writes two rows and reads three at most.
 """
 
 import math
@@ -20,7 +20,7 @@ from zsdist.sim.camera.textures import CLOUDS, GRAIN, ground_figure, noise, road
 _FRUSTUM, _ELLIPSOID, _BARK = int(Form.FRUSTUM), int(Form.ELLIPSOID), int(Texture.BARK)
 _KERBS = int(Pattern.KERBS)
 
-# single precision, which a plain number in a kernel would not be
+# Constants in single precision, which a Python number in a kernel would not have.
 _ZERO, _ONE, _HALF, _WHITE = (np.float32(value) for value in (0.0, 1.0, 0.5, 255.0))
 _LOWEST, _OVERCAST = np.float32(0.02), np.float32(0.2)
 _SHADE, _LIGHTER = np.float32(0.55), np.float32(0.45)
@@ -33,8 +33,8 @@ _BARK_STRETCH = np.float32(0.2)
 
 
 @compiled(**ROWWISE)
-def _packed(red: float, green: float, blue: float) -> int:
-    """A colour, each part in 0 to 1, as the bytes red, green, blue, 0 of a little-endian number."""
+def _packed(red: np.float32, green: np.float32, blue: np.float32) -> np.int32:
+    """Return a colour, each part in 0 to 1, as the bytes red, green, blue, 0 of a little-endian number."""
     first = np.int32(min(max(red, _ZERO), _ONE) * _WHITE)
     second = np.int32(min(max(green, _ZERO), _ONE) * _WHITE)
     third = np.int32(min(max(blue, _ZERO), _ONE) * _WHITE)
@@ -42,8 +42,18 @@ def _packed(red: float, green: float, blue: float) -> int:
 
 
 @compiled(**ROWWISE)
-def _sky(pyramid, sky, gain, axes, b, a, work, at, line):  # noqa: ANN001, ANN202
-    """Colours a stretch of a row as sky: clear overhead, pale at the horizon, clouds on a plane far up."""
+def _sky(
+    pyramid: np.ndarray,
+    sky: np.ndarray,
+    gain: float,
+    axes: np.ndarray,
+    b: float,
+    a: np.ndarray,
+    work: np.ndarray,
+    at: np.ndarray,
+    line: np.ndarray,
+) -> None:
+    """Colour a span of a row as sky: clear overhead, pale at the horizon, clouds on a plane far above."""
     n = len(a)
     up, u, v, footprint, cloud = work[0, :n], work[1, :n], work[2, :n], work[3, :n], work[4, :n]
     x0, y0, z0, x1, y1, z1 = row_directions(axes[0], axes[1], axes[2], b)
@@ -57,15 +67,31 @@ def _sky(pyramid, sky, gain, axes, b, a, work, at, line):  # noqa: ANN001, ANN20
     amount = np.float32(sky[6])
     r0, g0, b0 = np.float32(sky[0]), np.float32(sky[1]), np.float32(sky[2])
     r1, g1, b1 = np.float32(sky[3] - sky[0]), np.float32(sky[4] - sky[1]), np.float32(sky[5] - sky[2])
-    gain = np.float32(gain)
+    exposure = np.float32(gain)
     for j in range(n):
         clear = up[j] * (_ONE - min(amount * max(cloud[j] + _OVERCAST, _ZERO), _ONE))
-        line[j] = _packed((r0 + r1 * clear) * gain, (g0 + g1 * clear) * gain, (b0 + b1 * clear) * gain)
+        line[j] = _packed((r0 + r1 * clear) * exposure, (g0 + g1 * clear) * exposure, (b0 + b1 * clear) * exposure)
 
 
 @compiled(**ROWWISE)
-def _ground(pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axes, b, a, step, work, at, line):  # noqa: ANN001, ANN202
-    """Colours a stretch of a row as ground: shadows, patches, a pattern, grain."""
+def _ground(
+    pyramid: np.ndarray,
+    ground: np.ndarray,
+    sky: np.ndarray,
+    light: np.ndarray,
+    shadow: np.ndarray,
+    shadow_half: float,
+    discs: np.ndarray,
+    origin: np.ndarray,
+    axes: np.ndarray,
+    b: float,
+    a: np.ndarray,
+    step: float,
+    work: np.ndarray,
+    at: np.ndarray,
+    line: np.ndarray,
+) -> None:
+    """Colour a span of a row as ground: shadows, patches, a pattern, grain."""
     n = len(a)
     x, y, u, v = work[0, :n], work[1, :n], work[2, :n], work[3, :n]
     footprint, lit, patch, grain, figure = work[4, :n], work[5, :n], work[6, :n], work[7, :n], work[8, :n]
@@ -84,7 +110,7 @@ def _ground(pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axe
         _darken(discs[k], x, y, lit)
     noise(pyramid[CLOUDS], u, v, 17.0, footprint, at, patch)
     noise(pyramid[GRAIN], u, v, 1.0 / ground[8], footprint, at, grain)
-    pattern, finest = int(ground[6]), np.float32(0.25 * ground[9])  # a finer figure than two pixels would shimmer
+    pattern, finest = int(ground[6]), np.float32(0.25 * ground[9])  # a figure finer than two pixels would flicker
     if pattern == _KERBS:
         road_figure(u, v, ground[17:], ground[9], footprint, figure)
         finest = _NEVER
@@ -115,9 +141,9 @@ def _ground(pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axe
 
 
 def shadow_corners(light: np.ndarray) -> np.ndarray:
-    """For each cell of `shadows.shadow_map` its light and that of the next in x, in y and in both: four bytes.
+    """Return the light of each cell of `shadows.shadow_map` and of its neighbours in x, y and both, as four bytes.
 
-    So that `sunshine` finds what it needs of a cell in one place.
+    `sunshine` then reads all that it needs for a cell from one address.
     """
     level = np.rint(255.0 * np.pad(light, ((0, 1), (0, 1)), "edge")).astype(np.uint32)
     return level[:-1, :-1] | level[:-1, 1:] << 8 | level[1:, :-1] << 16 | level[1:, 1:] << 24
@@ -125,7 +151,16 @@ def shadow_corners(light: np.ndarray) -> np.ndarray:
 
 @compiled(**ROWWISE)
 def sunshine(corners: np.ndarray, half_m: float, x: np.ndarray, y: np.ndarray, at: np.ndarray, out: np.ndarray) -> None:
-    """How much light reaches places on the ground, between the cells of the shadow map."""
+    """Write to `out` the light that reaches points on the ground, interpolated between cells of the shadow map.
+
+    Args:
+        corners: `(m, m)` uint32 from `shadow_corners`.
+        half_m: the map covers plus and minus this.
+        x: `(n,)` metres.
+        y: `(n,)` metres.
+        at: `(n,)` uint32, scratch.
+        out: `(n,)`, written: share of the light.
+    """
     cells = corners.shape[0]
     flat = corners.reshape(-1)
     per_m, middle, last = np.float32(cells / (2.0 * half_m)), np.float32(0.5 * cells - 0.5), np.float32(cells - 1.001)
@@ -144,18 +179,20 @@ def sunshine(corners: np.ndarray, half_m: float, x: np.ndarray, y: np.ndarray, a
 
 
 @compiled(**ROWWISE)
-def _cell(place_m: float, per_m: float, middle: float, last: float) -> float:
-    return min(max(place_m * per_m + middle, _ZERO), last)
+def _cell(point_m: np.float32, per_m: np.float32, middle: np.float32, last: np.float32) -> np.float32:
+    """Return the fractional index of a shadow map's cell along one axis."""
+    return min(max(point_m * per_m + middle, _ZERO), last)
 
 
 @compiled(**ROWWISE)
-def _light(bytes_: int) -> float:
-    return np.float32(np.int32(bytes_ & _LAST_BYTE))
+def _light(four: np.uint32) -> np.float32:
+    """Return the lowest byte."""
+    return np.float32(np.int32(four & _LAST_BYTE))
 
 
 @compiled(**ROWWISE)
 def _darken(disc: np.ndarray, x: np.ndarray, y: np.ndarray, lit: np.ndarray) -> None:
-    """The shade about the feet of something that walks: a disc of x, y, radius in metres."""
+    """Darken the ground around the feet of a walking obstacle: a disc of x, y, radius in metres."""
     dx, dy, per_radius = np.float32(disc[0]), np.float32(disc[1]), np.float32(1.0 / disc[2])
     for j in range(len(lit)):
         gap = np.sqrt((x[j] - dx) * (x[j] - dx) + (y[j] - dy) * (y[j] - dy)) * per_radius
@@ -163,8 +200,10 @@ def _darken(disc: np.ndarray, x: np.ndarray, y: np.ndarray, lit: np.ndarray) -> 
 
 
 @compiled(**ROWWISE)
-def _frame(row: np.ndarray, origin: np.ndarray, light: np.ndarray) -> tuple[float, float, float, float, float, float]:
-    """Cosine and sine of a primitive's heading, the camera's place from its own, and the sun in its frame."""
+def _frame(
+    row: np.ndarray, origin: np.ndarray, light: np.ndarray
+) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]:
+    """Return cosine and sine of a primitive's heading, the camera's offset from it, and the sun in its frame."""
     co, si = math.cos(row[6]), math.sin(row[6])
     sun_x, sun_y = co * light[0] + si * light[1], co * light[1] - si * light[0]
     return (
@@ -178,8 +217,10 @@ def _frame(row: np.ndarray, origin: np.ndarray, light: np.ndarray) -> tuple[floa
 
 
 @compiled(**ROWWISE)
-def _frustum_normals(row, x, y, z, nx, ny, nz):  # noqa: ANN001, ANN202
-    """Unit normals of a frustum at places on it, from its own; z is above the ground."""
+def _frustum_normals(
+    row: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, nx: np.ndarray, ny: np.ndarray, nz: np.ndarray
+) -> None:
+    """Write the unit normals of a frustum at points relative to its position; z is above the ground."""
     top, slope = np.float32(row[2] + row[3]) - _EDGE, np.float32((row[5] - row[4]) / row[3])
     for j in range(len(z)):
         square = x[j] * x[j] + y[j] * y[j]
@@ -190,8 +231,10 @@ def _frustum_normals(row, x, y, z, nx, ny, nz):  # noqa: ANN001, ANN202
 
 
 @compiled(**ROWWISE)
-def _ball_normals(row, x, y, z, nx, ny, nz):  # noqa: ANN001, ANN202
-    """As `_frustum_normals`, of an ellipsoid."""
+def _ball_normals(
+    row: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, nx: np.ndarray, ny: np.ndarray, nz: np.ndarray
+) -> None:
+    """Write the unit normals of an ellipsoid; see `_frustum_normals`."""
     middle = np.float32(row[2])
     per_x, per_y, per_z = np.float32(row[3] ** -2.0), np.float32(row[4] ** -2.0), np.float32(row[5] ** -2.0)
     for j in range(len(z)):
@@ -204,8 +247,10 @@ def _ball_normals(row, x, y, z, nx, ny, nz):  # noqa: ANN001, ANN202
 
 
 @compiled(**ROWWISE)
-def _box_normals(row, x, y, z, nx, ny, nz):  # noqa: ANN001, ANN202
-    """As `_frustum_normals`, of a box: of the face that is nearest to each place."""
+def _box_normals(
+    row: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, nx: np.ndarray, ny: np.ndarray, nz: np.ndarray
+) -> None:
+    """Write the unit normals of a box, those of the nearest face; see `_frustum_normals`."""
     top, length, width = np.float32(row[2] + row[3]), np.float32(row[4]), np.float32(row[5])
     for j in range(len(z)):
         beyond_x, beyond_y = abs(x[j]) - length, abs(y[j]) - width
@@ -218,10 +263,25 @@ def _box_normals(row, x, y, z, nx, ny, nz):  # noqa: ANN001, ANN202
 
 
 @compiled(**ROWWISE)
-def _surface(pyramid, form, row, material, light, frame, height, axes, b, a, step, t, work, at):  # noqa: ANN001, ANN202
-    """What the surface of one primitive needs to be coloured along a stretch of a row.
+def _surface(
+    pyramid: np.ndarray,
+    form: int,
+    row: np.ndarray,
+    material: np.ndarray,
+    light: np.ndarray,
+    frame: tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32],
+    height: float,
+    axes: np.ndarray,
+    b: float,
+    a: np.ndarray,
+    step: float,
+    t: np.ndarray,
+    work: np.ndarray,
+    at: np.ndarray,
+) -> None:
+    """Compute the light, haze and share of the second colour of one primitive along a span of a row.
 
-    Leaves in `work` the light, the share of the second colour and the haze of each pixel, rows 5, 8 and 7.
+    They are left in the rows 5, 7 and 8 of `work`.
     """
     n = len(a)
     x, y, u, v, footprint = work[0, :n], work[1, :n], work[2, :n], work[3, :n], work[4, :n]
@@ -246,7 +306,7 @@ def _surface(pyramid, form, row, material, light, frame, height, axes, b, a, ste
     for j in range(n):
         facing = max(nx[j] * sun_x + ny[j] * sun_y + nz[j] * sun_z, _ZERO)
         light_here = ambient * (_SIDE + _TOP * nz[j]) + sunlight * facing
-        lit[j] = light_here * (_FOOT + _OPEN * min(z[j] * _PER_FOOT, _ONE))  # near the ground the sky is half hidden
+        lit[j] = light_here * (_FOOT + _OPEN * min(z[j] * _PER_FOOT, _ONE))  # the ground hides half of the sky
     for j in range(n):
         along = (abs(nx[j]) > abs(ny[j])) & (abs(nz[j]) <= _FLAT)
         u[j] = shift + (y[j] if along else x[j])
@@ -271,8 +331,16 @@ def _surface(pyramid, form, row, material, light, frame, height, axes, b, a, ste
 
 
 @compiled(**ROWWISE)
-def _paint(material, sky, gain, work, which, p, line):  # noqa: ANN001, ANN202
-    """Colours those pixels of a stretch of a row in which primitive `p` was found, as `_surface` left them."""
+def _paint(
+    material: np.ndarray,
+    sky: np.ndarray,
+    gain: float,
+    work: np.ndarray,
+    which: np.ndarray,
+    p: int,
+    line: np.ndarray,
+) -> None:
+    """Colour the pixels of a span of a row that show primitive `p`, from the values of `_surface`."""
     n = len(which)
     lit, fog, figure = work[5, :n], work[7, :n], work[8, :n]
     r0, g0, b0 = np.float32(material[0]), np.float32(material[1]), np.float32(material[2])
@@ -308,7 +376,7 @@ def shade(
     at: np.ndarray,
     image: np.ndarray,
 ) -> None:
-    """Fill `image` `(n, n)` int32, a packed colour a pixel, from what `kernels.cast` left.
+    """Write the colour of every pixel, from the results of `kernels.cast`.
 
     Args:
         forms: see `Primitives`.
@@ -318,24 +386,24 @@ def shade(
         sky: see `Appearance`.
         light: see `Appearance`.
         shadow: `(m, m)` from `shadow_corners`, over plus and minus `shadow_half` metres.
-        shadow_half: in metres.
-        discs: `(W, 3)` x, y, radius of what walks and so has no shadow in the map.
+        shadow_half: half the side of the shadow map, in metres.
+        discs: `(W, 3)` x, y, radius of walking obstacles, which have no shadow in the map.
         pyramid: from `noise_pyramid`.
-        origin: of the camera, see `optics.mount`.
-        axes: of the camera, see `optics.mount`.
+        origin: position of the camera, see `optics.mount`.
+        axes: axes of the camera, see `optics.mount`.
         tangents: `(n,)` float32, from `optics.tangents`.
-        depth: `(n, n)` metres along the axis.
-        index: `(n, n)` which primitive, or `GROUND` or `SKY`.
-        rectangles: `(P, 4)` rows and columns within which each primitive's picture lies.
-        work: `(12, n)` float32, room to work in.
-        at: `(n,)` uint32, room to work in.
+        depth: `(n, n)` metres along the camera's axis.
+        index: `(n, n)` number of the primitive, or `GROUND` or `SKY`.
+        rectangles: `(P, 4)` rows and columns within which each primitive is drawn.
+        work: `(12, n)` float32, scratch.
+        at: `(n,)` uint32, scratch.
         image: `(n, n)` int32, written: the bytes red, green, blue and 0 of each pixel.
     """
     n = depth.shape[0]
     step = float(tangents[0] - tangents[n - 1]) / (n - 1)
     for i in range(n):
         b = float(tangents[i])
-        first, last = _stretch(index[i], GROUND)
+        first, last = _span(index[i], GROUND)
         horizon = first < last
         if horizon:
             first, last = widened(first, last, n)
@@ -343,16 +411,16 @@ def shade(
                 pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axes, b, tangents[first:last], step,
                 work, at, image[i, first:last],
             )  # fmt: skip
-        first, last = _stretch(index[i], SKY)
+        first, last = _span(index[i], SKY)
         if first < last:
-            if not horizon:  # where both are, the sky must leave the ground as it is
+            if not horizon:  # in a row with both, the sky must not overwrite ground
                 first, last = widened(first, last, n)
             _sky(pyramid, sky, light[6], axes, b, tangents[first:last], work, at, image[i, first:last])
     for p in range(len(forms)):
         row0, row1, column0, column1 = rectangles[p]
         frame = _frame(rows[p], origin, light)
         for i in range(row0, row1):
-            first, last = _stretch(index[i, column0:column1], p)
+            first, last = _span(index[i, column0:column1], p)
             if first < last:
                 first, last = widened(first + column0, last + column0, n)
                 t, which = depth[i, first:last], index[i, first:last]
@@ -364,8 +432,8 @@ def shade(
 
 
 @compiled(**ROWWISE)
-def _stretch(index: np.ndarray, which: int) -> tuple[int, int]:
-    """The least stretch of a row, first and end, that holds every pixel of `which`; empty where there is none."""
+def _span(index: np.ndarray, which: int) -> tuple[np.int32, np.int32]:
+    """Return the shortest span of a row, first and end, that holds every pixel of `which`; empty if there is none."""
     n, it = np.int32(len(index)), np.int32(which)
     first, last = n, np.int32(0)
     for j in range(len(index)):

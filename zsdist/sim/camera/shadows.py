@@ -1,4 +1,4 @@
-"""Numba kernel of the ground's shadow map, made once for a scene."""
+"""Numba kernel of the ground's shadow map, computed once for a scene."""
 
 import math
 
@@ -14,7 +14,7 @@ _BOX = int(Form.BOX)
 
 @compiled(fastmath=FAST, error_model="numpy")
 def _enter(form: int, row: np.ndarray, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
-    """Depth at which a ray in the primitive's own frame (origin at its row's place) first meets it; -1: never."""
+    """Return the distance at which a ray in a primitive's own frame first meets it; -1 if it never does."""
     if form == FRUSTUM:
         height, r0 = row[3], row[4]
         k = (row[5] - r0) / height
@@ -65,10 +65,17 @@ def _enter(form: int, row: np.ndarray, ox: float, oy: float, oz: float, dx: floa
 def shadow_map(
     forms: np.ndarray, rows: np.ndarray, fixed: np.ndarray, sun: np.ndarray, half: float, out: np.ndarray
 ) -> None:
-    """How much light reaches the ground, `out` `(n, n)` `[iy, ix]` float32 over plus and minus `half` metres.
+    """Write to `out` the light that reaches the ground.
 
-    Sunlight is blocked by what stands in its way; close to an obstacle the sky is hidden too (contact shadow).
-    `fixed` `(P,)` bool leaves out what moves.
+    Obstacles block sunlight; close to an obstacle they hide part of the sky too (contact shadow).
+
+    Args:
+        forms: see `Primitives`.
+        rows: see `Primitives`.
+        fixed: `(P,)` bool, primitives that do not move; others cast no shadow.
+        sun: `(3,)` unit direction to the sun.
+        half: the map covers plus and minus this, in metres.
+        out: `(n, n)` `[iy, ix]` float32, written: share of the light.
     """
     n = out.shape[0]
     cell = 2.0 * half / n
@@ -82,9 +89,9 @@ def shadow_map(
         reach = math.sqrt(hx * hx + hy * hy)
         into_frame(row, sun, d)
         cosine, sine = math.cos(row[6]), math.sin(row[6])
-        length = (row[2] + z1) / sun[2]  # of the shadow along -sun, per unit of sun's horizontal part
+        length = (row[2] + z1) / sun[2]  # of the shadow along -sun, per unit of the sun's horizontal part
         ex, ey = row[0] - sun[0] * length, row[1] - sun[1] * length
-        # the shadow lies along a strip from the primitive's place away from the sun
+        # The shadow lies along a strip from the primitive away from the sun.
         way_x, way_y = ex - row[0], ey - row[1]
         way = max(math.sqrt(way_x * way_x + way_y * way_y), 1e-9)
         way_x, way_y = way_x / way, way_y / way
