@@ -80,7 +80,7 @@ def test_one_miss_in_five_views_does_not_clear_an_obstacle():
     assert at(belief.occupied(), 3.05, 0.0)
 
 
-def test_who_steps_onto_ground_that_was_long_free_is_believed_at_the_first_look():
+def test_a_person_who_steps_onto_ground_that_was_long_free_is_believed_at_the_first_view():
     belief = BeliefMap(GRID)
     for _ in range(20):
         belief.update(ORIGIN, view_of(5.0), CAMERA_M)
@@ -96,7 +96,7 @@ def test_an_uncertain_ray_claims_free_ground_less_surely_than_a_certain_one():
     assert (~uncertain.occupied(surely)).sum() < 0.8 * (~certain.occupied(surely)).sum()
 
 
-def test_a_surface_at_no_sure_distance_closes_no_square_that_it_more_likely_lies_beyond():
+def test_a_surface_at_an_uncertain_distance_closes_no_cell_that_it_more_likely_lies_beyond():
     belief = BeliefMap(GRID)
     for _ in range(5):
         belief.update(ORIGIN, view_of(3.0, spread=6), CAMERA_M)

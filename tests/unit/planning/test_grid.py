@@ -15,7 +15,7 @@ on_grid = st.floats(-10.0, 10.0, exclude_max=True)
 
 
 @given(on_grid, on_grid)
-def test_eq07_every_place_on_the_grid_lies_in_exactly_one_of_m_times_m_cells(x_m, y_m):
+def test_eq07_every_point_on_the_grid_lies_in_exactly_one_of_m_times_m_cells(x_m, y_m):
     ix, iy = GRID.cell_at(x_m, y_m)
     assert GRID.on_grid(ix, iy)
     cx, cy = GRID.centre(ix, iy)

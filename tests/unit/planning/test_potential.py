@@ -73,7 +73,7 @@ def test_a_direction_becomes_the_action_that_points_along_it(degrees, action, he
     assert decompose(np.array([math.cos(bearing), math.sin(bearing)]), heading, EVERY) is action
 
 
-def test_a_masked_action_is_never_taken_and_nothing_is_where_none_is_allowed():
+def test_a_masked_action_is_never_taken_and_none_is_taken_if_none_is_allowed():
     ahead = np.array([1.0, 0.0])
     assert decompose(ahead, 0.0, np.array([False, True, False, True, True])) is Action.LEFT_45
     assert decompose(ahead, 0.0, np.zeros(5, bool)) is None

@@ -102,7 +102,7 @@ def test_without_a_path_the_cost_is_infinite_and_asking_for_the_path_is_an_error
         path(field, nothing, LatticeState(1, 1, 0), METRES)
 
 
-def test_costs_of_another_map_are_noticed_instead_of_looping(blocked):
+def test_costs_of_another_map_are_refused_instead_of_looping(blocked):
     free = TABLE.blocked(np.zeros((160, 160), dtype=bool))
     field = cost_to_go(free, GOALS, METRES)
     with pytest.raises(ValueError, match="another map"):

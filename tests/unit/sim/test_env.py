@@ -22,7 +22,7 @@ CORNER = Scene("corner", "grass", Start(9.6875, 9.6875, 0.0), (-8.0, 8.0), ())
 
 
 class Recorder:
-    """A camera that draws nothing and notes what it was asked."""
+    """Camera that draws nothing and records its calls."""
 
     config = CONFIG.camera
 
@@ -58,7 +58,7 @@ def test_observation_has_the_cameras_image_the_true_pose_and_the_goal(env):
     assert info["scene"] == "open"
 
 
-def test_the_camera_sees_from_the_true_pose_roll_and_pitch(env):
+def test_the_camera_draws_from_the_true_pose_roll_and_pitch(env):
     env.reset(options={"scene": OPEN})
     observation = env.step(Action.FORWARD)[0]
     scene, pose, roll_rad, pitch_rad, people = env._camera.asked[-1]
@@ -70,7 +70,7 @@ def test_the_camera_sees_from_the_true_pose_roll_and_pitch(env):
     assert (env.render() == observation["image"]).all()
 
 
-def test_without_images_the_camera_works_only_when_a_picture_is_asked_for_and_once_a_step():
+def test_without_images_the_camera_draws_only_requested_pictures_and_once_per_step():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         blind = CarNavigation(config=CONFIG, camera=Recorder(), render_mode="rgb_array", images=False)
@@ -87,7 +87,7 @@ def test_without_images_the_camera_works_only_when_a_picture_is_asked_for_and_on
     blind.close()
 
 
-def test_a_picture_from_another_place_is_that_of_a_level_car_and_does_not_replace_the_true_one(env):
+def test_a_picture_from_another_pose_is_that_of_a_level_car_and_does_not_replace_the_true_one(env):
     observation = env.reset(options={"scene": OPEN})[0]
     there = Pose(1.0, 2.0, 0.5)
     env.picture(there)
@@ -150,7 +150,7 @@ def test_every_family_gives_episodes():
         env.close()
 
 
-def test_what_cannot_be_done_is_refused_in_a_clear_line(env):
+def test_wrong_calls_are_refused_with_a_clear_message(env):
     with pytest.raises(ResetNeeded, match="call reset"):
         env.step(Action.FORWARD)
     with pytest.raises(ResetNeeded, match="call reset"):

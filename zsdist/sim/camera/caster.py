@@ -12,8 +12,8 @@ from zsdist.sim.camera.appearance import Appearance, of_scene
 from zsdist.sim.camera.kernels import SKY, SKY_DEPTH_M, cast, look_up
 from zsdist.sim.camera.optics import mount, tangents
 from zsdist.sim.camera.primitives import ARENA_HALF_M, Primitives, primitives_of
-from zsdist.sim.camera.shading import shade, shadow_corners
-from zsdist.sim.camera.shadows import shadow_map
+from zsdist.sim.camera.shading import shade
+from zsdist.sim.camera.shadows import shadow_corners, shadow_map
 from zsdist.sim.camera.textures import noise_pyramid
 from zsdist.sim.scenes.kinds import SEGMENT_GROUND, SEGMENT_SKY
 from zsdist.sim.scenes.scene import Scene

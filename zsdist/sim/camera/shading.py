@@ -14,7 +14,9 @@ import numpy as np
 from zsdist.common.compiled import compiled
 from zsdist.sim.camera.appearance import Pattern, Texture
 from zsdist.sim.camera.kernels import GROUND, LEVEL, ROWWISE, SKY, row_directions, widened
+from zsdist.sim.camera.normals import box_normals, ellipsoid_normals, frustum_normals
 from zsdist.sim.camera.primitives import Form
+from zsdist.sim.camera.shadows import darken, sunshine
 from zsdist.sim.camera.textures import CLOUDS, GRAIN, ground_figure, noise, road_figure, surface_figure
 
 _FRUSTUM, _ELLIPSOID, _BARK = int(Form.FRUSTUM), int(Form.ELLIPSOID), int(Texture.BARK)
@@ -23,12 +25,9 @@ _KERBS = int(Pattern.KERBS)
 # Constants in single precision, which a Python number in a kernel would not have.
 _ZERO, _ONE, _HALF, _WHITE = (np.float32(value) for value in (0.0, 1.0, 0.5, 255.0))
 _LOWEST, _OVERCAST = np.float32(0.02), np.float32(0.2)
-_SHADE, _LIGHTER = np.float32(0.55), np.float32(0.45)
-_EDGE, _SMALL, _FLAT, _FINE = (np.float32(value) for value in (1e-4, 1e-12, 0.7, 0.1))
+_FLAT, _FINE = np.float32(0.7), np.float32(0.1)
 _SIDE, _TOP, _FOOT, _OPEN, _PER_FOOT = (np.float32(value) for value in (0.75, 0.25, 0.6, 0.4, 1 / 0.35))
 _NEVER = np.float32(1e9)
-_PER_LEVEL = np.float32(1 / 255)
-_BYTE, _TWO_BYTES, _THREE_BYTES, _LAST_BYTE = (np.uint32(value) for value in (8, 16, 24, 255))
 _BARK_STRETCH = np.float32(0.2)
 
 
@@ -107,7 +106,7 @@ def _ground(
         u[j], v[j] = cos * x[j] + sin * y[j], cos * y[j] - sin * x[j]
     sunshine(shadow, shadow_half, x, y, at, lit)
     for k in range(len(discs)):
-        _darken(discs[k], x, y, lit)
+        darken(discs[k], x, y, lit)
     noise(pyramid[CLOUDS], u, v, 17.0, footprint, at, patch)
     noise(pyramid[GRAIN], u, v, 1.0 / ground[8], footprint, at, grain)
     pattern, finest = int(ground[6]), np.float32(0.25 * ground[9])  # a figure finer than two pixels would flicker
@@ -140,65 +139,6 @@ def _ground(
         line[j] = _packed(red + (r3 - red) * fog, green + (g3 - green) * fog, blue + (b3 - blue) * fog)
 
 
-def shadow_corners(light: np.ndarray) -> np.ndarray:
-    """Return the light of each cell of `shadows.shadow_map` and of its neighbours in x, y and both, as four bytes.
-
-    `sunshine` then reads all that it needs for a cell from one address.
-    """
-    level = np.rint(255.0 * np.pad(light, ((0, 1), (0, 1)), "edge")).astype(np.uint32)
-    return level[:-1, :-1] | level[:-1, 1:] << 8 | level[1:, :-1] << 16 | level[1:, 1:] << 24
-
-
-@compiled(**ROWWISE)
-def sunshine(corners: np.ndarray, half_m: float, x: np.ndarray, y: np.ndarray, at: np.ndarray, out: np.ndarray) -> None:
-    """Write to `out` the light that reaches points on the ground, interpolated between cells of the shadow map.
-
-    Args:
-        corners: `(m, m)` uint32 from `shadow_corners`.
-        half_m: the map covers plus and minus this.
-        x: `(n,)` metres.
-        y: `(n,)` metres.
-        at: `(n,)` uint32, scratch.
-        out: `(n,)`, written: share of the light.
-    """
-    cells = corners.shape[0]
-    flat = corners.reshape(-1)
-    per_m, middle, last = np.float32(cells / (2.0 * half_m)), np.float32(0.5 * cells - 0.5), np.float32(cells - 1.001)
-    for j in range(len(out)):
-        ix, iy = np.int32(_cell(x[j], per_m, middle, last)), np.int32(_cell(y[j], per_m, middle, last))
-        at[j] = np.uint32(iy * np.int32(cells) + ix)
-    for j in range(len(out)):
-        at[j] = flat[at[j]]
-    for j in range(len(out)):
-        gx, gy = _cell(x[j], per_m, middle, last), _cell(y[j], per_m, middle, last)
-        fx, fy = gx - np.float32(np.int32(gx)), gy - np.float32(np.int32(gy))
-        four = at[j]
-        near = _light(four) + fx * (_light(four >> _BYTE) - _light(four))
-        far = _light(four >> _TWO_BYTES) + fx * (_light(four >> _THREE_BYTES) - _light(four >> _TWO_BYTES))
-        out[j] = (near + fy * (far - near)) * _PER_LEVEL
-
-
-@compiled(**ROWWISE)
-def _cell(point_m: np.float32, per_m: np.float32, middle: np.float32, last: np.float32) -> np.float32:
-    """Return the fractional index of a shadow map's cell along one axis."""
-    return min(max(point_m * per_m + middle, _ZERO), last)
-
-
-@compiled(**ROWWISE)
-def _light(four: np.uint32) -> np.float32:
-    """Return the lowest byte."""
-    return np.float32(np.int32(four & _LAST_BYTE))
-
-
-@compiled(**ROWWISE)
-def _darken(disc: np.ndarray, x: np.ndarray, y: np.ndarray, lit: np.ndarray) -> None:
-    """Darken the ground around the feet of a walking obstacle: a disc of x, y, radius in metres."""
-    dx, dy, per_radius = np.float32(disc[0]), np.float32(disc[1]), np.float32(1.0 / disc[2])
-    for j in range(len(lit)):
-        gap = np.sqrt((x[j] - dx) * (x[j] - dx) + (y[j] - dy) * (y[j] - dy)) * per_radius
-        lit[j] *= min(_SHADE + _LIGHTER * max(gap - _ONE, _ZERO), _ONE)
-
-
 @compiled(**ROWWISE)
 def _frame(
     row: np.ndarray, origin: np.ndarray, light: np.ndarray
@@ -214,52 +154,6 @@ def _frame(
         np.float32(sun_x),
         np.float32(sun_y),
     )
-
-
-@compiled(**ROWWISE)
-def _frustum_normals(
-    row: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, nx: np.ndarray, ny: np.ndarray, nz: np.ndarray
-) -> None:
-    """Write the unit normals of a frustum at points relative to its position; z is above the ground."""
-    top, slope = np.float32(row[2] + row[3]) - _EDGE, np.float32((row[5] - row[4]) / row[3])
-    for j in range(len(z)):
-        square = x[j] * x[j] + y[j] * y[j]
-        inverse = _ZERO if z[j] > top else _ONE / np.sqrt(square + slope * slope * square + _SMALL)
-        nx[j], ny[j] = x[j] * inverse, y[j] * inverse
-    for j in range(len(z)):
-        nz[j] = _ONE if z[j] > top else -slope / np.sqrt(_ONE + slope * slope)
-
-
-@compiled(**ROWWISE)
-def _ball_normals(
-    row: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, nx: np.ndarray, ny: np.ndarray, nz: np.ndarray
-) -> None:
-    """Write the unit normals of an ellipsoid; see `_frustum_normals`."""
-    middle = np.float32(row[2])
-    per_x, per_y, per_z = np.float32(row[3] ** -2.0), np.float32(row[4] ** -2.0), np.float32(row[5] ** -2.0)
-    for j in range(len(z)):
-        gx, gy, gz = x[j] * per_x, y[j] * per_y, (z[j] - middle) * per_z
-        inverse = _ONE / np.sqrt(gx * gx + gy * gy + gz * gz + _SMALL)
-        nx[j], ny[j] = gx * inverse, gy * inverse
-    for j in range(len(z)):
-        gx, gy, gz = x[j] * per_x, y[j] * per_y, (z[j] - middle) * per_z
-        nz[j] = gz / np.sqrt(gx * gx + gy * gy + gz * gz + _SMALL)
-
-
-@compiled(**ROWWISE)
-def _box_normals(
-    row: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, nx: np.ndarray, ny: np.ndarray, nz: np.ndarray
-) -> None:
-    """Write the unit normals of a box, those of the nearest face; see `_frustum_normals`."""
-    top, length, width = np.float32(row[2] + row[3]), np.float32(row[4]), np.float32(row[5])
-    for j in range(len(z)):
-        beyond_x, beyond_y = abs(x[j]) - length, abs(y[j]) - width
-        nz[j] = _ONE if z[j] - top > max(beyond_x, beyond_y) else _ZERO
-    for j in range(len(z)):
-        along = abs(x[j]) - length > abs(y[j]) - width
-        side = _ONE - nz[j]
-        nx[j] = (side if x[j] > _ZERO else -side) if along else _ZERO
-        ny[j] = _ZERO if along else (side if y[j] > _ZERO else -side)
 
 
 @compiled(**ROWWISE)
@@ -296,11 +190,11 @@ def _surface(
     for j in range(n):
         z[j], footprint[j] = oz + t[j] * (z0 + a[j] * z1), t[j] * pixel
     if form == _FRUSTUM:
-        _frustum_normals(row, x, y, z, nx, ny, nz)
+        frustum_normals(row, x, y, z, nx, ny, nz)
     elif form == _ELLIPSOID:
-        _ball_normals(row, x, y, z, nx, ny, nz)
+        ellipsoid_normals(row, x, y, z, nx, ny, nz)
     else:
-        _box_normals(row, x, y, z, nx, ny, nz)
+        box_normals(row, x, y, z, nx, ny, nz)
     sun_z, base, shift = np.float32(light[2]), np.float32(row[2]), np.float32(material[9])
     ambient, sunlight = np.float32(light[3] * light[6]), np.float32(light[4] * light[6])
     for j in range(n):
@@ -406,10 +300,10 @@ def shade(
         first, last = _span(index[i], GROUND)
         horizon = first < last
         if horizon:
-            first, last = widened(first, last, n)
+            start, end = widened(first, last, n)
             _ground(
-                pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axes, b, tangents[first:last], step,
-                work, at, image[i, first:last],
+                pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axes, b, tangents[start:end], step,
+                work, at, image[i, start:end],
             )  # fmt: skip
         first, last = _span(index[i], SKY)
         if first < last:
@@ -432,7 +326,7 @@ def shade(
 
 
 @compiled(**ROWWISE)
-def _span(index: np.ndarray, which: int) -> tuple[np.int32, np.int32]:
+def _span(index: np.ndarray, which: int) -> tuple[int, int]:
     """Return the shortest span of a row, first and end, that holds every pixel of `which`; empty if there is none."""
     n, it = np.int32(len(index)), np.int32(which)
     first, last = n, np.int32(0)
@@ -440,4 +334,4 @@ def _span(index: np.ndarray, which: int) -> tuple[np.int32, np.int32]:
         here, column = index[j] == it, np.int32(j)
         first = min(first, column if here else n)
         last = max(last, column + np.int32(1) if here else np.int32(0))
-    return first, last
+    return int(first), int(last)
