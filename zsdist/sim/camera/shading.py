@@ -8,6 +8,7 @@ writes one row, or writes two rows and reads three at most.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +32,55 @@ _NEVER = np.float32(1e9)
 _BARK_STRETCH = np.float32(0.2)
 
 
+class Palette(NamedTuple):
+    """Arrays of an `Appearance`."""
+
+    materials: np.ndarray
+    ground: np.ndarray
+    sky: np.ndarray
+    light: np.ndarray
+
+
+class Shadows(NamedTuple):
+    """Shadows on the ground.
+
+    Attributes:
+        corners: `(m, m)` from `shadow_corners`, over plus and minus `half_m`.
+        half_m: half the side of the shadow map.
+        discs: `(W, 3)` x, y, radius of walking obstacles, which have no shadow in the map.
+    """
+
+    corners: np.ndarray
+    half_m: float
+    discs: np.ndarray
+
+
+class Scratch(NamedTuple):
+    """Memory for the intermediate values of a row: `rows` `(12, n)` float32 and `indices` `(n,)` uint32."""
+
+    rows: np.ndarray
+    indices: np.ndarray
+
+
+class Span(NamedTuple):
+    """Pixels of a row: tangents `left` `(s,)` float32 and `up` of their rays, and `step`, the tangent of a pixel."""
+
+    left: np.ndarray
+    up: float
+    step: float
+
+
+class Frame(NamedTuple):
+    """A primitive's frame: cosine and sine of its heading, the camera's offset from it, and the sun in its frame."""
+
+    cos: np.float32
+    sin: np.float32
+    x: np.float32
+    y: np.float32
+    sun_x: np.float32
+    sun_y: np.float32
+
+
 @compiled(**ROWWISE)
 def _packed(red: np.float32, green: np.float32, blue: np.float32) -> np.int32:
     """Return a colour, each part in 0 to 1, as the bytes red, green, blue, 0 of a little-endian number."""
@@ -42,59 +92,45 @@ def _packed(red: np.float32, green: np.float32, blue: np.float32) -> np.int32:
 
 @compiled(**ROWWISE)
 def _sky(
-    pyramid: np.ndarray,
-    sky: np.ndarray,
-    gain: float,
-    axes: np.ndarray,
-    b: float,
-    a: np.ndarray,
-    work: np.ndarray,
-    at: np.ndarray,
-    line: np.ndarray,
+    pyramid: np.ndarray, palette: Palette, axes: np.ndarray, span: Span, scratch: Scratch, line: np.ndarray
 ) -> None:
     """Colour a span of a row as sky: clear overhead, pale at the horizon, clouds on a plane far above."""
-    n = len(a)
+    sky, a, work, n = palette.sky, span.left, scratch.rows, len(span.left)
     up, u, v, footprint, cloud = work[0, :n], work[1, :n], work[2, :n], work[3, :n], work[4, :n]
-    x0, y0, z0, x1, y1, z1 = row_directions(axes[0], axes[1], axes[2], b)
+    x0, y0, z0, x1, y1, z1 = row_directions(axes[0], axes[1], axes[2], span.up)
     for j in range(n):
         dx, dy, dz = x0 + a[j] * x1, y0 + a[j] * y1, z0 + a[j] * z1
         rise = max(dz, _LOWEST) / np.sqrt(dx * dx + dy * dy + dz * dz)
         up[j], footprint[j] = rise, _LOWEST / rise
     for j in range(n):
         u[j], v[j] = (x0 + a[j] * x1) / up[j], (y0 + a[j] * y1) / up[j]
-    noise(pyramid[CLOUDS], u, v, 33.0, footprint, at, cloud)
+    noise(pyramid[CLOUDS], u, v, 33.0, footprint, scratch.indices, cloud)
     amount = np.float32(sky[6])
     r0, g0, b0 = np.float32(sky[0]), np.float32(sky[1]), np.float32(sky[2])
     r1, g1, b1 = np.float32(sky[3] - sky[0]), np.float32(sky[4] - sky[1]), np.float32(sky[5] - sky[2])
-    exposure = np.float32(gain)
+    gain = np.float32(palette.light[6])
     for j in range(n):
         clear = up[j] * (_ONE - min(amount * max(cloud[j] + _OVERCAST, _ZERO), _ONE))
-        line[j] = _packed((r0 + r1 * clear) * exposure, (g0 + g1 * clear) * exposure, (b0 + b1 * clear) * exposure)
+        line[j] = _packed((r0 + r1 * clear) * gain, (g0 + g1 * clear) * gain, (b0 + b1 * clear) * gain)
 
 
 @compiled(**ROWWISE)
 def _ground(
     pyramid: np.ndarray,
-    ground: np.ndarray,
-    sky: np.ndarray,
-    light: np.ndarray,
-    shadow: np.ndarray,
-    shadow_half: float,
-    discs: np.ndarray,
+    palette: Palette,
+    shadows: Shadows,
     origin: np.ndarray,
     axes: np.ndarray,
-    b: float,
-    a: np.ndarray,
-    step: float,
-    work: np.ndarray,
-    at: np.ndarray,
+    span: Span,
+    scratch: Scratch,
     line: np.ndarray,
 ) -> None:
     """Colour a span of a row as ground: shadows, patches, a pattern, grain."""
-    n = len(a)
+    ground, sky, light = palette.ground, palette.sky, palette.light
+    a, step, work, at, n = span.left, span.step, scratch.rows, scratch.indices, len(span.left)
     x, y, u, v = work[0, :n], work[1, :n], work[2, :n], work[3, :n]
     footprint, lit, patch, grain, figure = work[4, :n], work[5, :n], work[6, :n], work[7, :n], work[8, :n]
-    x0, y0, z0, x1, y1, z1 = row_directions(axes[0], axes[1], axes[2], b)
+    x0, y0, z0, x1, y1, z1 = row_directions(axes[0], axes[1], axes[2], span.up)
     ox, oy, oz, pixel = np.float32(origin[0]), np.float32(origin[1]), np.float32(origin[2]), np.float32(step)
     cos, sin = np.float32(ground[10]), np.float32(ground[11])
     for j in range(n):
@@ -104,9 +140,9 @@ def _ground(
         footprint[j] = pixel * (-oz / min(z0 + a[j] * z1, -LEVEL))
     for j in range(n):
         u[j], v[j] = cos * x[j] + sin * y[j], cos * y[j] - sin * x[j]
-    sunshine(shadow, shadow_half, x, y, at, lit)
-    for k in range(len(discs)):
-        darken(discs[k], x, y, lit)
+    sunshine(shadows.corners, shadows.half_m, x, y, at, lit)
+    for k in range(len(shadows.discs)):
+        darken(shadows.discs[k], x, y, lit)
     noise(pyramid[CLOUDS], u, v, 17.0, footprint, at, patch)
     noise(pyramid[GRAIN], u, v, 1.0 / ground[8], footprint, at, grain)
     pattern, finest = int(ground[6]), np.float32(0.25 * ground[9])  # a figure finer than two pixels would flicker
@@ -140,13 +176,11 @@ def _ground(
 
 
 @compiled(**ROWWISE)
-def _frame(
-    row: np.ndarray, origin: np.ndarray, light: np.ndarray
-) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]:
-    """Return cosine and sine of a primitive's heading, the camera's offset from it, and the sun in its frame."""
+def _frame(row: np.ndarray, origin: np.ndarray, light: np.ndarray) -> Frame:
+    """Return the frame of a primitive."""
     co, si = math.cos(row[6]), math.sin(row[6])
     sun_x, sun_y = co * light[0] + si * light[1], co * light[1] - si * light[0]
-    return (
+    return Frame(
         np.float32(co),
         np.float32(si),
         np.float32(origin[0] - row[0]),
@@ -163,27 +197,24 @@ def _surface(
     row: np.ndarray,
     material: np.ndarray,
     light: np.ndarray,
-    frame: tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32],
-    height: float,
+    frame: Frame,
+    origin: np.ndarray,
     axes: np.ndarray,
-    b: float,
-    a: np.ndarray,
-    step: float,
+    span: Span,
     t: np.ndarray,
-    work: np.ndarray,
-    at: np.ndarray,
+    scratch: Scratch,
 ) -> None:
     """Compute the light, haze and share of the second colour of one primitive along a span of a row.
 
-    They are left in the rows 5, 7 and 8 of `work`.
+    They are left in the rows 5, 7 and 8 of `scratch`.
     """
-    n = len(a)
+    a, work, at, n = span.left, scratch.rows, scratch.indices, len(span.left)
     x, y, u, v, footprint = work[0, :n], work[1, :n], work[2, :n], work[3, :n], work[4, :n]
     lit, z, grain, figure = work[5, :n], work[6, :n], work[7, :n], work[8, :n]
     nx, ny, nz = work[9, :n], work[10, :n], work[11, :n]
-    x0, y0, z0, x1, y1, z1 = row_directions(axes[0], axes[1], axes[2], b)
+    x0, y0, z0, x1, y1, z1 = row_directions(axes[0], axes[1], axes[2], span.up)
     co, si, ox, oy, sun_x, sun_y = frame
-    oz, pixel = np.float32(height), np.float32(step)
+    oz, pixel = np.float32(origin[2]), np.float32(span.step)
     for j in range(n):
         wx, wy = ox + t[j] * (x0 + a[j] * x1), oy + t[j] * (y0 + a[j] * y1)
         x[j], y[j] = co * wx + si * wy, co * wy - si * wx
@@ -225,17 +256,9 @@ def _surface(
 
 
 @compiled(**ROWWISE)
-def _paint(
-    material: np.ndarray,
-    sky: np.ndarray,
-    gain: float,
-    work: np.ndarray,
-    which: np.ndarray,
-    p: int,
-    line: np.ndarray,
-) -> None:
+def _paint(palette: Palette, work: np.ndarray, which: np.ndarray, p: int, line: np.ndarray) -> None:
     """Colour the pixels of a span of a row that show primitive `p`, from the values of `_surface`."""
-    n = len(which)
+    material, sky, gain, n = palette.materials[p], palette.sky, palette.light[6], len(which)
     lit, fog, figure = work[5, :n], work[7, :n], work[8, :n]
     r0, g0, b0 = np.float32(material[0]), np.float32(material[1]), np.float32(material[2])
     r1, g1, b1 = np.float32(material[3]) - r0, np.float32(material[4]) - g0, np.float32(material[5]) - b0
@@ -252,13 +275,8 @@ def _paint(
 def shade(
     forms: np.ndarray,
     rows: np.ndarray,
-    materials: np.ndarray,
-    ground: np.ndarray,
-    sky: np.ndarray,
-    light: np.ndarray,
-    shadow: np.ndarray,
-    shadow_half: float,
-    discs: np.ndarray,
+    palette: Palette,
+    shadows: Shadows,
     pyramid: np.ndarray,
     origin: np.ndarray,
     axes: np.ndarray,
@@ -266,8 +284,7 @@ def shade(
     depth: np.ndarray,
     index: np.ndarray,
     rectangles: np.ndarray,
-    work: np.ndarray,
-    at: np.ndarray,
+    scratch: Scratch,
     image: np.ndarray,
 ) -> None:
     """Write the colour of every pixel, from the results of `kernels.cast`.
@@ -275,13 +292,8 @@ def shade(
     Args:
         forms: see `Primitives`.
         rows: see `Primitives`.
-        materials: see `Appearance`.
-        ground: see `Appearance`.
-        sky: see `Appearance`.
-        light: see `Appearance`.
-        shadow: `(m, m)` from `shadow_corners`, over plus and minus `shadow_half` metres.
-        shadow_half: half the side of the shadow map, in metres.
-        discs: `(W, 3)` x, y, radius of walking obstacles, which have no shadow in the map.
+        palette: appearance of the scene.
+        shadows: shadows on the ground.
         pyramid: from `noise_pyramid`.
         origin: position of the camera, see `optics.mount`.
         axes: axes of the camera, see `optics.mount`.
@@ -289,44 +301,40 @@ def shade(
         depth: `(n, n)` metres along the camera's axis.
         index: `(n, n)` number of the primitive, or `GROUND` or `SKY`.
         rectangles: `(P, 4)` rows and columns within which each primitive is drawn.
-        work: `(12, n)` float32, scratch.
-        at: `(n,)` uint32, scratch.
+        scratch: memory, written.
         image: `(n, n)` int32, written: the bytes red, green, blue and 0 of each pixel.
     """
     n = depth.shape[0]
     step = float(tangents[0] - tangents[n - 1]) / (n - 1)
     for i in range(n):
-        b = float(tangents[i])
-        first, last = _span(index[i], GROUND)
+        up = float(tangents[i])
+        first, last = _columns_of(index[i], GROUND)
         horizon = first < last
         if horizon:
             start, end = widened(first, last, n)
-            _ground(
-                pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axes, b, tangents[start:end], step,
-                work, at, image[i, start:end],
-            )  # fmt: skip
-        first, last = _span(index[i], SKY)
+            span = Span(tangents[start:end], up, step)
+            _ground(pyramid, palette, shadows, origin, axes, span, scratch, image[i, start:end])
+        first, last = _columns_of(index[i], SKY)
         if first < last:
             if not horizon:  # in a row with both, the sky must not overwrite ground
                 first, last = widened(first, last, n)
-            _sky(pyramid, sky, light[6], axes, b, tangents[first:last], work, at, image[i, first:last])
+            span = Span(tangents[first:last], up, step)
+            _sky(pyramid, palette, axes, span, scratch, image[i, first:last])
     for p in range(len(forms)):
         row0, row1, column0, column1 = rectangles[p]
-        frame = _frame(rows[p], origin, light)
+        material, frame = palette.materials[p], _frame(rows[p], origin, palette.light)
         for i in range(row0, row1):
-            first, last = _span(index[i, column0:column1], p)
+            first, last = _columns_of(index[i, column0:column1], p)
             if first < last:
                 first, last = widened(first + column0, last + column0, n)
+                span = Span(tangents[first:last], float(tangents[i]), step)
                 t, which = depth[i, first:last], index[i, first:last]
-                _surface(
-                    pyramid, forms[p], rows[p], materials[p], light, frame, origin[2], axes, float(tangents[i]),
-                    tangents[first:last], step, t, work, at,
-                )  # fmt: skip
-                _paint(materials[p], sky, light[6], work, which, p, image[i, first:last])
+                _surface(pyramid, forms[p], rows[p], material, palette.light, frame, origin, axes, span, t, scratch)
+                _paint(palette, scratch.rows, which, p, image[i, first:last])
 
 
 @compiled(**ROWWISE)
-def _span(index: np.ndarray, which: int) -> tuple[int, int]:
+def _columns_of(index: np.ndarray, which: int) -> tuple[int, int]:
     """Return the shortest span of a row, first and end, that holds every pixel of `which`; empty if there is none."""
     n, it = np.int32(len(index)), np.int32(which)
     first, last = n, np.int32(0)
