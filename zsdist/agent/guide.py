@@ -77,7 +77,7 @@ class LowGuide:
             for end in ends
         ]
         reluctance = _RELUCTANCE * config.trail * np.array(visited, float)
-        return potential.decompose(direction, state.heading * math.pi / 4, mask, reluctance)
+        return potential.action_along(direction, state.heading * math.pi / 4, mask, reluctance)
 
 
 def high_choice(situation: Situation, options: Choices, cost_to_goal: np.ndarray, action_costs: np.ndarray) -> int:

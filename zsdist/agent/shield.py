@@ -76,14 +76,14 @@ class Judgement(NamedTuple):
     """What the shield makes of the belief.
 
     Attributes:
-        ways: what is blocked: it hits something, leaves the grid, or ends where no free way leads on.
+        moves: what is blocked: it hits something, leaves the grid, or ends where no free way leads on.
         allowed: `(5,)` bool, what the car may do now. Where everything is blocked, what hits nothing; then turns in
             place.
         forced: whether everything was blocked.
         gave_way: whether full care leaves the car no way to the goal.
     """
 
-    ways: BlockedMoves
+    moves: BlockedMoves
     allowed: np.ndarray
     forced: bool
     gave_way: bool

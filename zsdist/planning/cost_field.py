@@ -29,7 +29,7 @@ class CostField:
         self._cost: np.ndarray  # on the last map
         self._exact = np.where(np.repeat(targets.ravel(), HEADINGS), 0.0, np.inf)
 
-    def on(self, blocked: np.ndarray) -> np.ndarray:
+    def costs_on(self, blocked: np.ndarray) -> np.ndarray:
         """Return the least cost from every state to the target on a map.
 
         Args:

@@ -9,7 +9,7 @@ from zsdist.planning.lattice import flat_state, successors_or_self
 from zsdist.types import LatticeState
 
 
-def metres_from(blocked: np.ndarray, state: LatticeState, action_costs: np.ndarray) -> np.ndarray:
+def path_lengths_from(blocked: np.ndarray, state: LatticeState, action_costs: np.ndarray) -> np.ndarray:
     """Return the length of the shortest free path from a state into each cell.
 
     Args:
@@ -25,7 +25,7 @@ def metres_from(blocked: np.ndarray, state: LatticeState, action_costs: np.ndarr
 
 
 @compiled()
-def forwards(
+def spread_costs(
     blocked: np.ndarray, after: np.ndarray, action_costs: np.ndarray, start: int, limit: float, cost: np.ndarray
 ) -> None:
     """Write to `cost` the least cost from a state to every state that costs no more than `limit`.
@@ -67,7 +67,7 @@ def forwards(
 def _least_cost_of_cells(blocked: np.ndarray, after: np.ndarray, action_costs: np.ndarray, start: int) -> np.ndarray:
     """Return the least cost from a state to any state of each cell, `(cells * cells,)`."""
     cost = np.full(len(after), np.inf)
-    forwards(blocked, after, action_costs, start, np.inf, cost)
+    spread_costs(blocked, after, action_costs, start, np.inf, cost)
     least = np.full(len(cost) // HEADINGS, np.inf)
     for cell in range(len(least)):
         for state in range(HEADINGS * cell, HEADINGS * (cell + 1)):

@@ -76,7 +76,7 @@ def force(
     return total
 
 
-def decompose(
+def action_along(
     direction: np.ndarray, heading_rad: float, mask: np.ndarray, reluctance: np.ndarray | None = None
 ) -> Action | None:
     """Return the allowed action after which the car points best along `direction`; None if no action is allowed.

@@ -66,7 +66,7 @@ def cost_to_go(blocked: np.ndarray, goals: np.ndarray, action_costs: np.ndarray)
     """
     if not np.min(action_costs) > 0:
         raise ValueError(f"the least action cost is {np.min(action_costs)}; allowed is above 0")
-    return CostField(goals, action_costs).on(blocked)
+    return CostField(goals, action_costs).costs_on(blocked)
 
 
 def path(cost: np.ndarray, blocked: np.ndarray, start: LatticeState, action_costs: np.ndarray) -> LatticePath:

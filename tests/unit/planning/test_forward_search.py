@@ -37,7 +37,7 @@ def test_cells_at_a_finite_distance_are_those_that_single_steps_reach(cells, sha
     for seed in range(3):
         rng, blocked = world(cells, seed, share)
         start = LatticeState(*rng.integers(0, cells, 2).tolist(), int(rng.integers(8)))
-        found = np.isfinite(forward_search.metres_from(blocked, start, STEPS_COST))
+        found = np.isfinite(forward_search.path_lengths_from(blocked, start, STEPS_COST))
         expected = np.zeros((cells, cells), bool)
         for state in walked(blocked, start):
             expected[state.iy, state.ix] = True
@@ -48,7 +48,7 @@ def test_the_path_into_a_cell_is_as_long_as_the_path_found_backwards_from_that_c
     costs = way_costs(Grid(cells=12, blocks=3))
     rng, blocked = world(12, 7, 0.5)
     start = LatticeState(3, 5, 2)
-    forth = forward_search.metres_from(blocked, start, costs)
+    forth = forward_search.path_lengths_from(blocked, start, costs)
     for iy, ix in rng.integers(0, 12, (20, 2)):
         there = np.zeros((12, 12), bool)
         there[iy, ix] = True
@@ -59,6 +59,6 @@ def test_states_farther_than_the_limit_are_left_out():
     _, blocked = world(12, 7, 0.5)
     start = flat_state(LatticeState(3, 5, 2), 12)
     whole, near = np.full((2, 12 * 12 * 8), np.inf)
-    forward_search.forwards(blocked.ravel(), successors_or_self(12), STEPS_COST, start, np.inf, whole)
-    forward_search.forwards(blocked.ravel(), successors_or_self(12), STEPS_COST, start, 3.0, near)
+    forward_search.spread_costs(blocked.ravel(), successors_or_self(12), STEPS_COST, start, np.inf, whole)
+    forward_search.spread_costs(blocked.ravel(), successors_or_self(12), STEPS_COST, start, 3.0, near)
     assert (near == np.where(whole <= 3.0, whole, np.inf)).all() and (whole > 3.0).any()
