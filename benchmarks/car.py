@@ -1,4 +1,4 @@
-"""How well the car drives: accuracy, steps and time an action, and how far the collision tests agree.
+"""Driving of the simulated car: accuracy, steps and time per action, and agreement of the collision tests.
 
 `python benchmarks/car.py [--quick]` prints a table, then one JSON line.
 """
@@ -23,7 +23,7 @@ from zsdist.sim.scenes.scene import Scene, Start
 from zsdist.types import Action, LatticeState, Pose
 
 SEQUENCE = 10  # actions
-SHARES = (0.4, 0.15, 0.15, 0.15, 0.15)  # of the actions, in the order of `Action`
+SHARES = (0.4, 0.15, 0.15, 0.15, 0.15)  # share of each action, in the order of `Action`
 WITHIN_M, WITHIN_DEG = 0.10, 5.0
 FAMILIES = ("iid", "ood-layout", "ood-clusters", "ood-dynamic")
 EMPTY = Scene("empty", "asphalt", Start(0.3125, 0.3125, 0.0), (8.0, 8.0), ())
@@ -34,7 +34,7 @@ def main() -> None:
     """Measure, print the table and the JSON line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer sequences and poses; ends within 50 s on two cores")
-    parser.add_argument("--seed", type=int, default=0, help="of the sequences and poses")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the sequences and poses")
     arguments = parser.parse_args()
     quick, rng = arguments.quick, np.random.default_rng(arguments.seed)
     world = World(GRID)
@@ -53,7 +53,7 @@ def main() -> None:
 
 
 def _accuracy(world: World, rng: np.random.Generator, sequences: int) -> dict[str, float]:
-    """Where random actions end against their targets, in an empty arena."""
+    """Return the errors of random actions in an empty arena, relative to their targets."""
     metres, degrees, tilts, steps = [], [], [], defaultdict(list)
     spent_s = 0.0
     for _ in range(sequences):
@@ -61,7 +61,7 @@ def _accuracy(world: World, rng: np.random.Generator, sequences: int) -> dict[st
         before = None
         for action in rng.choice(len(Action), SEQUENCE, p=SHARES).tolist():
             end = successor(GRID.lattice_state(world.pose), action)
-            began = time.process_time()  # other processes share the cores
+            began = time.process_time()  # CPU time, since other processes share the cores
             result = world.drive(action)
             spent_s += time.process_time() - began
             target = GRID.pose(end)
@@ -100,7 +100,7 @@ def _kind(action: int, before: int | None, heading: int) -> str:
 
 
 def _agreement(world: World, rng: np.random.Generator, scenes: list[Scene], poses: int) -> dict[str, float]:
-    """PyBullet's contacts against our box test, at poses that often touch something."""
+    """Return the agreement of PyBullet's contacts with the box test, at poses that often touch an obstacle."""
     ours, theirs = [], []
     each = -(-poses // len(scenes))
     for scene in scenes:
@@ -120,7 +120,7 @@ def _agreement(world: World, rng: np.random.Generator, scenes: list[Scene], pose
 
 
 def _allowed_actions(world: World, rng: np.random.Generator, scenes: list[Scene], most: int) -> dict[str, float]:
-    """Collisions in actions that the footprint table allows on the true map of standing obstacles."""
+    """Return the collisions in actions that the footprint table allows on the true map of standing obstacles."""
     table = FootprintTable(GRID)
     driven = collisions = unconfirmed = 0
     for scene in scenes:
@@ -140,7 +140,7 @@ def _allowed_actions(world: World, rng: np.random.Generator, scenes: list[Scene]
 
 
 def _replays(world: World, scenes: list[Scene]) -> dict[str, int]:
-    """Drives that are not bit-equal when repeated after all the others, and in a world of their own."""
+    """Return the number of drives that are not bit-identical when repeated after all others or in a new world."""
 
     def drive(where: World, index: int) -> list[float]:
         rng = np.random.default_rng(index)
@@ -163,7 +163,7 @@ def _replays(world: World, scenes: list[Scene]) -> dict[str, int]:
 
 
 def _resets(world: World, scenes: list[Scene]) -> dict[str, float]:
-    """Median milliseconds of a reset to another scene, and to the same again."""
+    """Return the median milliseconds of a reset to another scene, and to the same scene again."""
     spent = defaultdict(list)
     for scene in scenes:
         for case in ("new", "same"):

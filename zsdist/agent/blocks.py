@@ -9,7 +9,7 @@ import numpy as np
 from zsdist.agent.situation import Situation
 from zsdist.common.compiled import compiled
 from zsdist.planning import reachability
-from zsdist.planning.footprint import CELLS_A_WORD
+from zsdist.planning.footprint import CELLS_PER_WORD
 from zsdist.planning.grid import HEADINGS, STEPS
 from zsdist.planning.reachability import BlockedMoves
 
@@ -75,8 +75,8 @@ def _leading_on(situation: Situation) -> np.ndarray:
     """States from which a free way leads to the goal without the car's present block."""
     here = np.zeros_like(situation.goals)
     here[situation.grid.block_cells(*situation.block)] = True
-    elsewhere = BlockedMoves(situation.ways.words | reachability.packed_cells(here))
-    return elsewhere.states_to(reachability.packed_cells(situation.goals))
+    elsewhere = BlockedMoves(situation.moves.words | reachability.pack_cells(here))
+    return elsewhere.states_reaching(reachability.pack_cells(situation.goals))
 
 
 @compiled()
@@ -84,7 +84,7 @@ def _headings(states, ix, iy):  # noqa: ANN001, ANN202
     """In how many headings a set of states has a cell."""
     count = np.uint64(0)
     for heading in range(HEADINGS):
-        count += states[heading, ix // CELLS_A_WORD, iy] >> np.uint64(ix % CELLS_A_WORD) & np.uint64(1)
+        count += states[heading, ix // CELLS_PER_WORD, iy] >> np.uint64(ix % CELLS_PER_WORD) & np.uint64(1)
     return count
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from zsdist.common.compiled import compiled
 from zsdist.planning.footprint import ADVANCES, TURNS
-from zsdist.planning.forward_search import forwards
+from zsdist.planning.forward_search import spread_costs
 from zsdist.planning.grid import STEPS
 
 DIRECTIONS = 16  # about the car, counter-clockwise from its heading
@@ -109,7 +109,7 @@ def action_features(
         row[2], row[3] = math.cos(bearing), math.sin(bearing)
         length, nearest, unseen, fresh = _run(blocked, seen, visits, ex, ey, h, sub_x, sub_y, cell, grid_half, border)
         row[4], row[5] = length / SIGHT_M, (before - min(nearest, after)) / SIGHT_M
-        forwards(flat, after_each, action_costs, (ey * cells + ex) * 8 + h, FAR_M, driven)
+        spread_costs(flat, after_each, action_costs, (ey * cells + ex) * 8 + h, FAR_M, driven)
         near_by, far_by = after, after
         reach = int(FAR_M / cell) + 1  # cells; no way of that length leads farther
         for cy in range(max(ey - reach, 0), min(ey + reach + 1, cells)):

@@ -26,7 +26,7 @@ from zsdist.agent.egocentric import (
 from zsdist.agent.reward_shaping import way_costs
 from zsdist.agent.situation import Situation
 from zsdist.planning.grid import FINE_PER_CELL
-from zsdist.planning.lattice import ends
+from zsdist.planning.lattice import successors_or_self
 from zsdist.types import Action, Level
 
 LOW_ACTIONS = len(Action)
@@ -60,7 +60,7 @@ def low_state(situation: Situation, subgoal: tuple[float, float], seeks_goal: bo
     grid, state = situation.grid, situation.state
     actions = action_features(
         situation.blocked,
-        ends(grid.cells),
+        successors_or_self(grid.cells),
         way_costs(grid),
         situation.seen,
         situation.visits,
@@ -89,8 +89,8 @@ def high_state(situation: Situation, options: Choices, rooms: np.ndarray) -> np.
     goal_m = math.hypot(situation.goal[0] - x, situation.goal[1] - y)
     side = grid.block_size * FINE_PER_CELL
     seen, occupied = (
-        block_shares(squares, grid.fine_border, side, grid.blocks, bx, by)
-        for squares in (situation.seen, situation.occupied)
+        block_shares(fine_cells, grid.fine_border, side, grid.blocks, bx, by)
+        for fine_cells in (situation.seen, situation.occupied)
     )
     neighbours = _block_features(situation, options, goal_m, seen, occupied)
     here = [

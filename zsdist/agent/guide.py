@@ -77,7 +77,7 @@ class LowGuide:
             for end in ends
         ]
         reluctance = _RELUCTANCE * config.trail * np.array(visited, float)
-        return potential.decompose(direction, state.heading * math.pi / 4, mask, reluctance)
+        return potential.action_along(direction, state.heading * math.pi / 4, mask, reluctance)
 
 
 def high_choice(situation: Situation, options: Choices, cost_to_goal: np.ndarray, action_costs: np.ndarray) -> int:
@@ -131,34 +131,34 @@ def _surfaces(situation: Situation, reach_m: float) -> np.ndarray:
     top, left = max(fy - reach, 0), max(fx - reach, 0)
     near = situation.occupied[top : fy + reach + 1, left : fx + reach + 1]
     west, south = (at * grid.fine_m - grid.arena_m / 2 for at in (left + 0.5, top + 0.5))
-    return _places(near, west, south, grid.fine_m)
+    return _set_cell_centres(near, west, south, grid.fine_m)
 
 
 def _trail(situation: Situation) -> np.ndarray:
     """Centres of visited cells, `(M, 2)`, each as often as it was visited; the present one is no part of it."""
     grid = situation.grid
-    return _visited(situation.visits, grid.cell_size_m, grid.side_m / 2)
+    return _visited_centres(situation.visits, grid.cell_size_m, grid.side_m / 2)
 
 
 @compiled()
-def _places(squares: np.ndarray, west: float, south: float, side: float) -> np.ndarray:
+def _set_cell_centres(fine_cells: np.ndarray, west: float, south: float, side: float) -> np.ndarray:
     """Centres `(N, 2)` of the squares that are set; `west`, `south` is that of the first."""
-    places, count = np.empty((squares.size, 2)), 0
-    for row in range(squares.shape[0]):
-        for column in range(squares.shape[1]):
-            if squares[row, column]:
-                places[count, 0], places[count, 1] = column * side + west, row * side + south
+    centres, count = np.empty((fine_cells.size, 2)), 0
+    for row in range(fine_cells.shape[0]):
+        for column in range(fine_cells.shape[1]):
+            if fine_cells[row, column]:
+                centres[count, 0], centres[count, 1] = column * side + west, row * side + south
                 count += 1
-    return places[:count]
+    return centres[:count]
 
 
 @compiled()
-def _visited(visits: np.ndarray, cell: float, half: float) -> np.ndarray:
+def _visited_centres(visits: np.ndarray, cell: float, half: float) -> np.ndarray:
     """Centres `(M, 2)` of the cells of a grid with the given half side, each as often as it was visited."""
-    places, count = np.empty((_MOST_TRAIL * visits.shape[0] * visits.shape[1], 2)), 0
+    centres, count = np.empty((_MOST_TRAIL * visits.shape[0] * visits.shape[1], 2)), 0
     for row in range(visits.shape[0]):
         for column in range(visits.shape[1]):
             for _ in range(min(visits[row, column].sum(), _MOST_TRAIL)):
-                places[count, 0], places[count, 1] = (column + 0.5) * cell - half, (row + 0.5) * cell - half
+                centres[count, 0], centres[count, 1] = (column + 0.5) * cell - half, (row + 0.5) * cell - half
                 count += 1
-    return places[:count]
+    return centres[:count]

@@ -135,7 +135,7 @@ class HierarchicalAgent:
         self._low_mask = self._allowed()
         self._low_state = self._high_state = None
         if self._learning or "planner" in (self._config.agent.high_policy, self._config.agent.low_policy):
-            self._cost_to_goal = self._to_goal.on(self._situation.blocked)
+            self._cost_to_goal = self._to_goal.costs_on(self._situation.blocked)
         if self._outcome is not None:
             self._complete(before)
 
@@ -228,9 +228,9 @@ class HierarchicalAgent:
             advice=view.advice,
             occupied=self._belief.occupied(),
             seen=self._belief.seen(),
-            ways=judgement.ways,
+            moves=judgement.moves,
             squeezed=judgement.gave_way,
-            drive_m=forward_search.metres_from(judgement.ways.blocked, state, self._costs),
+            drive_m=forward_search.path_lengths_from(judgement.moves.blocked, state, self._costs),
             visits=self._visits,
             block_visits=self._block_visits,
             tries=self._tries,
@@ -314,7 +314,7 @@ class HierarchicalAgent:
             targets = np.zeros_like(self._goals)
             targets[iy, ix] = True
             self._to_subgoal = CostField(targets, self._costs)
-        return self._to_subgoal.on(self._situation.blocked)
+        return self._to_subgoal.costs_on(self._situation.blocked)
 
     def _planned(self) -> int:
         return guide.high_choice(self._situation, self._options, self._cost_to_goal, self._costs)

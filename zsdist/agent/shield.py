@@ -11,10 +11,10 @@ from zsdist.planning.belief import BeliefMap
 from zsdist.planning.footprint import ACTIONS, MARGIN_M, FootprintTable, successor
 from zsdist.planning.grid import Grid
 from zsdist.planning.reachability import BlockedMoves
-from zsdist.planning.shortest_path import live_states
+from zsdist.planning.shortest_path import viable_states
 from zsdist.types import Action, LatticeState
 
-HIDING_SQUARES = 3  # unseen ground that is nowhere farther from seen ground is a sliver, in which no obstacle hides
+HIDING_CELLS = 3  # unseen ground that is nowhere farther from seen ground is a sliver, in which no obstacle hides
 _IN_PLACE = (Action.TURN_LEFT_90, Action.TURN_RIGHT_90)
 _SQUARE_ON = slice(None, None, 2)  # headings along the grid's sides; a turn in place through all four is a full one
 
@@ -76,14 +76,14 @@ class Judgement(NamedTuple):
     """What the shield makes of the belief.
 
     Attributes:
-        ways: what is blocked: it hits something, leaves the grid, or ends where no free way leads on.
+        moves: what is blocked: it hits something, leaves the grid, or ends where no free way leads on.
         allowed: `(5,)` bool, what the car may do now. Where everything is blocked, what hits nothing; then turns in
             place.
         forced: whether everything was blocked.
         gave_way: whether full care leaves the car no way to the goal.
     """
 
-    ways: BlockedMoves
+    moves: BlockedMoves
     allowed: np.ndarray
     forced: bool
     gave_way: bool
@@ -105,19 +105,19 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, visits: np.
         goals: `(cells, cells)` bool.
         visits: `(cells, cells, 8)`, how often the car was in each state, this time included.
     """
-    places, been = reachability.packed_cells(goals), reachability.packed_states(visits > 0)
-    occupied = cache(lambda above: bitmaps.packed_rows(belief.occupied(above)))
-    read = cache(lambda reading: _hits(belief, reading, occupied(reading.above)))
-    cautious = cache(lambda near, returning: _returning(read(near), places) if returning else read(near))
+    goal_cells, visited_states = reachability.pack_cells(goals), reachability.pack_states(visits > 0)
+    occupied = cache(lambda above: bitmaps.pack_rows(belief.occupied(above)))
+    read = cache(lambda reading: _collisions(belief, reading, occupied(reading.above)))
+    cautious = cache(lambda near, returning: _returning(read(near), goal_cells) if returning else read(near))
     for rung in CAREFUL_RUNGS + DARING_RUNGS:
-        hits = cautious(rung.near, rung.returning).among(been, read(rung.far))
-        live = hits.states_to(places)
-        if reachability.contains(live, state):
+        collisions = cautious(rung.near, rung.returning).where(visited_states, read(rung.far))
+        viable = collisions.states_reaching(goal_cells)
+        if reachability.contains_state(viable, state):
             break
     else:
-        hits = read(USUAL)
-        live = reachability.packed_states(live_states(hits.blocked))
-    return _judgement(hits, live, state, rung != CAREFUL_RUNGS[0])
+        collisions = read(USUAL)
+        viable = reachability.pack_states(viable_states(collisions.blocked))
+    return _judgement(collisions, viable, state, rung != CAREFUL_RUNGS[0])
 
 
 def on_grid(state: LatticeState, cells: int) -> np.ndarray:
@@ -126,12 +126,12 @@ def on_grid(state: LatticeState, cells: int) -> np.ndarray:
     return np.array([0 <= end.ix < cells and 0 <= end.iy < cells for end in ends])
 
 
-def _judgement(hits: BlockedMoves, live: np.ndarray, state: LatticeState, gave_way: bool) -> Judgement:
-    blocked = hits.leaving(live)
-    allowed = ~blocked.at(state)
+def _judgement(collisions: BlockedMoves, viable: np.ndarray, state: LatticeState, gave_way: bool) -> Judgement:
+    blocked = collisions.blocking_exits_from(viable)
+    allowed = ~blocked.at_state(state)
     forced = not allowed.any()
     if forced:
-        allowed = ~hits.at(state)
+        allowed = ~collisions.at_state(state)
     if not allowed.any():
         allowed[list(_IN_PLACE)] = True
     return Judgement(blocked, allowed, forced, gave_way)
@@ -142,20 +142,20 @@ def _table(grid: Grid, margin_m: float) -> FootprintTable:
     return FootprintTable(grid, margin_m)
 
 
-def _hits(belief: BeliefMap, reading: Caution, occupied: np.ndarray) -> BlockedMoves:
+def _collisions(belief: BeliefMap, reading: Caution, occupied: np.ndarray) -> BlockedMoves:
     if reading.unseen:
-        occupied = occupied | _hides(bitmaps.packed_rows(belief.seen()), reading.deep)
-    return BlockedMoves.on(occupied, _table(belief.grid, reading.margin_m))
+        occupied = occupied | _hiding_cells(bitmaps.pack_rows(belief.seen()), reading.deep)
+    return BlockedMoves.from_occupancy(occupied, _table(belief.grid, reading.margin_m))
 
 
-def _hides(seen: np.ndarray, deep: bool) -> np.ndarray:
-    """Unseen squares in which an obstacle may be: within `HIDING_SQUARES` of unseen ground that seen ground is not."""
-    return (bitmaps.eroded if deep else bitmaps.opening)(~seen, HIDING_SQUARES)
+def _hiding_cells(seen: np.ndarray, deep: bool) -> np.ndarray:
+    """Unseen squares in which an obstacle may be: within `HIDING_CELLS` of unseen ground that seen ground is not."""
+    return (bitmaps.erosion if deep else bitmaps.opening)(~seen, HIDING_CELLS)
 
 
-def _returning(hits: BlockedMoves, goals: np.ndarray) -> BlockedMoves:
-    """`hits`, and the moves to where no free way leads to the goal or to a cell in which the car can turn about."""
-    about = ~np.bitwise_or.reduce(hits.words[_SQUARE_ON, Action.TURN_LEFT_90])
-    back = hits.leaving(hits.states_to(goals | about))
-    back.words[:, _IN_PLACE] = hits.words[:, _IN_PLACE]
+def _returning(collisions: BlockedMoves, goals: np.ndarray) -> BlockedMoves:
+    """The collisions, and moves to where no free way leads to the goal or to a cell in which the car can turn about."""
+    about = ~np.bitwise_or.reduce(collisions.words[_SQUARE_ON, Action.TURN_LEFT_90])
+    back = collisions.blocking_exits_from(collisions.states_reaching(goals | about))
+    back.words[:, _IN_PLACE] = collisions.words[:, _IN_PLACE]
     return back

@@ -49,7 +49,7 @@ class GoalGreedy(Driver):
         """The action after which the car points best at the goal."""
         pose = observed.pose
         direction = np.array(observed.goal) - pose[:2]
-        return int(potential.decompose(direction, pose.heading_rad, observed.allowed))
+        return int(potential.action_along(direction, pose.heading_rad, observed.allowed))
 
 
 class AStar(Driver):

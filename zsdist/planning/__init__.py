@@ -1,1 +1,1 @@
-"""Planning on the grid: frames, footprints, shortest paths, potential fields, rewards and the belief map."""
+"""Planning on the grid: lattice, footprints, shortest paths, potential fields, rewards and the belief map."""

@@ -1,7 +1,7 @@
-"""What one car believes of the ground: log-odds of occupied space on the fine frame, from rays with uncertainty.
+"""Belief map of one car: log-odds of occupancy on the fine grid, from rays with uncertainty.
 
-Looks add up. A surface that one look misses is put there by the next, and one that was imagined is worn away by looks
-through it, so no single reading decides.
+Views add up. A surface that one view misses is added by the next, and a surface that is not there is removed by later
+views through it, so that no single view decides.
 """
 
 import math
@@ -13,16 +13,16 @@ from zsdist.planning.footprint import CAR_LENGTH_M, CAR_WIDTH_M
 from zsdist.planning.grid import Grid
 from zsdist.types import Pose, View
 
-HIT = 1.6  # log-odds a certain hit adds
-PASS = 0.4  # log-odds a certain passage takes away; a hit of one look in five holds its ground
+HIT = 1.6  # log-odds that a certain hit adds
+PASS = 0.4  # log-odds that a certain passage subtracts; a surface stays if one view in five hits it
 TINY = 1e-6  # keeps odds finite
-CEILING = 2.4  # belief stays correctable: six certain passages undo whatever was believed
-FLOOR = -0.6  # and half a certain hit: who walks onto ground that was free is believed at the first look
-THICKNESS_M = 0.4  # what is behind a surface is occupied so far; deeper is unknown
+CEILING = 2.4  # keeps belief correctable: six certain passages undo any belief
+FLOOR = -0.6  # half a certain hit: a person who walks onto free ground is believed at the first view
+THICKNESS_M = 0.4  # assumed thickness of a surface; space farther behind it stays unknown
 
 
 class BeliefMap:
-    """Occupied, free and unknown space of the arena, in the fine frame of a `Grid`, indexed `[iy, ix]`."""
+    """Occupied, free and unknown space of the arena, on the fine grid of a `Grid`, indexed `[iy, ix]`."""
 
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
@@ -30,23 +30,24 @@ class BeliefMap:
         self._seen = np.zeros((grid.fine_size, grid.fine_size), np.bool_)
 
     def update(self, pose: Pose, view: View, camera_forward_m: float) -> None:
-        """Takes in one look.
+        """Update the belief with one view.
 
-        Along a ray whose distance is distributed as the view says, a square at distance `d` is passed as surely as the
-        ray survives beyond it (p), and hit as surely as the ray ends in it or up to `THICKNESS_M` before it (h); where
-        it ended earlier, nothing is learned. The square's log-odds grow by log(h / p), within `-PASS` and `HIT`,
-        times h + p, the share of the ray that tells of it. So a surface that is far away, of which little but the
-        direction is sure, closes the squares in which it is likelier than not, and not all in which it may be.
+        The view gives the distribution of each ray's length. For a fine cell at distance d, p is the probability that
+        the ray goes on beyond the cell, and h the probability that it ends in the cell or up to `THICKNESS_M` before
+        it. If the ray ended earlier, nothing is learned. The cell's log-odds change by log(h / p), clipped to `-PASS`
+        and `HIT`, times h + p, the probability that the ray tells of the cell. So a far surface of which little but the
+        direction is certain closes the cells in which it is more likely than not, and not every cell in which it may
+        be.
 
         Args:
-            pose: the car's centre; where it stands is free.
-            view: rays as distributions over distance; of a view without rays nothing is learned.
-            camera_forward_m: how far ahead of the centre the camera sits.
+            pose: pose of the car's centre; the ground under the car becomes free.
+            view: rays as distributions over distance; a view without rays changes nothing else.
+            camera_forward_m: distance of the camera ahead of the centre.
         """
         camera_x = pose.x_m + camera_forward_m * math.cos(pose.heading_rad)
         camera_y = pose.y_m + camera_forward_m * math.sin(pose.heading_rad)
         half_m = self.grid.arena_m / 2
-        _look(
+        _update(
             self._log_odds,
             self._seen,
             camera_x + half_m,
@@ -60,34 +61,34 @@ class BeliefMap:
         self.clear_car(pose)
 
     def clear_car(self, pose: Pose) -> None:
-        """The ground under the car is free: it stands there."""
-        half_m = self.grid.arena_m / 2
-        place = (pose.x_m + half_m, pose.y_m + half_m, pose.heading_rad)
-        _clear_box(self._log_odds, self._seen, *place, CAR_LENGTH_M / 2, CAR_WIDTH_M / 2, self.grid.fine_m)
+        """Mark the ground under the car as free."""
+        x, y = pose.x_m + self.grid.arena_m / 2, pose.y_m + self.grid.arena_m / 2
+        half_length, half_width = CAR_LENGTH_M / 2, CAR_WIDTH_M / 2
+        _clear_box(self._log_odds, self._seen, x, y, pose.heading_rad, half_length, half_width, self.grid.fine_m)
 
     def clear_disc(self, x_m: float, y_m: float, radius_m: float) -> None:
-        """A disc that is known to be free, such as the one about the start."""
+        """Mark a disc as free, such as the one around the start, which is known to be free."""
         xs, ys = self.grid.fine_centres()
         inside = (xs[None, :] - x_m) ** 2 + (ys[:, None] - y_m) ** 2 <= radius_m**2
         self._log_odds[inside] = FLOOR
         self._seen |= inside
 
     def occupied(self, above: float = 0.0) -> np.ndarray:
-        """Squares believed occupied, `(fine_size, fine_size)` bool; what was never seen is not.
+        """Return the fine cells believed occupied, `(fine_size, fine_size)` bool; cells never seen are not occupied.
 
         Args:
-            above: log-odds; more than the working threshold of 0 leaves out what is doubtful.
+            above: threshold of the log-odds; a value above the usual 0 leaves out doubtful cells.
         """
         return self._log_odds > above
 
     def seen(self) -> np.ndarray:
-        """Squares that some look has told of, `(fine_size, fine_size)` bool."""
+        """Return the fine cells that some view has told of, `(fine_size, fine_size)` bool."""
         return self._seen.copy()
 
 
 @compiled()
 def _below(values: np.ndarray, limit: float) -> int:
-    """How many values are below a limit: where it belongs among ascending ones, without branches as a bisection has."""
+    """Return the number of values below a limit, its index in ascending values; without the branches of a bisection."""
     count = 0
     for index in range(len(values)):
         count += 1 if values[index] < limit else 0
@@ -96,7 +97,10 @@ def _below(values: np.ndarray, limit: float) -> int:
 
 @compiled()
 def _bin(edges: np.ndarray, distance: float) -> tuple[int, float]:
-    """The bin in which a distance lies, by its upper edge, and which share of it lies below; mass is spread evenly."""
+    """Return the upper edge of the bin in which a distance lies, and the share of the bin that lies below it.
+
+    Probability is spread evenly over a bin.
+    """
     last = len(edges) - 1
     if distance <= edges[0]:
         return 1, 0.0
@@ -107,37 +111,48 @@ def _bin(edges: np.ndarray, distance: float) -> tuple[int, float]:
 
 
 @compiled()
-def _look(log_odds, seen, camera_x, camera_y, heading, probabilities, ray_angles, bin_edges, square):  # noqa: ANN001, ANN202
+def _update(
+    log_odds: np.ndarray,
+    seen: np.ndarray,
+    camera_x: float,
+    camera_y: float,
+    heading: float,
+    probabilities: np.ndarray,
+    ray_angles: np.ndarray,
+    bin_edges: np.ndarray,
+    fine_m: float,
+) -> None:
+    """Update `log_odds` and `seen` with one view; see `BeliefMap.update`. Coordinates begin at the arena's corner."""
     if len(ray_angles) == 0:
         return
     angles, edges = ray_angles.astype(np.float64), bin_edges.astype(np.float64)
-    ends = np.zeros((len(angles), len(edges)))  # how surely each ray has ended by each edge
+    ends = np.zeros((len(angles), len(edges)))  # probability that each ray has ended at each edge
     for ray in range(len(angles)):
         for upper in range(1, len(edges)):
             ends[ray, upper] = ends[ray, upper - 1] + probabilities[ray, upper - 1]
     size = log_odds.shape[0]
-    reach, half, rays = edges[-1], square / 2, len(angles)
+    reach, half, rays = edges[-1], fine_m / 2, len(angles)
     descending = -angles
     field = angles[0] + 0.5 * (angles[0] - angles[1])  # outer edge of the outermost ray
     far_off = 1.000001 * reach * reach
     aside = 1.000001 * math.tan(field) if field < 1.5 else np.inf
     cosine, sine = math.cos(heading), math.sin(heading)
-    low_x, high_x = max(int((camera_x - reach) / square), 0), min(int((camera_x + reach) / square) + 1, size)
-    low_y, high_y = max(int((camera_y - reach) / square), 0), min(int((camera_y + reach) / square) + 1, size)
+    low_x, high_x = max(int((camera_x - reach) / fine_m), 0), min(int((camera_x + reach) / fine_m) + 1, size)
+    low_y, high_y = max(int((camera_y - reach) / fine_m), 0), min(int((camera_y + reach) / fine_m) + 1, size)
     for iy in range(low_y, high_y):
-        north = (iy + 0.5) * square - camera_y
+        north = (iy + 0.5) * fine_m - camera_y
         for ix in range(low_x, high_x):
-            east = (ix + 0.5) * square - camera_x
+            east = (ix + 0.5) * fine_m - camera_x
             ahead, left = cosine * east + sine * north, cosine * north - sine * east
             if ahead <= 0.0 or ahead * ahead + left * left > far_off or abs(left) > aside * ahead:
-                continue  # most of them, told without the functions below
+                continue  # most cells, without the slow functions below
             distance = math.hypot(ahead, left)
             if distance > reach or distance < half:
                 continue
             angle = math.atan2(left, ahead)
             if abs(angle) > field:
                 continue
-            spread = half / distance  # near squares are wider than a ray: the most alarming ray counts
+            spread = half / distance  # near cells are wider than a ray: the ray that raises the log-odds most counts
             first = min(_below(descending, -(angle + spread)), rays - 1)
             last = max(_below(descending, -(angle - spread)) - 1, 0)
             if last < first:  # between two rays: the nearer one
@@ -146,28 +161,38 @@ def _look(log_odds, seen, camera_x, camera_y, heading, probabilities, ray_angles
                     last = first
                 else:
                     first = last
-            change, told = -PASS, 0.0
+            change, learned = -PASS, 0.0
             far, far_share = _bin(edges, distance + half)
             near, near_share = _bin(edges, distance - THICKNESS_M)
             for ray in range(first, last + 1):
                 end = ends[ray]
-                beyond = end[far - 1] + far_share * (end[far] - end[far - 1])  # that it ended before or in the square
-                before = end[near - 1] + near_share * (end[near] - end[near - 1])
+                beyond = end[far - 1] + far_share * (end[far] - end[far - 1])  # it has ended in the cell or before it
+                before = end[near - 1] + near_share * (end[near] - end[near - 1])  # it has ended before the surface
                 odds = math.log(max(beyond - before, TINY) / max(1.0 - beyond, TINY))
                 change = max(change, (1.0 - before) * min(max(odds, -PASS), HIT))
-                told = max(told, 1.0 - before)
+                learned = max(learned, 1.0 - before)
             log_odds[iy, ix] = min(max(log_odds[iy, ix] + change, FLOOR), CEILING)
-            if told > 0.5:
+            if learned > 0.5:
                 seen[iy, ix] = True
 
 
 @compiled()
-def _clear_box(log_odds, seen, x, y, heading, half_length, half_width, square):  # noqa: ANN001, ANN202
+def _clear_box(
+    log_odds: np.ndarray,
+    seen: np.ndarray,
+    x: float,
+    y: float,
+    heading: float,
+    half_length: float,
+    half_width: float,
+    fine_m: float,
+) -> None:
+    """Mark the fine cells whose centre lies in a box as seen and free. Coordinates begin at the arena's corner."""
     size = log_odds.shape[0]
     cosine, sine, reach = math.cos(heading), math.sin(heading), math.hypot(half_length, half_width)
-    for iy in range(max(int((y - reach) / square), 0), min(int((y + reach) / square) + 1, size)):
-        for ix in range(max(int((x - reach) / square), 0), min(int((x + reach) / square) + 1, size)):
-            east, north = (ix + 0.5) * square - x, (iy + 0.5) * square - y
+    for iy in range(max(int((y - reach) / fine_m), 0), min(int((y + reach) / fine_m) + 1, size)):
+        for ix in range(max(int((x - reach) / fine_m), 0), min(int((x + reach) / fine_m) + 1, size)):
+            east, north = (ix + 0.5) * fine_m - x, (iy + 0.5) * fine_m - y
             if abs(cosine * east + sine * north) <= half_length and abs(cosine * north - sine * east) <= half_width:
                 log_odds[iy, ix] = FLOOR
                 seen[iy, ix] = True

@@ -1,51 +1,51 @@
-"""Squares of the fine frame as bits, 64 of a row a word: what is done to one of them is done to 64 at once.
+"""Bitmaps of the fine grid: 64 fine cells of a row to a word, so that one operation acts on 64 cells at once.
 
-Rows are `(size, words)` uint64; bit j of a row's word w is its square `SQUARES_A_WORD * w + j`.
+A bitmap is `(size, words)` uint64; bit j of a row's word w is its fine cell `FINE_CELLS_PER_WORD * w + j`.
 """
 
 import numpy as np
 
 from zsdist.common.compiled import compiled
 
-SQUARES_A_WORD = 64
+FINE_CELLS_PER_WORD = 64
 
 
 @compiled()
-def packed_rows(squares: np.ndarray) -> np.ndarray:
-    """Rows of `[iy, ix]` `(size, size)` bool; 0 beyond the last square."""
-    size = squares.shape[1]
-    whole = size // SQUARES_A_WORD
-    out = np.zeros((squares.shape[0], (size - 1) // SQUARES_A_WORD + 1), np.uint64)
-    for iy in range(squares.shape[0]):
-        for word in range(whole):
+def pack_rows(mask: np.ndarray) -> np.ndarray:
+    """Return the bitmap of a mask `[iy, ix]` `(size, size)` bool; bits beyond the last fine cell are 0."""
+    size = mask.shape[1]
+    full_words = size // FINE_CELLS_PER_WORD
+    out = np.zeros((mask.shape[0], (size - 1) // FINE_CELLS_PER_WORD + 1), np.uint64)
+    for iy in range(mask.shape[0]):
+        for word in range(full_words):
             bits = np.uint64(0)
-            for bit in range(SQUARES_A_WORD):
-                bits |= np.uint64(squares[iy, SQUARES_A_WORD * word + bit]) << np.uint64(bit)
+            for bit in range(FINE_CELLS_PER_WORD):
+                bits |= np.uint64(mask[iy, FINE_CELLS_PER_WORD * word + bit]) << np.uint64(bit)
             out[iy, word] = bits
-        for bit in range(size - SQUARES_A_WORD * whole):
-            out[iy, whole] |= np.uint64(squares[iy, SQUARES_A_WORD * whole + bit]) << np.uint64(bit)
+        for bit in range(size - FINE_CELLS_PER_WORD * full_words):
+            out[iy, full_words] |= np.uint64(mask[iy, FINE_CELLS_PER_WORD * full_words + bit]) << np.uint64(bit)
     return out
 
 
 @compiled()
-def eroded(squares: np.ndarray, steps: int) -> np.ndarray:
-    """Squares from which no way of so many steps along rows and columns leads to one that is not among them.
+def erosion(bitmap: np.ndarray, radius: int) -> np.ndarray:
+    """Return the morphological erosion of a bitmap by a diamond: the cells whose whole neighbourhood is set.
 
     Args:
-        squares: `(size, words)`; outside the frame all are among them.
-        steps: from a square to one that shares a side with it.
+        bitmap: `(size, words)`; outside the grid all cells count as set.
+        radius: of the diamond, in steps between cells that share a side.
 
     Returns:
-        `(size, words)`; bits beyond the last square mean nothing.
+        `(size, words)`; bits beyond the last fine cell are undefined.
     """
-    size, words = squares.shape
-    one, rest = np.uint64(1), np.uint64(SQUARES_A_WORD - 1)
-    used = np.uint64(size - SQUARES_A_WORD * (words - 1))  # bits of a row's last word
-    beyond = ~np.uint64(0) << used if used < SQUARES_A_WORD else np.uint64(0)
+    size, words = bitmap.shape
+    one, rest = np.uint64(1), np.uint64(FINE_CELLS_PER_WORD - 1)
+    used = np.uint64(size - FINE_CELLS_PER_WORD * (words - 1))  # bits of a row's last word
+    beyond = ~np.uint64(0) << used if used < FINE_CELLS_PER_WORD else np.uint64(0)
     now, then = np.empty((size + 2, words), np.uint64), np.full((size + 2, words), ~np.uint64(0))
     now[0] = now[-1] = ~np.uint64(0)
-    now[1:-1] = squares
-    for _ in range(steps):
+    now[1:-1] = bitmap
+    for _ in range(radius):
         now[:, -1] |= beyond
         for iy in range(1, size + 1):
             for word in range(words):
@@ -58,29 +58,31 @@ def eroded(squares: np.ndarray, steps: int) -> np.ndarray:
 
 
 @compiled()
-def opening(squares: np.ndarray, steps: int) -> np.ndarray:
-    """Squares within so many steps of one that `shrunk` leaves: slivers among them are gone, the rest is whole."""
-    return ~eroded(~eroded(squares, steps), steps)
+def opening(bitmap: np.ndarray, radius: int) -> np.ndarray:
+    """Return the morphological opening by a diamond: an erosion, then a dilation. It removes thin parts only."""
+    return ~erosion(~erosion(bitmap, radius), radius)
 
 
 @compiled()
-def window(squares: np.ndarray, first: int, tall: int, words: int) -> np.ndarray:
-    """`(tall, words)` words of squares from the row and column `first` on; outside the frame all are set."""
-    size, held = squares.shape
-    beyond = ~np.uint64(0) << np.uint64(size - SQUARES_A_WORD * (held - 1)) if size % SQUARES_A_WORD else np.uint64(0)
-    out = np.full((tall, words), ~np.uint64(0))
-    shift, skipped = np.uint64(first % SQUARES_A_WORD), first // SQUARES_A_WORD
-    for row in range(max(0, -first), min(tall, size - first)):
+def window(bitmap: np.ndarray, first: int, rows: int, words: int) -> np.ndarray:
+    """Return the part `(rows, words)` that begins at row and column `first`; outside the grid all cells are set."""
+    size, stored_words = bitmap.shape
+    beyond = np.uint64(0)
+    if size % FINE_CELLS_PER_WORD:
+        beyond = ~np.uint64(0) << np.uint64(size - FINE_CELLS_PER_WORD * (stored_words - 1))
+    out = np.full((rows, words), ~np.uint64(0))
+    shift, skipped = np.uint64(first % FINE_CELLS_PER_WORD), first // FINE_CELLS_PER_WORD
+    for row in range(max(0, -first), min(rows, size - first)):
         for word in range(words):
             bits = ~np.uint64(0)
             for part in range(2):
-                at = word + skipped + part
-                of_these = ~np.uint64(0)
-                if 0 <= at < held:
-                    of_these = squares[row + first, at] | (beyond if at == held - 1 else np.uint64(0))
+                source = word + skipped + part
+                source_bits = ~np.uint64(0)
+                if 0 <= source < stored_words:
+                    source_bits = bitmap[row + first, source] | (beyond if source == stored_words - 1 else np.uint64(0))
                 if part == 0:
-                    bits = of_these >> shift
+                    bits = source_bits >> shift
                 elif shift:
-                    bits |= of_these << (np.uint64(SQUARES_A_WORD) - shift)
+                    bits |= source_bits << (np.uint64(FINE_CELLS_PER_WORD) - shift)
             out[row, word] = bits
     return out

@@ -1,51 +1,62 @@
-"""Costs to go to one target, kept up while the map changes: a look changes few ways, so no search need begin anew."""
+"""Cost to go to one target, repaired when the map changes: one view changes few moves, so no search starts anew.
+
+A move is a pair of state and action; its number is `ACTIONS * state + action`.
+"""
 
 import numpy as np
 
 from zsdist.common.compiled import compiled
 from zsdist.planning.footprint import ACTIONS
 from zsdist.planning.grid import HEADINGS
-from zsdist.planning.lattice import ends, origins
+from zsdist.planning.lattice import predecessors_or_self, successors_or_self
 
 
 class CostField:
-    """What `cost_to_go` finds for one target, of every state, on one map after another.
+    """Cost to go from every state to one target, on one map after another.
 
     Args:
         targets: `[iy, ix]` `(cells, cells)` bool.
         action_costs: `(8, 5)`, by heading before the action, above 0.
+
+    Attributes:
+        targets: as given.
     """
 
     def __init__(self, targets: np.ndarray, action_costs: np.ndarray) -> None:
         self.targets = targets
         self._action_costs = np.asarray(action_costs, dtype=np.float64)
-        self._blocked: np.ndarray | None = None
+        self._blocked: np.ndarray | None = None  # of the last map
+        self._cost: np.ndarray  # on the last map
         self._exact = np.where(np.repeat(targets.ravel(), HEADINGS), 0.0, np.inf)
 
-    def on(self, blocked: np.ndarray) -> np.ndarray:
-        """Least cost from every state to the target, `[iy, ix, heading]` `(cells, cells, 8)` float32; infinite: no way.
+    def costs_on(self, blocked: np.ndarray) -> np.ndarray:
+        """Return the least cost from every state to the target on a map.
 
         Args:
-            blocked: `(cells, cells, 8, 5)` bool, contiguous; not to be changed before the next call.
+            blocked: `(cells, cells, 8, 5)` bool, contiguous; must not change before the next call.
+
+        Returns:
+            `[iy, ix, heading]` `(cells, cells, 8)` float32; infinite where no path leads to the target.
         """
         if blocked is self._blocked:
             return self._cost
         cells, new = len(blocked), blocked.ravel()
-        if self._blocked is None:  # as after a map on which everything was blocked, of which this is what matters
-            changed = _into(self.targets.ravel(), origins(cells))
+        if self._blocked is None:  # as after a map with everything blocked; only moves into a target matter then
+            changed = _moves_into(self.targets.ravel(), predecessors_or_self(cells))
         else:
             old = self._blocked.ravel()
-            changed = _changed(old.view(np.uint64), new.view(np.uint64), old, new)
+            changed = _changed_moves(old.view(np.uint64), new.view(np.uint64), old, new)
         if self._blocked is None or len(changed):
-            _repair(self._exact, new, changed, self._action_costs, origins(cells), ends(cells))
+            before, after = predecessors_or_self(cells), successors_or_self(cells)
+            _repair(self._exact, new, changed, self._action_costs, before, after)
             self._cost = self._exact.astype(np.float32).reshape(cells, cells, HEADINGS)
         self._blocked = blocked
         return self._cost
 
 
 @compiled()
-def _into(targets: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Ways, `state * actions + action`, that end in a target, by what precedes each action."""
+def _moves_into(targets: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Return the moves that end in a target; `before` is of `lattice.predecessors_or_self`."""
     leading, count = np.empty(before.size, np.int32), 0
     for cell in np.flatnonzero(targets):
         for state in range(HEADINGS * cell, HEADINGS * (cell + 1)):
@@ -56,14 +67,14 @@ def _into(targets: np.ndarray, before: np.ndarray) -> np.ndarray:
 
 
 @compiled()
-def _changed(old_words: np.ndarray, new_words: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Ways, `ACTIONS * state + action`, in which two maps differ; `words` are the same in eights."""
+def _changed_moves(old_words: np.ndarray, new_words: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """Return the moves in which two maps differ; the words hold the same bytes, eight to a word."""
     changed, count = np.empty(len(new), np.int32), 0
     for word in range(len(new_words)):
         if old_words[word] != new_words[word]:
-            for way in range(8 * word, 8 * word + 8):
-                changed[count] = way
-                count += old[way] != new[way]
+            for move in range(8 * word, 8 * word + 8):
+                changed[count] = move
+                count += old[move] != new[move]
     return changed[:count]
 
 
@@ -76,33 +87,42 @@ def _repair(
     before: np.ndarray,
     after: np.ndarray,
 ) -> None:
-    """Makes costs that held before some ways changed those of the present map; of a target they are 0 and stay so.
+    """Update costs in place after some moves were blocked or unblocked. The cost of a target is 0 and stays 0.
 
-    First the states whose cost rested on ways that are closed now, and by them on one another, lose it. Then what these
-    and the ways that opened get from their neighbours spreads in the order of costs, in bands as wide as the least
-    action cost: no action leads from a state of a band to another of it, so that each state is followed up once.
+    First, states lose their cost if no unblocked move supports it any more, directly or through other states that lost
+    theirs. Then new costs spread from the neighbours of these states and through the moves that were unblocked, in the
+    order of costs, in bands as wide as the least action cost: no action leads from a state of a band to another state
+    of the same band, so that each state is expanded once.
+
+    Args:
+        cost: `(states,)` of the map before the changes, written.
+        blocked: `(states * 5,)` bool, present map.
+        changed: moves in which the present map differs from the one before.
+        action_costs: `(8, 5)`, by heading before the action.
+        before: of `lattice.predecessors_or_self`.
+        after: of `lattice.successors_or_self`.
     """
     states = len(before)
     suspects, suspected = np.empty(len(changed) + ACTIONS * states, np.int32), 0
-    for way in changed:
-        if blocked[way]:
-            suspects[suspected] = way // ACTIONS
+    for move in changed:
+        if blocked[move]:
+            suspects[suspected] = move // ACTIONS
             suspected += 1
-    lost, without, losses = np.zeros(states, np.bool_), np.empty(states, np.int32), 0
+    lost, lost_states, losses = np.zeros(states, np.bool_), np.empty(states, np.int32), 0
     while suspected:
         suspected -= 1
         state = suspects[suspected]
-        held = lost[state] or cost[state] == 0.0 or cost[state] == np.inf
+        settled = lost[state] or cost[state] == 0.0 or cost[state] == np.inf
         for action in range(ACTIONS):
-            if held:
+            if settled:
                 break
             if not blocked[ACTIONS * state + action]:
                 end = after[state, action]
-                held = not lost[end] and cost[end] + action_costs[state & 7, action] == cost[state]
-        if held:
+                settled = not lost[end] and cost[end] + action_costs[state & 7, action] == cost[state]
+        if settled:
             continue
         lost[state] = True
-        without[losses] = state
+        lost_states[losses] = state
         losses += 1
         for action in range(ACTIONS):
             previous = before[state, action]
@@ -110,19 +130,21 @@ def _repair(
                 suspects[suspected] = previous
                 suspected += 1
     for index in range(losses):
-        cost[without[index]] = np.inf
-    front, known = np.empty(states + 1, np.uint32), np.zeros(states, np.bool_)
+        cost[lost_states[index]] = np.inf
+    front, in_front = np.empty(states + 1, np.uint32), np.zeros(states, np.bool_)
     count = np.uint64(0)
     for index in range(ACTIONS * losses + len(changed)):
-        lost_way = index < ACTIONS * losses
-        way = ACTIONS * without[index // ACTIONS] + index % ACTIONS if lost_way else changed[index - ACTIONS * losses]
-        state, action = way // ACTIONS, way % ACTIONS
+        if index < ACTIONS * losses:
+            move = ACTIONS * lost_states[index // ACTIONS] + index % ACTIONS
+        else:
+            move = changed[index - ACTIONS * losses]
+        state, action = move // ACTIONS, move % ACTIONS
         total = cost[after[state, action]] + action_costs[state & 7, action]
-        if not blocked[way] and total < cost[state]:
+        if not blocked[move] and total < cost[state]:
             cost[state] = total
             front[count] = state
-            count += np.uint64(not known[state])
-            known[state] = True
+            count += np.uint64(not in_front[state])
+            in_front[state] = True
     width = action_costs.min()
     while count:
         band = np.inf
@@ -138,13 +160,13 @@ def _repair(
                 front[kept] = state
                 kept += np.uint64(1)
                 continue
-            known[state] = False
-            for action in range(np.uint64(ACTIONS)):  # without branches, which nobody could foretell
+            in_front[state] = False
+            for action in range(np.uint64(ACTIONS)):  # without branches, which the processor could not predict
                 previous = np.uint64(before[state, action])
                 total, old = so_far + action_costs[previous & np.uint64(7), action], cost[previous]
                 better = (not blocked[previous * np.uint64(ACTIONS) + action]) & (total < old)
                 cost[previous] = total if better else old
                 front[count] = previous
-                count += np.uint64(better & (not known[previous]))
-                known[previous] |= better
+                count += np.uint64(better & (not in_front[previous]))
+                in_front[previous] |= better
         count = kept

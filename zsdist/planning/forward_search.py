@@ -1,40 +1,45 @@
-"""How far free ways lead from a state."""
+"""Forward search from one state over free moves."""
 
 import numpy as np
 
 from zsdist.common.compiled import compiled
 from zsdist.planning.footprint import ACTIONS
 from zsdist.planning.grid import HEADINGS
-from zsdist.planning.lattice import ends, flat_state
+from zsdist.planning.lattice import flat_state, successors_or_self
 from zsdist.types import LatticeState
 
 
-def metres_from(blocked: np.ndarray, state: LatticeState, action_costs: np.ndarray) -> np.ndarray:
-    """Length of the shortest free way from a state into each cell, `(cells, cells)`; infinite where none leads there.
+def path_lengths_from(blocked: np.ndarray, state: LatticeState, action_costs: np.ndarray) -> np.ndarray:
+    """Return the length of the shortest free path from a state into each cell.
 
     Args:
         blocked: `(cells, cells, 8, 5)` bool.
-        state: where it begins.
+        state: start of the paths.
         action_costs: `(8, 5)`, by heading before the action, metres.
+
+    Returns:
+        `(cells, cells)` metres; infinite where no free path leads.
     """
-    cells = len(blocked)
-    return _metres(blocked.ravel(), ends(cells), action_costs, flat_state(state, cells)).reshape(cells, cells)
+    cells, start = len(blocked), flat_state(state, len(blocked))
+    return _least_cost_of_cells(blocked.ravel(), successors_or_self(cells), action_costs, start).reshape(cells, cells)
 
 
 @compiled()
-def forwards(blocked, after, action_costs, start, limit, cost):  # noqa: ANN001, ANN201
-    """Puts the least cost from a state into `cost`, of every state that costs no more than `limit`.
+def spread_costs(
+    blocked: np.ndarray, after: np.ndarray, action_costs: np.ndarray, start: int, limit: float, cost: np.ndarray
+) -> None:
+    """Write to `cost` the least cost from a state to every state that costs no more than `limit`.
 
     Args:
         blocked: `(states * 5,)` bool, of flat states.
-        after: of `lattice.ends`.
+        after: of `lattice.successors_or_self`.
         action_costs: `(8, 5)`, by heading before the action.
         start: flat state.
-        limit: the most a way may cost.
-        cost: `(states,)`, infinite before.
+        limit: the most that a path may cost.
+        cost: `(states,)`, written; infinite before.
     """
-    width = action_costs.min()  # no action leads from a state of one band of costs to another of the same
-    front = np.empty(len(after) + 1, np.uint32)  # states whose actions are still to be followed
+    width = action_costs.min()  # no action leads from a state of a band of costs to another state of the same band
+    front = np.empty(len(after) + 1, np.uint32)  # states that are still to be expanded
     front[0], cost[start] = start, 0.0
     count, band = np.uint64(1), 0.0
     while count:
@@ -48,7 +53,7 @@ def forwards(blocked, after, action_costs, start, limit, cost):  # noqa: ANN001,
                 front[kept] = state
                 kept += np.uint64(1)
                 continue
-            for action in range(np.uint64(ACTIONS)):  # without branches, which nobody could foretell
+            for action in range(np.uint64(ACTIONS)):  # without branches, which the processor could not predict
                 end, total = np.uint64(after[state, action]), so_far + action_costs[state & np.uint64(7), action]
                 before = cost[end]
                 better = (not blocked[state * np.uint64(ACTIONS) + action]) & (total < before) & (total <= limit)
@@ -59,10 +64,10 @@ def forwards(blocked, after, action_costs, start, limit, cost):  # noqa: ANN001,
 
 
 @compiled()
-def _metres(blocked, after, action_costs, start):  # noqa: ANN001, ANN202
-    """The least cost from a state to any state of each cell."""
+def _least_cost_of_cells(blocked: np.ndarray, after: np.ndarray, action_costs: np.ndarray, start: int) -> np.ndarray:
+    """Return the least cost from a state to any state of each cell, `(cells * cells,)`."""
     cost = np.full(len(after), np.inf)
-    forwards(blocked, after, action_costs, start, np.inf, cost)
+    spread_costs(blocked, after, action_costs, start, np.inf, cost)
     least = np.full(len(cost) // HEADINGS, np.inf)
     for cell in range(len(least)):
         for state in range(HEADINGS * cell, HEADINGS * (cell + 1)):

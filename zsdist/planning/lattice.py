@@ -1,4 +1,4 @@
-"""The planning lattice as a graph of flat states, for compiled searches: what follows each action and what precedes it.
+"""The planning lattice as a graph of flat states, for compiled searches: tables of successors and predecessors.
 
 The flat state of `(ix, iy, heading)` is `(iy * cells + ix) * 8 + heading`, the order of arrays `(cells, cells, 8)`.
 """
@@ -11,12 +11,12 @@ from zsdist.planning.footprint import ACTIONS, ADVANCES, TURNS
 from zsdist.planning.grid import HEADINGS, STEPS
 from zsdist.types import LatticeState
 
-NOWHERE = -1  # in either table: off the grid
+NOWHERE = -1  # entry of `successors` and `predecessors` for a state off the grid
 
 
 @cache
 def successors(cells: int) -> np.ndarray:
-    """The state in which each action ends, `(cells * cells * 8, 5)` int32, read-only."""
+    """Return the state in which each action ends, `(cells * cells * 8, 5)` int32, read-only; `NOWHERE` off the grid."""
     iy, ix, heading = np.indices((cells, cells, HEADINGS)).reshape(3, -1, 1)
     ends = (heading + np.array(TURNS)) % HEADINGS
     advances = np.array(ADVANCES)
@@ -25,7 +25,7 @@ def successors(cells: int) -> np.ndarray:
 
 @cache
 def predecessors(cells: int) -> np.ndarray:
-    """The state from which each action leads here, `(cells * cells * 8, 5)` int32, read-only."""
+    """Return the state from which each action leads here, `(cells * cells * 8, 5)` int32, read-only."""
     iy, ix, heading = np.indices((cells, cells, HEADINGS)).reshape(3, -1, 1)
     advances = np.array(ADVANCES)
     before = (heading - np.array(TURNS)) % HEADINGS
@@ -33,34 +33,34 @@ def predecessors(cells: int) -> np.ndarray:
 
 
 @cache
-def ends(cells: int) -> np.ndarray:
-    """`successors` as uint32; an action that leads off the grid stays where it is.
+def successors_or_self(cells: int) -> np.ndarray:
+    """Return `successors` as uint32, with the state itself for an action that leads off the grid.
 
-    For loops that look an end up before they know whether the action is blocked, at indices that cannot be negative.
+    Loops that look a successor up before they know whether the action is blocked need indices that are never negative.
     """
-    return _staying(successors(cells))
+    return _with_self(successors(cells))
 
 
 @cache
-def origins(cells: int) -> np.ndarray:
-    """`predecessors` as uint32; where an action would lead here from off the grid it is the state itself."""
-    return _staying(predecessors(cells))
+def predecessors_or_self(cells: int) -> np.ndarray:
+    """Return `predecessors` as uint32, with the state itself for an action that would lead here from off the grid."""
+    return _with_self(predecessors(cells))
 
 
 def flat_state(state: LatticeState, cells: int) -> int:
-    """The flat state of a lattice state."""
+    """Return the flat state of a lattice state."""
     return (state.iy * cells + state.ix) * HEADINGS + state.heading
 
 
 def lattice_state(flat: int, cells: int) -> LatticeState:
-    """The lattice state of a flat state."""
+    """Return the lattice state of a flat state."""
     return LatticeState(flat // HEADINGS % cells, flat // (HEADINGS * cells), flat % HEADINGS)
 
 
-def _staying(table: np.ndarray) -> np.ndarray:
-    staying = np.where(table == NOWHERE, np.arange(len(table))[:, None], table).astype(np.uint32)
-    staying.flags.writeable = False
-    return staying
+def _with_self(table: np.ndarray) -> np.ndarray:
+    filled = np.where(table == NOWHERE, np.arange(len(table))[:, None], table).astype(np.uint32)
+    filled.flags.writeable = False
+    return filled
 
 
 def _flat(cells: int, ix: np.ndarray, iy: np.ndarray, heading: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The two policies of Algorithm 2 and their union: what the camera advises, and where the potential field points."""
+"""The two policies of Algorithm 2 and their union: the advice of the camera, and the potential field."""
 
 from collections.abc import Callable
 from operator import itemgetter
@@ -7,18 +7,18 @@ import numpy as np
 
 from zsdist.types import Action, LatticeState
 
-ADVISED = (Action.FORWARD, Action.LEFT_45, Action.RIGHT_45)  # the order of a view's advice
+ADVISED = (Action.FORWARD, Action.LEFT_45, Action.RIGHT_45)  # actions in the order of a view's advice
 
 
 def advised_action(advice: np.ndarray, mask: np.ndarray) -> Action | None:
-    """What the visual-act model would do here. Eq. (12), a = pi(s_low | I).
+    """Return the best allowed action by the visual-act model's advice. Eq. (12), a = pi(s_low | I).
 
     Args:
         advice: `(3,)` R_p for forward, left, right.
         mask: `(5,)` bool, allowed actions.
 
     Returns:
-        The best advised action; None where no advised one is allowed.
+        The best advised action; None if no advised action is allowed.
     """
     allowed = mask.tolist()
     rated = [(value, action) for value, action in zip(advice.tolist(), ADVISED, strict=True) if allowed[action]]
@@ -32,25 +32,25 @@ class PolicyMap:
         self._pool: dict[LatticeState, Action] = {}
 
     def add(self, state: LatticeState, action: Action) -> None:
-        """Takes one more pose into the explored policy. Eq. (13): it is the union of the advice over all of them."""
+        """Add the advice at one pose to the explored policy. Eq. (13): it is the union of the advice over all poses."""
         self._pool[state] = action
 
     def explored(self, state: LatticeState) -> Action | None:
-        """The explored policy's action; None where the camera has never looked from."""
+        """Return the explored policy's action; None for a pose at which the camera has given no advice."""
         return self._pool.get(state)
 
     def overall(
         self, state: LatticeState, block_explored: bool, unexplored: Callable[[], Action | None]
     ) -> tuple[Action | None, bool]:
-        """The global policy's action, and whether it is the explored policy's. Eq. (17): the union of both.
+        """Return the global policy's action, and whether it is the explored policy's. Eq. (17): the union of both.
 
-        Deviation: in explored blocks the advice holds at poses the car has looked from; elsewhere, and in blocks that
-        are not explored, the potential field guides.
+        Deviation: in explored blocks the advice counts at poses for which there is some; at other poses, and in blocks
+        that are not explored, the potential field guides.
 
         Args:
-            state: the pose on the lattice.
+            state: pose on the lattice.
             block_explored: whether enough of its block has been seen.
-            unexplored: gives the potential field's action.
+            unexplored: function that returns the potential field's action.
         """
         if block_explored and (action := self._pool.get(state)) is not None:
             return action, True

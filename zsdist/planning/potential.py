@@ -1,30 +1,25 @@
-"""The artificial potential field over believed space, and how its direction becomes an action."""
+"""The artificial potential field over believed space, and the action that follows its direction best."""
 
 import math
 
 import numpy as np
 
+from zsdist.planning.footprint import TURNS
 from zsdist.types import Action
 
-BODY_M = 0.645  # half the car's width and a margin: what is left of a distance to the centre is room
-NEAREST_M = 0.05  # the repulsion has a pole at touch
-IN_PLACE = 0.15  # a turn in place must point this much better, in cosines, than moving on
-TURN_EIGHTHS = {
-    Action.FORWARD: 0,
-    Action.LEFT_45: 1,
-    Action.RIGHT_45: -1,
-    Action.TURN_LEFT_90: 2,
-    Action.TURN_RIGHT_90: -2,
-}
+BODY_M = 0.645  # half the car's width and a margin, subtracted from distances to the car's centre
+NEAREST_M = 0.05  # least distance to an obstacle: the repulsion has a pole at 0
+IN_PLACE = 0.15  # penalty of a turn in place, in cosines: it must point this much better than an advance
+_TURN_OF = tuple(zip(Action, TURNS, strict=True))
 
 
 def attraction(distance_m: float, k_att: float) -> float:
-    """U_att, which grows with the square of the distance to the goal. Eq. (14)."""
+    """Return U_att, which grows with the square of the distance to the goal. Eq. (14)."""
     return 0.5 * k_att * distance_m**2
 
 
 def repulsion(distance_m: float, k_rep: float, influence_m: float) -> float:
-    """U_rep of the nearest obstacle at `distance_m`, none beyond its influence distance. Eq. (15)."""
+    """Return U_rep of the nearest obstacle at `distance_m`, 0 beyond its influence distance. Eq. (15)."""
     if distance_m > influence_m:
         return 0.0
     return 0.5 * k_rep * (1.0 / distance_m - 1.0 / influence_m) ** 2
@@ -42,22 +37,22 @@ def force(
     trail: np.ndarray | None = None,
     k_trail: float = 0.0,
 ) -> np.ndarray:
-    """The direction in which the potential falls, `(2,)`. Eq. (16): F = -grad U, U the sum of attraction and repulsion.
+    """Return the force on the car, `(2,)`. Eq. (16): F = -grad U, U the sum of attraction and repulsion.
 
-    Deviation: by default the attraction is conic (constant in size, the usual cure for one that drowns every obstacle
-    far from the goal); the distance to an obstacle is what is left beside the car's body; and places where the car
-    has been repel it by `k_trail`, without which it stays in the first local minimum. `conic=False, k_trail=0` is the
-    paper's field.
+    Deviation: by default the attraction is conic (of constant size, the usual remedy for a quadratic one, which far
+    from the goal outweighs every obstacle); the distance to an obstacle is measured from the car's body; and positions
+    that the car has visited repel it by `k_trail`, since otherwise it stays in the first local minimum.
+    `conic=False, k_trail=0` is the paper's field.
 
     Args:
-        position: the car's centre.
-        target: what attracts.
+        position: centre of the car.
+        target: point that attracts.
         obstacles: `(N, 2)` points of believed surfaces.
         k_att: constant of the attraction.
         k_rep: constant of the repulsion.
-        influence_m: distance from which obstacles repel.
-        conic: attraction of constant size.
-        trail: `(M, 2)` places where the car has been, repeated as often as it was there.
+        influence_m: distance within which obstacles repel.
+        conic: whether the attraction has constant size.
+        trail: `(M, 2)` visited positions, each repeated as often as it was visited.
         k_trail: constant of the trail's repulsion.
     """
     here = np.asarray(position, np.float64)
@@ -81,22 +76,22 @@ def force(
     return total
 
 
-def decompose(
+def action_along(
     direction: np.ndarray, heading_rad: float, mask: np.ndarray, reluctance: np.ndarray | None = None
 ) -> Action | None:
-    """The allowed action after which the car points best along `direction`; None where nothing is allowed.
+    """Return the allowed action after which the car points best along `direction`; None if no action is allowed.
 
     Args:
         direction: `(2,)` of any length.
-        heading_rad: the car's.
+        heading_rad: heading of the car.
         mask: `(5,)` bool, allowed actions.
-        reluctance: `(5,)` what speaks against each action, in cosines (such as having been at its end before).
+        reluctance: `(5,)` penalty of each action, in cosines (such as for visits to the state in which it ends).
     """
     bearing = math.atan2(direction[1], direction[0]) - heading_rad
-    against = [0.0] * len(TURN_EIGHTHS) if reluctance is None else reluctance.tolist()
-    best, choice = -math.inf, None
-    for (action, eighths), allowed in zip(TURN_EIGHTHS.items(), mask.tolist(), strict=True):
-        score = math.cos(bearing - eighths * math.pi / 4) - IN_PLACE * (abs(eighths) == 2) - against[action]
-        if allowed and score > best:
-            best, choice = score, action
-    return choice
+    penalties: list[float] = [0.0] * len(_TURN_OF) if reluctance is None else reluctance.tolist()
+    best_score, best_action = -math.inf, None
+    for (action, eighths), allowed in zip(_TURN_OF, mask.tolist(), strict=True):
+        score = math.cos(bearing - eighths * math.pi / 4) - IN_PLACE * (abs(eighths) == 2) - penalties[action]
+        if allowed and score > best_score:
+            best_score, best_action = score, action
+    return best_action

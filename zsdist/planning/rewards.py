@@ -1,11 +1,11 @@
-"""Rewards of the paper, term by term. By default the levels learn from `zsdist.agent.reward_shaping` instead."""
+"""Rewards of the paper, term by term. By default both levels learn from `zsdist.agent.reward_shaping` instead."""
 
 import math
 from typing import NamedTuple
 
 
 class RewardTerms(NamedTuple):
-    """One step's reward, apart: `distance` R_1, `safety` R_2, `goal` R_3."""
+    """Terms of one step's reward: `distance` R_1, `safety` R_2, `goal` R_3."""
 
     distance: float
     safety: float
@@ -13,23 +13,23 @@ class RewardTerms(NamedTuple):
 
     @property
     def total(self) -> float:
-        """The environment's reward: the sum of the three terms."""
+        """Reward of the environment: the sum of the three terms."""
         return self.distance + self.safety + self.goal
 
 
 def target_distance(next_xy: tuple[float, float], target_xy: tuple[float, float]) -> float:
-    """R_1, minus the Euclidean distance in metres from where the car came to stand to its target. Eq. (18)."""
+    """Return R_1, minus the Euclidean distance in metres between the car after the step and its target. Eq. (18)."""
     return -math.hypot(next_xy[0] - target_xy[0], next_xy[1] - target_xy[1])
 
 
 def obstacle_avoidance(collided: bool, collision: float, safe: float) -> float:
-    """R_2, `collision` where the step hit something and `safe` otherwise. Eq. (19)."""
+    """Return R_2, `collision` if the car collided in the step and `safe` otherwise. Eq. (19)."""
     return collision if collided else safe
 
 
 def target_reached(reached: bool, goal: float, step: float) -> float:
-    """R_3, `goal` where the step reached the target and `step` otherwise. Eq. (20).
+    """Return R_3, `goal` if the step reached the target and `step` otherwise. Eq. (20).
 
-    Deviation: a target is reached within the success radius of it rather than at exactly equal coordinates.
+    Deviation: the target counts as reached within the success radius rather than at exactly equal coordinates.
     """
     return goal if reached else step

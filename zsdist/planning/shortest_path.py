@@ -1,7 +1,7 @@
-"""Shortest ways over (cell, heading), and the states from which the car can keep going.
+"""Shortest paths over (cell, heading), and the viable states, from which the car can keep going.
 
-Both start from `blocked`, `[iy, ix, heading, action]` `(cells, cells, 8, 5)` bool, of `FootprintTable.blocked`. The
-car has no reverse gear, so the graph is directed: costs to go are found from the goal against the direction of travel.
+Both use `blocked`, `[iy, ix, heading, action]` `(cells, cells, 8, 5)` bool, of `FootprintTable.blocked`. The car has no
+reverse gear, so the graph is directed: costs to go are found from the goal against the direction of travel.
 """
 
 import math
@@ -17,7 +17,7 @@ from zsdist.planning.lattice import flat_state, lattice_state, predecessors, suc
 from zsdist.types import Action, LatticeState
 
 STEPS_COST = np.ones((HEADINGS, ACTIONS))  # cost of each action from each heading, counted in actions
-_ACTION_TIE_M = 1e-3  # an action's cost on top of its metres: of equally long ways the one of fewer actions wins,
+_ACTION_TIE_M = 1e-3  # cost of an action on top of its metres: of equally long paths the one of fewer actions wins,
 _TURN_TIE_M = 2e-4  # and of those the one that turns through fewer eighths
 
 _ENDS = (np.arange(HEADINGS)[:, None] + np.array(TURNS)) % HEADINGS
@@ -25,32 +25,33 @@ _ADVANCED = np.hypot(STEPS[_ENDS, 0], STEPS[_ENDS, 1]) * ADVANCES  # by heading 
 
 
 class LatticePath(NamedTuple):
-    """A way: `states` from the start to the goal, and the `actions` between them, one fewer."""
+    """A path: `states` from the start to the goal, and the `actions` between them, one fewer."""
 
     states: list[LatticeState]
     actions: list[Action]
 
 
 def metres_cost(grid: Grid) -> np.ndarray:
-    """Cost of each action from each heading, `(8, 5)` float64: metres driven, and about a millimetre for the action.
+    """Return the cost of each action from each heading, `(8, 5)` float64: metres driven, and about a millimetre.
 
-    The millimetre prefers fewer actions and fewer turns among ways of equal length and keeps turns in place from being
-    free; `length_m` gives a way's length without it.
+    The millimetre prefers fewer actions and fewer turns among paths of equal length, and keeps turns in place from
+    being free; `length_m` gives the length of a path without it.
     """
-    return _ADVANCED * grid.cell_size_m + _ACTION_TIE_M + _TURN_TIE_M * np.abs(TURNS)
+    costs: np.ndarray = _ADVANCED * grid.cell_size_m + _ACTION_TIE_M + _TURN_TIE_M * np.abs(TURNS)
+    return costs
 
 
-METRES = metres_cost(Grid())  # of the default grid
+METRES = metres_cost(Grid())  # cost of each action on the default grid
 
 
 def goal_mask(grid: Grid, goal_xy: tuple[float, float], radius_m: float) -> np.ndarray:
-    """Cells whose centre is within `radius_m` of the goal, `[iy, ix]` `(cells, cells)` bool."""
+    """Return the cells whose centre is within `radius_m` of the goal, `[iy, ix]` `(cells, cells)` bool."""
     xs, ys = grid.cell_centres()
     return np.hypot(xs[None, :] - goal_xy[0], ys[:, None] - goal_xy[1]) <= radius_m
 
 
 def cost_to_go(blocked: np.ndarray, goals: np.ndarray, action_costs: np.ndarray) -> np.ndarray:
-    """Least cost from every state to a goal cell, whatever the heading there.
+    """Return the least cost from every state to a goal cell, with any heading there.
 
     Args:
         blocked: `(cells, cells, 8, 5)` bool.
@@ -65,20 +66,20 @@ def cost_to_go(blocked: np.ndarray, goals: np.ndarray, action_costs: np.ndarray)
     """
     if not np.min(action_costs) > 0:
         raise ValueError(f"the least action cost is {np.min(action_costs)}; allowed is above 0")
-    return CostField(goals, action_costs).on(blocked)
+    return CostField(goals, action_costs).costs_on(blocked)
 
 
 def path(cost: np.ndarray, blocked: np.ndarray, start: LatticeState, action_costs: np.ndarray) -> LatticePath:
-    """The way that a field of `cost_to_go` describes, from `start`.
+    """Return the shortest path from `start`, found by descending the costs of `cost_to_go`.
 
     Args:
         cost: `(cells, cells, 8)`, made with the same `blocked` and `action_costs`.
         blocked: `(cells, cells, 8, 5)` bool.
-        start: where the way begins.
+        start: start of the path.
         action_costs: `(8, 5)`.
 
     Raises:
-        ValueError: no goal cell can be reached from `start`, or the field is of another `blocked`.
+        ValueError: no goal cell can be reached from `start`, or the costs belong to another `blocked`.
     """
     flat, actions = flat_path(cost, blocked, start, action_costs)
     states = [lattice_state(state, len(blocked)) for state in flat.tolist()]
@@ -88,9 +89,9 @@ def path(cost: np.ndarray, blocked: np.ndarray, start: LatticeState, action_cost
 def flat_path(
     cost: np.ndarray, blocked: np.ndarray, start: LatticeState, action_costs: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`path` as the flat states and the numbers of the actions, both int."""
+    """Return `path` as flat states `(n,)` int32 and actions `(n - 1,)` int8."""
     if not math.isfinite(cost[start.iy, start.ix, start.heading]):
-        raise ValueError(f"no way leads from {start} to the goal")
+        raise ValueError(f"no path leads from {start} to the goal")
     cells = len(blocked)
     flat, actions, arrived = _follow(
         cost.ravel(), blocked.ravel(), action_costs, successors(cells), flat_state(start, cells)
@@ -102,17 +103,17 @@ def flat_path(
 
 
 def length_m(states: list[LatticeState], cell_size_m: float) -> float:
-    """Metres driven along a way; turns in place add nothing."""
+    """Return the metres driven along a path; turns in place add nothing."""
     cells = np.array([(state.ix, state.iy) for state in states]).reshape(-1, 2)
     return float(np.hypot(*np.diff(cells, axis=0).T).sum() * cell_size_m)
 
 
-def live_states(blocked: np.ndarray) -> np.ndarray:
-    """States from which the car can go on for ever without a blocked action.
+def viable_states(blocked: np.ndarray) -> np.ndarray:
+    """Return the states from which the car can keep going for ever without a blocked action (the viability kernel).
 
-    The largest set in which every state has an unblocked action that ends in the set. Without a reverse gear some
-    free states lead into dead ends only; an action that ends outside this set must not be taken. Turning on the spot
-    for ever counts as going on, so a live state need not lead to the goal: `cost_to_go` says that.
+    This is the largest set in which every state has an unblocked action that ends in the set. Without a reverse gear
+    some free states lead into dead ends only; an action that ends outside this set must not be taken. Turning in place
+    for ever counts as going on, so the goal need not be reachable from a viable state: see `cost_to_go`.
 
     Args:
         blocked: `(cells, cells, 8, 5)` bool.
@@ -121,14 +122,14 @@ def live_states(blocked: np.ndarray) -> np.ndarray:
         `[iy, ix, heading]` `(cells, cells, 8)` bool.
     """
     cells = len(blocked)
-    return _live(blocked.ravel(), predecessors(cells)).reshape(cells, cells, HEADINGS)
+    return _viable(blocked.ravel(), predecessors(cells)).reshape(cells, cells, HEADINGS)
 
 
 @compiled()
 def _follow(
     cost: np.ndarray, blocked: np.ndarray, action_costs: np.ndarray, after: np.ndarray, start: int
 ) -> tuple[np.ndarray, np.ndarray, bool]:
-    """States and actions from the start down the costs; whether an action was found at each."""
+    """Return the states and actions from the start down the costs, and whether a goal cell was reached."""
     states, actions = np.empty(len(cost), np.int32), np.empty(len(cost), np.int8)
     count, state = 0, start
     states[0] = start
@@ -149,21 +150,21 @@ def _follow(
 
 
 @compiled()
-def _live(blocked: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Takes away states without an action left, then what led only to them, until nothing changes."""
+def _viable(blocked: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Return the states that are left when states without an action into another such state are removed repeatedly."""
     count, actions = before.shape
-    left = np.zeros(count, dtype=np.int8)  # actions that end in a state not taken away
-    dead, found = np.empty(count, dtype=np.int32), 0
+    left = np.zeros(count, dtype=np.int8)  # unblocked actions that end in a state not removed
+    dead, found = np.empty(count, dtype=np.int32), 0  # removed states
     for state in range(count):
         for action in range(actions):
             left[state] += not blocked[state * actions + action]
         if left[state] == 0:
             dead[found] = state
             found += 1
-    looked = 0
-    while looked < found:
-        state = dead[looked]
-        looked += 1
+    handled = 0
+    while handled < found:
+        state = dead[handled]
+        handled += 1
         for action in range(actions):
             previous = before[state, action]
             if previous < 0 or blocked[previous * actions + action]:

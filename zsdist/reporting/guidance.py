@@ -151,7 +151,7 @@ def _anew(known: Situation, state: LatticeState, advice: np.ndarray) -> Situatio
         known,
         state=state,
         advice=advice,
-        drive_m=forward_search.metres_from(known.blocked, state, way_costs(known.grid)),
+        drive_m=forward_search.path_lengths_from(known.blocked, state, way_costs(known.grid)),
         visits=np.zeros_like(known.visits),
         block_visits=np.zeros_like(known.block_visits),
         tries=np.zeros_like(known.tries),

@@ -1,4 +1,4 @@
-"""PyBullet without the line that it writes on standard error when imported: what commands say there is for people."""
+"""PyBullet without the line that it writes on standard error at import: commands keep that stream for messages."""
 
 import os
 import sys
@@ -6,14 +6,14 @@ import sys
 
 def _import_quietly() -> None:
     sys.stderr.flush()
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    saved, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
-        os.dup2(nowhere, 2)
+        os.dup2(null, 2)
         import pybullet  # noqa: F401
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)
+        os.dup2(saved, 2)
+        os.close(saved)
+        os.close(null)
 
 
 _import_quietly()

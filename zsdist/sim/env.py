@@ -1,7 +1,7 @@
-"""The car and its scenes as a gymnasium environment: `gymnasium.make("zsdist/CarNavigation-v0")`."""
+"""The simulated car as a gymnasium environment: `gymnasium.make("zsdist/CarNavigation-v0")`."""
 
 import math
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -21,32 +21,41 @@ from zsdist.types import Action, Pose
 
 
 class CarNavigation(gymnasium.Env):
-    """One car, one scene an episode; an action is one of the five lattice moves.
+    """One car in one scene per episode; an action is one of the five lattice moves.
 
     Observation, a dictionary:
-        `image`: `(px, px, 3)` uint8, from the camera on the car at its true pose, roll and pitch included.
+        `image`: `(px, px, 3)` uint8, from the camera on the car at its true pose, with its roll and pitch.
         `pose`: `(3,)` float64, the true `x_m`, `y_m`, `heading_rad`.
         `goal`: `(2,)` float64, its `x_m`, `y_m`.
 
     The reward is the sum of the terms in `zsdist.planning.rewards`. An episode terminates at a collision or at the
-    goal, and is truncated after `config.sim.max_steps` actions. A move off the grid is masked in `info`; made all the
-    same, it only turns the car. Nothing of the scene but its name is in observations and `info`.
+    goal, and is truncated after `config.sim.max_steps` actions. A move off the grid is masked in `info`; if it is made
+    nevertheless, it only turns the car. Observations and `info` contain nothing of the scene but its name.
 
     `info` of a reset: `scene`, `action_mask` `(5,)` bool, `sim_steps`; that of a step also `success`, `collision` and
     `reward_terms`, a dictionary of `distance`, `safety`, `goal`.
 
     Args:
-        family: from whose training scenes a reset chooses, by its seed; `reset(options={"scene": scene})` sets one.
-        config: of grid, simulation, camera, rewards and number of training scenes; the defaults without it.
-        camera: draws the images; the one that `config.camera` describes without it.
-        render_mode: `rgb_array`: `render` gives the camera's image.
-        images: False: observations and their space have no `image`, and the camera works only when `picture` is asked.
+        family: family of the training scenes from which a reset chooses by its seed; `reset(options={"scene": scene})`
+            sets a scene.
+        config: configuration of grid, simulation, camera, rewards and number of training scenes; None: the defaults.
+        camera: camera that draws the images; None: the one that `config.camera` describes.
+        render_mode: `rgb_array`: `render` returns the camera's image; None: it returns nothing.
+        images: whether observations and their space have an `image`; without it the camera works only in `picture`.
+
+    Attributes:
+        family: as given.
+        config: as given.
+        render_mode: as given.
+        grid: planning grid.
+        world: physics.
 
     Raises:
-        ConfigError: there is no such family.
+        ConfigError: there is no such family or render mode.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 2}
+    # gymnasium.Env declares an instance variable.
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 2}  # noqa: RUF012
 
     def __init__(
         self,
@@ -73,20 +82,23 @@ class CarNavigation(gymnasium.Env):
         wall, px = self.grid.arena_m / 2, self.config.camera.size_px
         farthest = np.array([wall, wall, math.pi])
         self.action_space = spaces.Discrete(len(Action))
-        places = {
-            "pose": spaces.Box(-farthest, farthest, dtype=np.float64),
-            "goal": spaces.Box(-wall, wall, (2,), np.float64),
-        }
-        image = {"image": spaces.Box(0, 255, (px, px, 3), np.uint8)}
-        self.observation_space = spaces.Dict(image | places if images else places)
+        observed: dict[str, spaces.Space[Any]] = {}
+        if images:
+            observed["image"] = spaces.Box(0, 255, (px, px, 3), np.uint8)
+        observed["pose"] = spaces.Box(-farthest, farthest, dtype=np.float64)
+        observed["goal"] = spaces.Box(-wall, wall, (2,), np.float64)
+        self.observation_space = spaces.Dict(observed)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Starts an episode in `options["scene"]`, or else in a training scene of the family.
+        """Start an episode in `options["scene"]`, or else in a training scene of the family.
+
+        Returns:
+            Observation and `info`.
 
         Raises:
-            SceneError: the car cannot stand on the scene's start.
+            SceneError: an obstacle or a wall stands on the scene's start.
         """
         super().reset(seed=seed)
         scene = (options or {}).get("scene")
@@ -95,10 +107,13 @@ class CarNavigation(gymnasium.Env):
         sim_steps = self.world.reset(scene)
         self._steps, self._over = 0, False
         pose = self.world.pose
-        return self._observe(scene, pose), self._about(scene, pose, sim_steps)
+        return self._observe(scene, pose), self._info(scene, pose, sim_steps)
 
     def step(self, action: int) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Drives one action to its end.
+        """Drive one action to its end.
+
+        Returns:
+            Observation, reward, whether the episode terminated, whether it was truncated, and `info`.
 
         Raises:
             ResetNeeded: the episode is over, or none has begun.
@@ -106,37 +121,37 @@ class CarNavigation(gymnasium.Env):
         """
         scene = self.world.scene
         if self._over or scene is None:
-            raise ResetNeeded("step() without an episode; call reset() first")
+            raise ResetNeeded("no episode is running; call reset() before step()")
         if not (type(action) is int and 0 <= action < len(Action)) and not self.action_space.contains(action):
             raise InvalidAction(f"action is {action!r}; allowed are the integers 0 to {len(Action) - 1}")
         driven = self.world.drive(int(action))
         self._steps += 1
-        place, rewards = driven.pose[:2], self.config.reward
-        success = not driven.contact and math.dist(place, scene.goal) <= self.config.sim.success_radius_m
+        position, rewards = driven.pose[:2], self.config.reward
+        success = not driven.contact and math.dist(position, scene.goal) <= self.config.sim.success_radius_m
         terms = RewardTerms(
-            distance=target_distance(place, scene.goal),
+            distance=target_distance(position, scene.goal),
             safety=obstacle_avoidance(driven.contact, rewards.collision, rewards.safe),
             goal=target_reached(success, rewards.goal, rewards.step),
         )
         terminated = success or driven.contact
         truncated = not terminated and self._steps >= self.config.sim.max_steps
         self._over = terminated or truncated
-        info = self._about(scene, driven.pose, driven.sim_steps)
+        info = self._info(scene, driven.pose, driven.sim_steps)
         info |= {"reward_terms": terms._asdict(), "success": success, "collision": driven.contact}
         return self._observe(scene, driven.pose), terms.total, terminated, truncated, info
 
     def picture(self, pose: Pose | None = None) -> np.ndarray:
-        """What the camera sees, `(px, px, 3)` uint8.
+        """Return the camera's picture, `(px, px, 3)` uint8.
 
         Args:
-            pose: of a car that stands level; without it the car's true pose, roll and pitch included.
+            pose: pose of a car that stands level; None: the car's true pose, with its roll and pitch.
 
         Raises:
             ResetNeeded: no episode has begun.
         """
         scene = self.world.scene
         if scene is None:
-            raise ResetNeeded("a picture without an episode; call reset() first")
+            raise ResetNeeded("no episode has begun; call reset() before picture() or render()")
         if pose is not None:
             return self._camera.render(scene, pose, 0.0, 0.0, self.world.people)
         if self._image is None:
@@ -145,11 +160,11 @@ class CarNavigation(gymnasium.Env):
         return self._image
 
     def render(self) -> np.ndarray | None:
-        """The camera's image, `(px, px, 3)` uint8, in mode `rgb_array`; None in the mode that renders nothing."""
+        """Return the camera's image, `(px, px, 3)` uint8, in the mode `rgb_array`; None without a render mode."""
         return None if self.render_mode is None else self.picture().copy()
 
     def close(self) -> None:
-        """Ends the physics."""
+        """Close the physics client."""
         self.world.close()
 
     def _training_scene(self) -> Scene:
@@ -161,10 +176,10 @@ class CarNavigation(gymnasium.Env):
 
     def _observe(self, scene: Scene, pose: Pose) -> dict[str, np.ndarray]:
         self._image = None
-        places = {"pose": np.array(pose), "goal": np.array(scene.goal, dtype=np.float64)}
-        return {"image": self.picture()} | places if self._images else places
+        poses = {"pose": np.array(pose), "goal": np.array(scene.goal, dtype=np.float64)}
+        return {"image": self.picture()} | poses if self._images else poses
 
-    def _about(self, scene: Scene, pose: Pose, sim_steps: int) -> dict[str, Any]:
+    def _info(self, scene: Scene, pose: Pose, sim_steps: int) -> dict[str, Any]:
         state = self.grid.lattice_state(pose)
         mask = successors(self.grid.cells)[flat_state(state, self.grid.cells)] != NOWHERE
         return {"scene": scene.name, "action_mask": mask, "sim_steps": sim_steps}

@@ -1,4 +1,4 @@
-"""Ground truth of the simulated world: what horizontal rays from the camera meet."""
+"""Ground truth of the simulated world: distances and obstacles along horizontal rays from the camera."""
 
 import math
 from typing import NamedTuple
@@ -14,14 +14,13 @@ from zsdist.types import Pose
 
 
 class RaysMet(NamedTuple):
-    """True meetings of R rays.
+    """True hits of R rays.
 
     Attributes:
-        distance_m: `(R,)` from the camera, capped at its range, which stands for "free".
-        obstacle: `(R,)` int64, number of the obstacle that is met in the order of `raycast.ray_distances`, negative
-            where it is none.
-        dynamic: `(R,)` bool, whether what is met is of a kind that moves.
-        segment: `(R,)` uint8, what is met: `Kind.segment_id`, `SEGMENT_WALL`, or 0 where the ray is free.
+        distance_m: `(R,)` distance from the camera, capped at its range; the range itself means a free ray.
+        obstacle: `(R,)` int64, number of the obstacle in the order of `raycast.ray_distances`, negative if none is hit.
+        dynamic: `(R,)` bool, whether the obstacle is of a kind that moves.
+        segment: `(R,)` uint8, `Kind.segment_id` of the obstacle, `SEGMENT_WALL`, or 0 for a free ray.
     """
 
     distance_m: np.ndarray
@@ -33,14 +32,14 @@ class RaysMet(NamedTuple):
 def rays_met(
     scene: Scene, pose: Pose, camera: CameraConfig, angles_rad: np.ndarray, people: np.ndarray | None = None
 ) -> RaysMet:
-    """Return how far horizontal rays from the camera go, and what they meet.
+    """Return the distance and the obstacle of horizontal rays from the camera.
 
     Args:
-        scene: what stands in the arena.
-        pose: of the car.
+        scene: the scene in the arena.
+        pose: pose of the car.
         camera: mount and range.
-        angles_rad: `(R,)` of the rays from the camera's axis, left positive.
-        people: `(W, 2)` positions of the walking obstacles; None: where they start.
+        angles_rad: `(R,)` angles of the rays from the camera's axis, left positive.
+        people: `(W, 2)` positions of the walking obstacles; None: at their start.
     """
     x_m = pose.x_m + camera.forward_m * math.cos(pose.heading_rad)
     y_m = pose.y_m + camera.forward_m * math.sin(pose.heading_rad)
@@ -50,11 +49,11 @@ def rays_met(
     )
     kinds = [KINDS[kind] for kind in _kinds_in_order_of_rays(scene)]
     moves = np.array([kind.dynamic for kind in kinds] + [False])
-    segments = np.array([kind.segment_id for kind in kinds] + [SEGMENT_WALL, 0], np.uint8)  # of -2 and -1 last
+    segments = np.array([kind.segment_id for kind in kinds] + [SEGMENT_WALL, 0], np.uint8)  # the indices -2 and -1 last
     return RaysMet(distance_m, obstacle, moves[np.maximum(obstacle, -1)], segments[obstacle])
 
 
 def _kinds_in_order_of_rays(scene: Scene) -> list[str]:
-    """Kinds in the order of `ray_distances`: round ones, then boxes."""
+    """Return the kinds of obstacles in the order of `ray_distances`: round ones, then boxes."""
     round_ones = [obstacle.kind for obstacle in scene.obstacles if obstacle.size_m is None]
     return round_ones + [obstacle.kind for obstacle in scene.obstacles if obstacle.size_m is not None]

@@ -188,7 +188,7 @@ def test_a_drive_that_is_not_learned_from_asks_no_guide_and_leaves_no_trajectory
     def refuse(*_):
         raise AssertionError("a guide or a planner was asked")
 
-    for name in ("guide.high_choice", "guide.LowGuide.action", "hierarchy.CostField.on"):
+    for name in ("guide.high_choice", "guide.LowGuide.action", "hierarchy.CostField.costs_on"):
         monkeypatch.setattr(f"zsdist.agent.{name}", refuse)
     drive = Drive(SCENES[0], epsilon=0.0, learning=False)
     assert len(drive.decisions) > 5 and not drive.trajectories

@@ -83,7 +83,7 @@ def test_a_dead_end_without_room_to_turn_is_not_entered():
     state = LatticeState(18, 16, 0)
     judgement = shield.judge(known_free(pocket()), state, goals(28, 28), visited(state))
     assert not FootprintTable(GRID).blocked(pocket())[16, 18, 0, Action.FORWARD]
-    assert judgement.ways.blocked[16, 18, 0, Action.FORWARD] and not judgement.allowed[Action.FORWARD]
+    assert judgement.moves.blocked[16, 18, 0, Action.FORWARD] and not judgement.allowed[Action.FORWARD]
     assert judgement.allowed.any()
 
 
@@ -147,8 +147,8 @@ def test_a_state_not_yet_looked_from_may_lead_over_unseen_ground():
     belief = BeliefMap(GRID)
     belief.clear_disc(*GRID.centre(16, 16), 1.5)
     judgement = shield.judge(belief, EAST, goals(28, 16), visited(EAST))
-    assert judgement.ways.blocked[16, 16, 0, Action.FORWARD]
-    assert not judgement.ways.blocked[16, 16, 2, Action.RIGHT_45] and not judgement.gave_way
+    assert judgement.moves.blocked[16, 16, 0, Action.FORWARD]
+    assert not judgement.moves.blocked[16, 16, 2, Action.RIGHT_45] and not judgement.gave_way
 
 
 def test_unseen_ground_is_suspect_up_to_its_edge_but_for_slivers():
@@ -173,9 +173,11 @@ def test_what_is_reached_backwards_agrees_with_the_cost_to_go_and_forwards_with_
         squares[fy : fy + 6, fx : fx + 6] = True
     squares &= ~blob(16, 16, half=10)
     blocked = FootprintTable(GRID).blocked(squares)
-    leading = reachability.unpacked(BlockedMoves.of(blocked).states_to(reachability.packed_cells(goals(5, 5))))
+    leading = reachability.unpack_states(
+        BlockedMoves.from_array(blocked).states_reaching(reachability.pack_cells(goals(5, 5)))
+    )
     assert (leading == np.isfinite(cost_to_go(blocked, goals(5, 5), STEPS_COST))).all()
-    cells = np.isfinite(forward_search.metres_from(blocked, EAST, STEPS_COST))
+    cells = np.isfinite(forward_search.path_lengths_from(blocked, EAST, STEPS_COST))
     state = EAST
     for action in rng.integers(0, 5, 400):
         if not blocked[state.iy, state.ix, state.heading, action]:
@@ -195,5 +197,5 @@ def test_width_of_the_car_is_what_the_shield_keeps_clear():
         fx, fy = GRID.fine_index(*GRID.centre(18, 16))
         squares = np.zeros((GRID.fine_size, GRID.fine_size), bool)
         squares[fy + aside, fx] = True
-        blocked = shield.judge(known_free(squares), EAST, goals(28, 16), visited(EAST)).ways.blocked
+        blocked = shield.judge(known_free(squares), EAST, goals(28, 16), visited(EAST)).moves.blocked
         assert blocked[16, 16, 0, Action.FORWARD] != free

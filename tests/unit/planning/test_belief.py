@@ -35,9 +35,9 @@ def wall_ahead(distance_m):
     return view_of(distance_m / np.cos(ANGLES))
 
 
-def at(squares, x_m, y_m):
+def at(cells, x_m, y_m):
     fx, fy = GRID.fine_index(x_m, y_m)
-    return bool(squares[fy, fx])
+    return bool(cells[fy, fx])
 
 
 @pytest.mark.parametrize("heading", np.arange(8) * math.pi / 4)
@@ -45,8 +45,8 @@ def test_a_wall_is_occupied_what_is_before_it_free_and_what_is_behind_it_unknown
     belief = BeliefMap(GRID)
     belief.update(Pose(1.0, -2.0, heading), wall_ahead(2.0), CAMERA_M)
 
-    def ahead(squares, distance):
-        return at(squares, 1.0 + distance * math.cos(heading), -2.0 + distance * math.sin(heading))
+    def ahead(cells, distance):
+        return at(cells, 1.0 + distance * math.cos(heading), -2.0 + distance * math.sin(heading))
 
     assert ahead(belief.occupied(), CAMERA_M + 2.05)
     assert ahead(belief.seen(), CAMERA_M + 1.2) and not ahead(belief.occupied(), CAMERA_M + 1.2)
@@ -54,7 +54,7 @@ def test_a_wall_is_occupied_what_is_before_it_free_and_what_is_behind_it_unknown
     assert not ahead(belief.seen(), -3.0)
 
 
-def test_an_imagined_obstacle_is_worn_away_by_looks_through_it():
+def test_an_imagined_obstacle_is_removed_by_views_through_it():
     belief = BeliefMap(GRID)
     for _ in range(10):
         belief.update(ORIGIN, wall_ahead(2.0), CAMERA_M)
@@ -64,7 +64,7 @@ def test_an_imagined_obstacle_is_worn_away_by_looks_through_it():
     assert not at(belief.occupied(), 3.05, 0.0)
 
 
-def test_an_obstacle_that_many_looks_missed_is_believed_at_the_first_certain_hit():
+def test_an_obstacle_that_many_views_missed_is_believed_at_the_first_certain_hit():
     belief = BeliefMap(GRID)
     for _ in range(50):
         belief.update(ORIGIN, view_of(5.0), CAMERA_M)
@@ -73,14 +73,14 @@ def test_an_obstacle_that_many_looks_missed_is_believed_at_the_first_certain_hit
     assert at(belief.occupied(), 3.05, 0.0)
 
 
-def test_one_miss_in_five_looks_does_not_clear_an_obstacle():
+def test_one_miss_in_five_views_does_not_clear_an_obstacle():
     belief = BeliefMap(GRID)
     for look in range(20):
         belief.update(ORIGIN, view_of(5.0) if look % 5 == 4 else wall_ahead(2.0), CAMERA_M)
     assert at(belief.occupied(), 3.05, 0.0)
 
 
-def test_who_steps_onto_ground_that_was_long_free_is_believed_at_the_first_look():
+def test_a_person_who_steps_onto_ground_that_was_long_free_is_believed_at_the_first_view():
     belief = BeliefMap(GRID)
     for _ in range(20):
         belief.update(ORIGIN, view_of(5.0), CAMERA_M)
@@ -96,7 +96,7 @@ def test_an_uncertain_ray_claims_free_ground_less_surely_than_a_certain_one():
     assert (~uncertain.occupied(surely)).sum() < 0.8 * (~certain.occupied(surely)).sum()
 
 
-def test_a_surface_at_no_sure_distance_closes_no_square_that_it_more_likely_lies_beyond():
+def test_a_surface_at_an_uncertain_distance_closes_no_cell_that_it_more_likely_lies_beyond():
     belief = BeliefMap(GRID)
     for _ in range(5):
         belief.update(ORIGIN, view_of(3.0, spread=6), CAMERA_M)
@@ -139,7 +139,7 @@ def test_a_higher_threshold_believes_less():
     st.floats(-math.pi, math.pi),
     st.lists(st.floats(0.0, 6.0), min_size=32, max_size=32),
 )
-def test_any_look_from_anywhere_keeps_the_belief_within_its_bounds(x_m, y_m, heading, distances):
+def test_any_view_from_anywhere_keeps_the_belief_within_its_bounds(x_m, y_m, heading, distances):
     belief = BeliefMap(GRID)
     belief.update(Pose(x_m, y_m, heading), view_of(np.maximum(distances, 0.26)), CAMERA_M)
     assert not belief.occupied(CEILING).any()

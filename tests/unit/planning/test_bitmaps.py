@@ -8,38 +8,38 @@ SIZES = (5, 63, 64, 65, 160)
 
 
 def patches(size, seed=0):
-    """Squares that are set in patches of several sizes, some of them at the edge."""
+    """Fine cells that are set in patches of several sizes, some of them at the edge."""
     noise = np.random.default_rng([seed, size]).random((size, size)).astype(np.float32)
     return cv2.blur(noise, (5, 5)) > 0.5
 
 
-def flags(rows, size):
-    """The squares `[iy, ix]` of rows of words."""
-    return np.unpackbits(rows.view(np.uint8), axis=1, bitorder="little")[:, :size].astype(bool)
+def flags(bitmap, size):
+    """The fine cells `[iy, ix]` of a bitmap."""
+    return np.unpackbits(bitmap.view(np.uint8), axis=1, bitorder="little")[:, :size].astype(bool)
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_rows_hold_each_square_at_its_bit_and_nothing_beyond(size):
-    rows = bitmaps.packed_rows(patches(size))
-    assert np.array_equal(flags(rows, size), patches(size))
-    assert np.unpackbits(rows.view(np.uint8)).sum() == patches(size).sum() > 0
+def test_a_bitmap_has_each_fine_cell_at_its_bit_and_nothing_beyond(size):
+    bitmap = bitmaps.pack_rows(patches(size))
+    assert np.array_equal(flags(bitmap, size), patches(size))
+    assert np.unpackbits(bitmap.view(np.uint8)).sum() == patches(size).sum() > 0
 
 
 @pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("steps", [1, 3])
-def test_shrinking_and_opening_are_those_of_image_processing(size, steps):
-    away = np.abs(np.arange(-steps, steps + 1))
-    diamond = (away[:, None] + away <= steps).astype(np.uint8)
-    image, rows = patches(size, steps), bitmaps.packed_rows(patches(size, steps))
-    for made, operation in ((bitmaps.eroded, cv2.MORPH_ERODE), (bitmaps.opening, cv2.MORPH_OPEN)):
+@pytest.mark.parametrize("radius", [1, 3])
+def test_erosion_and_opening_are_those_of_image_processing(size, radius):
+    away = np.abs(np.arange(-radius, radius + 1))
+    diamond = (away[:, None] + away <= radius).astype(np.uint8)
+    image, bitmap = patches(size, radius), bitmaps.pack_rows(patches(size, radius))
+    for function, operation in ((bitmaps.erosion, cv2.MORPH_ERODE), (bitmaps.opening, cv2.MORPH_OPEN)):
         expected = cv2.morphologyEx(image.astype(np.uint8), operation, diamond).astype(bool)
-        assert np.array_equal(flags(made(rows, steps), size), expected)
+        assert np.array_equal(flags(function(bitmap, radius), size), expected)
 
 
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("first", [-70, -3, 0, 4, 66])
-def test_a_window_shows_the_squares_from_its_corner_and_outside_the_frame_all_are_set(size, first):
-    shown = flags(bitmaps.window(bitmaps.packed_rows(patches(size)), first, 90, 3), 192)
+def test_a_window_has_the_fine_cells_from_its_corner_on_and_outside_the_grid_all_are_set(size, first):
+    shown = flags(bitmaps.window(bitmaps.pack_rows(patches(size)), first, 90, 3), 192)
     wide = np.ones((400, 400), bool)
     wide[100 : 100 + size, 100 : 100 + size] = patches(size)
     assert np.array_equal(shown, wide[100 + first : 190 + first, 100 + first : 292 + first])

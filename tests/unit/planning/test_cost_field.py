@@ -49,7 +49,7 @@ def searched(blocked, targets, costs):
 
 
 @pytest.mark.parametrize("costs", [STEPS_COST, METRES, way_costs(Grid(cells=CELLS, blocks=3))])
-def test_costs_kept_up_from_map_to_map_are_to_the_bit_those_of_a_search_of_each(costs):
+def test_costs_repaired_from_map_to_map_are_bit_identical_to_those_of_a_new_search(costs):
     rng = np.random.default_rng(0)
     field, closed = CostField(targets((3, 9), (4, 9)), costs), 0
     for step in range(120):
@@ -59,23 +59,23 @@ def test_costs_kept_up_from_map_to_map_are_to_the_bit_those_of_a_search_of_each(
             other = np.where(changed, other, blocked)  # noqa: F821 - of the step before
         blocked = other
         expected = searched(blocked, field.targets, costs)
-        assert np.array_equal(field.on(blocked), expected)
+        assert np.array_equal(field.costs_on(blocked), expected)
         closed += int(np.isinf(expected).sum())
     assert closed
 
 
-def test_a_way_that_closes_and_opens_again_costs_what_it_did():
+def test_a_path_that_closes_and_opens_again_costs_what_it_did():
     free = world(np.random.default_rng(0), 0.0)
     field = CostField(targets((9, 5)), METRES)
-    before = field.on(free).copy()
+    before = field.costs_on(free).copy()
     walled = free.copy()
     walled[:, 6] = True
-    assert np.isinf(field.on(walled)[5, 2]).all()
-    assert np.array_equal(field.on(free), before)
+    assert np.isinf(field.costs_on(walled)[5, 2]).all()
+    assert np.array_equal(field.costs_on(free), before)
 
 
 def test_the_same_map_gives_the_same_costs_without_a_search():
     free = world(np.random.default_rng(0), 0.0)
     field = CostField(targets((9, 5)), METRES)
-    assert field.on(free) is field.on(free)
-    assert field.on(free) is field.on(free.copy())
+    assert field.costs_on(free) is field.costs_on(free)
+    assert field.costs_on(free) is field.costs_on(free.copy())

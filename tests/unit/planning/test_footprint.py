@@ -23,13 +23,13 @@ def boxes_along(heading, action):
     return poses
 
 
-def squares_of(pose, half_l, half_w, count=41):
-    """Squares in which points of the box lie."""
+def fine_cells_of(pose, half_l, half_w, count=41):
+    """Fine cells in which points of the box lie."""
     x, y, angle = pose
     u, v = np.meshgrid(np.linspace(-half_l, half_l, count), np.linspace(-half_w, half_w, count))
     px = x + u * math.cos(angle) - v * math.sin(angle)
     py = y + u * math.sin(angle) + v * math.cos(angle)
-    shrink = 1 - 1e-9  # a point exactly on an edge belongs to both squares
+    shrink = 1 - 1e-9  # a point exactly on an edge belongs to both cells
     return set(
         zip(np.floor(px.ravel() * shrink / GRID.fine_m), np.floor(py.ravel() * shrink / GRID.fine_m), strict=True)
     )
@@ -37,10 +37,10 @@ def squares_of(pose, half_l, half_w, count=41):
 
 @pytest.mark.parametrize("heading", range(HEADINGS))
 @pytest.mark.parametrize("action", range(ACTIONS))
-def test_the_swept_squares_hold_every_point_of_the_grown_box_on_its_way_and_hardly_more(heading, action):
+def test_a_footprint_holds_every_point_of_the_moving_grown_box_and_hardly_more(heading, action):
     swept = {tuple(offset) for offset in TABLE.swept(heading, action)}
     half = CAR_LENGTH_M / 2 + MARGIN_M, CAR_WIDTH_M / 2 + MARGIN_M
-    touched = set().union(*(squares_of(pose, *half) for pose in boxes_along(heading, action)))
+    touched = set().union(*(fine_cells_of(pose, *half) for pose in boxes_along(heading, action)))
     assert touched <= swept
     assert len(swept - touched) <= 0.06 * len(swept)
 
@@ -53,7 +53,7 @@ def test_a_turn_then_advance_ends_where_the_new_heading_points():
     assert successor(LatticeState(0, 5, 4), Action.FORWARD) == LatticeState(-1, 5, 4)
 
 
-def test_blocked_says_what_the_swept_squares_say_at_every_cell():
+def test_an_action_is_blocked_where_its_footprint_meets_an_occupied_cell():
     rng = np.random.default_rng(3)
     occupancy = rng.random((160, 160)) < 0.002
     blocked = TABLE.blocked(occupancy)
@@ -81,7 +81,7 @@ def test_an_arena_without_a_border_blocks_where_the_car_would_leave_it():
     assert not blocked[16, 16].any()
 
 
-def test_one_square_under_the_margin_blocks_the_way_on_and_a_square_beyond_it_does_not():
+def test_one_fine_cell_within_the_margin_blocks_an_advance_and_one_beyond_it_does_not():
     beside = FREE.copy()
     beside[18 + 40 + 4, 18 + 40] = True  # 0.625 m north of the centre of cell (10, 10): half the width is 0.645
     assert TABLE.blocked(beside)[10, 10, 0, Action.FORWARD]
@@ -102,7 +102,7 @@ def test_every_size_of_grid_is_covered(cells):
     blocked = FootprintTable(grid).blocked(occupancy)
     near = np.zeros((cells, cells), dtype=bool)
     for ix, iy in centres:
-        assert blocked[iy, ix].all(), "an occupied square under the car blocks all it can do"
+        assert blocked[iy, ix].all(), "an occupied cell under the car blocks every action"
         near[max(iy - 6, 0) : iy + 7, max(ix - 6, 0) : ix + 7] = True
     inner = np.zeros_like(near)
     inner[1:-1, 1:-1] = True
@@ -115,5 +115,5 @@ def test_an_occupancy_of_another_shape_is_refused():
 
 
 def test_a_car_too_long_for_the_table_is_refused():
-    with pytest.raises(ValueError, match=r"allowed is 10\.00 m"):
+    with pytest.raises(ValueError, match=r"allowed is 10\.00 m at most"):
         FootprintTable(GRID, length_m=20.0)

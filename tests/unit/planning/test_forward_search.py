@@ -5,7 +5,7 @@ from zsdist.agent.reward_shaping import way_costs
 from zsdist.planning import forward_search
 from zsdist.planning.footprint import successor
 from zsdist.planning.grid import Grid
-from zsdist.planning.lattice import ends, flat_state
+from zsdist.planning.lattice import flat_state, successors_or_self
 from zsdist.planning.shortest_path import STEPS_COST, cost_to_go
 from zsdist.types import LatticeState
 
@@ -21,7 +21,7 @@ def world(cells, seed, share):
 
 
 def walked(blocked, start):
-    """States to which a way leads, one step at a time."""
+    """States to which a path leads, one step at a time."""
     found, queue = {start}, [start]
     for state in queue:
         for action in np.flatnonzero(~blocked[state.iy, state.ix, state.heading]):
@@ -33,22 +33,22 @@ def walked(blocked, start):
 
 
 @pytest.mark.parametrize(("cells", "share"), [(6, 0.3), (12, 0.6), (12, 0.8), (32, 0.7), (70, 0.72)])
-def test_cells_at_a_finite_way_are_those_that_walking_finds(cells, share):
+def test_cells_at_a_finite_distance_are_those_that_single_steps_reach(cells, share):
     for seed in range(3):
         rng, blocked = world(cells, seed, share)
         start = LatticeState(*rng.integers(0, cells, 2).tolist(), int(rng.integers(8)))
-        found = np.isfinite(forward_search.metres_from(blocked, start, STEPS_COST))
+        found = np.isfinite(forward_search.path_lengths_from(blocked, start, STEPS_COST))
         expected = np.zeros((cells, cells), bool)
         for state in walked(blocked, start):
             expected[state.iy, state.ix] = True
         assert (found == expected).all()
 
 
-def test_the_way_into_a_cell_is_as_long_as_the_way_there_found_from_that_cell():
+def test_the_path_into_a_cell_is_as_long_as_the_path_found_backwards_from_that_cell():
     costs = way_costs(Grid(cells=12, blocks=3))
     rng, blocked = world(12, 7, 0.5)
     start = LatticeState(3, 5, 2)
-    forth = forward_search.metres_from(blocked, start, costs)
+    forth = forward_search.path_lengths_from(blocked, start, costs)
     for iy, ix in rng.integers(0, 12, (20, 2)):
         there = np.zeros((12, 12), bool)
         there[iy, ix] = True
@@ -59,6 +59,6 @@ def test_states_farther_than_the_limit_are_left_out():
     _, blocked = world(12, 7, 0.5)
     start = flat_state(LatticeState(3, 5, 2), 12)
     whole, near = np.full((2, 12 * 12 * 8), np.inf)
-    forward_search.forwards(blocked.ravel(), ends(12), STEPS_COST, start, np.inf, whole)
-    forward_search.forwards(blocked.ravel(), ends(12), STEPS_COST, start, 3.0, near)
+    forward_search.spread_costs(blocked.ravel(), successors_or_self(12), STEPS_COST, start, np.inf, whole)
+    forward_search.spread_costs(blocked.ravel(), successors_or_self(12), STEPS_COST, start, 3.0, near)
     assert (near == np.where(whole <= 3.0, whole, np.inf)).all() and (whole > 3.0).any()

@@ -15,7 +15,7 @@ on_grid = st.floats(-10.0, 10.0, exclude_max=True)
 
 
 @given(on_grid, on_grid)
-def test_eq07_every_place_on_the_grid_lies_in_exactly_one_of_m_times_m_cells(x_m, y_m):
+def test_eq07_every_point_on_the_grid_lies_in_exactly_one_of_m_times_m_cells(x_m, y_m):
     ix, iy = GRID.cell_at(x_m, y_m)
     assert GRID.on_grid(ix, iy)
     cx, cy = GRID.centre(ix, iy)
@@ -64,7 +64,7 @@ def test_a_pose_beyond_the_grid_rounds_to_a_cell_at_its_edge():
     assert GRID.lattice_state(Pose(11.0, -11.0, 0.0)) == LatticeState(31, 0, 0)
 
 
-def test_the_fine_frame_covers_the_arena_and_cell_centres_are_corners_of_its_squares():
+def test_the_fine_grid_covers_the_arena_and_cell_centres_are_corners_of_fine_cells():
     xs, ys = GRID.fine_centres()
     assert GRID.fine_size == len(xs) == len(ys) == 160
     assert xs[0] == -12.5 + GRID.fine_m / 2 and xs[-1] == 12.5 - GRID.fine_m / 2

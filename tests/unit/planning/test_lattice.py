@@ -7,7 +7,7 @@ from zsdist.types import LatticeState
 CELLS = 7
 
 
-def test_flat_states_count_as_arrays_do_and_come_back_the_same():
+def test_flat_states_follow_the_order_of_arrays_and_convert_back():
     order = np.arange(CELLS * CELLS * 8).reshape(CELLS, CELLS, 8)
     for state in (LatticeState(0, 0, 0), LatticeState(3, 5, 6), LatticeState(6, 6, 7)):
         assert flat_state(state, CELLS) == order[state.iy, state.ix, state.heading]

@@ -22,7 +22,7 @@ def test_advice_that_is_masked_gives_way_to_the_next_best_or_to_none():
     assert advised_action(advice, np.array([False, False, False, True, True])) is None
 
 
-def test_eq13_the_explored_policy_holds_exactly_the_poses_looked_from():
+def test_eq13_the_explored_policy_has_exactly_the_poses_with_advice():
     pool = PolicyMap()
     assert pool.explored(HERE) is None
     pool.add(HERE, Action.FORWARD)

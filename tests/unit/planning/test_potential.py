@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zsdist.planning.potential import BODY_M, attraction, decompose, force, repulsion
+from zsdist.planning.potential import BODY_M, action_along, attraction, force, repulsion
 from zsdist.types import Action
 
 LITERAL = {"k_att": 1.3, "k_rep": 0.7, "influence_m": 1.5, "conic": False}
@@ -70,16 +70,16 @@ def test_the_trail_pushes_away_from_where_the_car_has_been():
 @pytest.mark.parametrize("heading", [0.0, 2.0, -3.0])
 def test_a_direction_becomes_the_action_that_points_along_it(degrees, action, heading):
     bearing = heading + math.radians(degrees)
-    assert decompose(np.array([math.cos(bearing), math.sin(bearing)]), heading, EVERY) is action
+    assert action_along(np.array([math.cos(bearing), math.sin(bearing)]), heading, EVERY) is action
 
 
-def test_a_masked_action_is_never_taken_and_nothing_is_where_none_is_allowed():
+def test_a_masked_action_is_never_taken_and_none_is_taken_if_none_is_allowed():
     ahead = np.array([1.0, 0.0])
-    assert decompose(ahead, 0.0, np.array([False, True, False, True, True])) is Action.LEFT_45
-    assert decompose(ahead, 0.0, np.zeros(5, bool)) is None
+    assert action_along(ahead, 0.0, np.array([False, True, False, True, True])) is Action.LEFT_45
+    assert action_along(ahead, 0.0, np.zeros(5, bool)) is None
 
 
 def test_reluctance_turns_a_close_decision():
     direction = np.array([math.cos(0.35), math.sin(0.35)])
-    assert decompose(direction, 0.0, EVERY) is Action.FORWARD
-    assert decompose(direction, 0.0, EVERY, np.array([0.5, 0, 0, 0, 0])) is Action.LEFT_45
+    assert action_along(direction, 0.0, EVERY) is Action.FORWARD
+    assert action_along(direction, 0.0, EVERY, np.array([0.5, 0, 0, 0, 0])) is Action.LEFT_45

@@ -11,8 +11,8 @@ from zsdist.planning.shortest_path import (
     cost_to_go,
     goal_mask,
     length_m,
-    live_states,
     path,
+    viable_states,
 )
 from zsdist.types import Action, LatticeState
 
@@ -78,7 +78,7 @@ def test_following_the_field_reaches_the_goal_by_unblocked_actions_at_the_promis
         assert total == pytest.approx(field[iy, ix, heading], rel=1e-4, abs=1e-6)
 
 
-def test_in_an_empty_arena_the_way_straight_ahead_is_its_length_in_metres_and_steps():
+def test_in_an_empty_arena_the_path_straight_ahead_costs_its_length_in_metres_and_steps():
     free = TABLE.blocked(np.zeros((160, 160), dtype=bool))
     start = LatticeState(8, 16, 0)
     way = path(cost_to_go(free, GOALS, METRES), free, start, METRES)
@@ -94,15 +94,15 @@ def test_a_car_that_faces_away_turns_before_it_drives():
     assert length_m(way.states, GRID.cell_size_m) == 5.0
 
 
-def test_no_way_is_infinite_and_asking_for_it_is_an_error(blocked):
+def test_without_a_path_the_cost_is_infinite_and_asking_for_the_path_is_an_error(blocked):
     nothing = np.ones_like(blocked)
     field = cost_to_go(nothing, GOALS, METRES)
     assert np.isinf(field[~GOALS]).all() and (field[GOALS] == 0).all()
-    with pytest.raises(ValueError, match="no way leads"):
+    with pytest.raises(ValueError, match="no path leads"):
         path(field, nothing, LatticeState(1, 1, 0), METRES)
 
 
-def test_costs_of_another_map_are_noticed_instead_of_looping(blocked):
+def test_costs_of_another_map_are_refused_instead_of_looping(blocked):
     free = TABLE.blocked(np.zeros((160, 160), dtype=bool))
     field = cost_to_go(free, GOALS, METRES)
     with pytest.raises(ValueError, match="another map"):
@@ -119,8 +119,8 @@ def test_goal_cells_are_those_whose_centre_is_within_the_success_radius():
     assert goal_mask(GRID, (0.0, 0.0), 0.60).sum() == 4
 
 
-def test_live_states_are_the_largest_set_that_can_be_stayed_in(blocked):
-    live = live_states(blocked)
+def test_viable_states_are_the_largest_set_that_the_car_can_stay_in(blocked):
+    viable = viable_states(blocked)
     free = np.argwhere(~blocked)
     ends = np.array([successor(LatticeState(ix, iy, heading), action) for iy, ix, heading, action in free])
     expected = ~blocked.all(axis=3)
@@ -131,17 +131,17 @@ def test_live_states_are_the_largest_set_that_can_be_stayed_in(blocked):
         if (following == expected).all():
             break
         expected = following
-    assert (live == expected).all()
+    assert (viable == expected).all()
 
 
-def test_a_dead_end_too_narrow_to_turn_in_is_free_but_not_live():
+def test_a_dead_end_too_narrow_to_turn_in_is_free_but_not_viable():
     occupancy = np.zeros((160, 160), dtype=bool)
     row = GRID.fine_border + 4 * 16 + 2  # a slot 1.56 m wide that ends at column 26, open to the west
     occupancy[row - 9 : row - 5, 60:130] = True
     occupancy[row + 5 : row + 9, 60:130] = True
     occupancy[row - 9 : row + 9, 126:130] = True
     blocked = TABLE.blocked(occupancy)
-    live = live_states(blocked)
+    viable = viable_states(blocked)
     assert not blocked[16, 20, 0, Action.FORWARD]
-    assert not live[16, 20, 0] and not live[16, 22, 0]
-    assert live[16, 20, 4], "facing the mouth it drives out"
+    assert not viable[16, 20, 0] and not viable[16, 22, 0]
+    assert viable[16, 20, 4], "facing the mouth it drives out"

@@ -10,7 +10,7 @@ from zsdist.sim.camera import make_camera
 from zsdist.sim.camera.appearance import of_scene, varied
 from zsdist.sim.camera.optics import mount
 from zsdist.sim.camera.primitives import ARENA_HALF_M, primitives_of
-from zsdist.sim.camera.shading import shadow_corners, sunshine
+from zsdist.sim.camera.shadows import shadow_corners, sunshine
 from zsdist.sim.physics.raycast import ray_distances
 from zsdist.sim.scenes.kinds import KINDS, SEGMENT_GROUND, SEGMENT_SKY, SEGMENT_WALL
 from zsdist.sim.scenes.scene import Obstacle, Scene, Start
@@ -42,7 +42,7 @@ def test_a_pole_dead_ahead_is_in_the_middle_at_its_true_depth(back_end):
     assert depth[SIZE // 2, SIZE // 2] == pytest.approx(4.0 - 0.15 - CAMERA.forward_m, abs=0.005)
 
 
-def test_what_is_on_the_left_is_drawn_on_the_left():
+def test_an_obstacle_on_the_left_is_drawn_on_the_left():
     _, _, segments = make_camera(CAMERA).render_labelled(scene(Obstacle("rock", 4.0, 2.0, 0.8)), Pose(0.0, 0.0, 0.0))
     columns = np.flatnonzero((segments == KINDS["rock"].segment_id).any(0))
     assert len(columns) and columns.max() < SIZE / 2
@@ -86,7 +86,7 @@ def test_the_two_back_ends_see_the_same(pose):
 
 
 @pytest.mark.parametrize("back_end", ["caster", "pybullet"])
-def test_people_are_drawn_where_they_are_told_to_be(back_end):
+def test_people_are_drawn_at_the_given_positions(back_end):
     camera = make_camera(CameraConfig(size_px=SIZE, back_end=back_end))
     walker = Obstacle("person", 4.0, 2.0, 0.3, path=((4.0, 2.0), (4.0, -2.0)), speed_mps=1.0)
     world = scene(Obstacle("rock", 6.0, 3.0, 0.5), walker)
@@ -120,7 +120,7 @@ def test_grounds_differ_in_colour():
     assert means[1][1] > means[1][0] + 10  # grass is green
 
 
-def test_varied_looks_differ_and_follow_their_seed():
+def test_varied_appearances_differ_and_follow_their_seed():
     primitives = primitives_of(EVERY_KIND)
     looks = [varied(EVERY_KIND, primitives, np.random.default_rng(seed)) for seed in (1, 1, 2)]
     assert (looks[0].materials == looks[1].materials).all() and (looks[0].ground == looks[1].ground).all()
@@ -128,7 +128,7 @@ def test_varied_looks_differ_and_follow_their_seed():
     assert (of_scene(EVERY_KIND, primitives).ground != looks[0].ground).any()
 
 
-def test_light_on_the_ground_runs_straight_between_the_cells_of_the_shadow_map():
+def test_light_on_the_ground_is_interpolated_between_the_cells_of_the_shadow_map():
     light = np.ones((8, 8), np.float32)
     light[3, 4] = 0.6  # of 1 m cells, that with its middle 0.5 m east and 0.5 m south of the origin
     x, y = np.array([0.5, 0.75, 1.5, 0.5, -0.5], np.float32), np.array([-0.5, -0.5, -0.5, 0.25, -0.5], np.float32)
@@ -137,7 +137,7 @@ def test_light_on_the_ground_runs_straight_between_the_cells_of_the_shadow_map()
     assert lit == pytest.approx([0.6, 0.7, 1.0, 0.9, 1.0], abs=0.003)
 
 
-def test_nose_down_lowers_the_horizon_line_of_sight():
+def test_nose_down_lowers_the_line_of_sight():
     level, _ = mount(Pose(0.0, 0.0, 0.0), 1.0, 1.0)
     lowered, axes = mount(Pose(0.0, 0.0, 0.0), 1.0, 1.0, pitch_rad=0.1)
     assert level == pytest.approx([1.0, 0.0, 1.0])
@@ -146,7 +146,7 @@ def test_nose_down_lowers_the_horizon_line_of_sight():
 
 
 @pytest.mark.parametrize("size_px", [96, 101])
-def test_where_sky_and_ground_meet_in_a_row_neither_is_drawn_over_the_other(size_px):
+def test_in_a_row_with_sky_and_ground_neither_is_drawn_over_the_other(size_px):
     def rolled(zenith, ground):
         def look(scene, primitives):
             its = of_scene(scene, primitives)
@@ -167,7 +167,7 @@ def test_positive_roll_puts_the_right_side_down():
     assert axes[1][2] > 0  # the left axis points up
 
 
-def test_wear_keeps_shape_and_type_and_follows_its_seed():
+def test_degradation_keeps_shape_and_type_and_follows_its_seed():
     image = make_camera(CAMERA).render(EVERY_KIND, POSES[0])
     for seed in range(5):
         once, twice = (degrade(image, np.random.default_rng(seed)) for _ in range(2))

@@ -22,21 +22,26 @@ CORNER = Scene("corner", "grass", Start(9.6875, 9.6875, 0.0), (-8.0, 8.0), ())
 
 
 class Recorder:
-    """A camera that draws nothing and notes what it was asked."""
+    """Camera that draws nothing and records its calls."""
 
     config = CONFIG.camera
 
     def __init__(self):
-        self.asked = []
+        self.calls = []
 
     def render(self, scene, pose, roll_rad=0.0, pitch_rad=0.0, people=None):
-        self.asked.append((scene, pose, roll_rad, pitch_rad, people))
-        return np.full((32, 32, 3), len(self.asked) % 256, np.uint8)
+        self.calls.append((scene, pose, roll_rad, pitch_rad, people))
+        return np.full((32, 32, 3), len(self.calls) % 256, np.uint8)
 
 
 @pytest.fixture
-def env():
-    env = CarNavigation(config=CONFIG, camera=Recorder(), render_mode="rgb_array")
+def camera():
+    return Recorder()
+
+
+@pytest.fixture
+def env(camera):
+    env = CarNavigation(config=CONFIG, camera=camera, render_mode="rgb_array")
     yield env
     env.close()
 
@@ -58,10 +63,10 @@ def test_observation_has_the_cameras_image_the_true_pose_and_the_goal(env):
     assert info["scene"] == "open"
 
 
-def test_the_camera_sees_from_the_true_pose_roll_and_pitch(env):
+def test_the_camera_draws_from_the_true_pose_roll_and_pitch(env, camera):
     env.reset(options={"scene": OPEN})
     observation = env.step(Action.FORWARD)[0]
-    scene, pose, roll_rad, pitch_rad, people = env._camera.asked[-1]
+    scene, pose, roll_rad, pitch_rad, people = camera.calls[-1]
     assert scene is OPEN
     assert tuple(pose) == tuple(observation["pose"])
     assert (roll_rad, pitch_rad) == env.world.tilt
@@ -70,28 +75,28 @@ def test_the_camera_sees_from_the_true_pose_roll_and_pitch(env):
     assert (env.render() == observation["image"]).all()
 
 
-def test_without_images_the_camera_works_only_when_a_picture_is_asked_for_and_once_a_step():
+def test_without_images_the_camera_draws_only_requested_pictures_and_once_per_step(camera):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        blind = CarNavigation(config=CONFIG, camera=Recorder(), render_mode="rgb_array", images=False)
+        blind = CarNavigation(config=CONFIG, camera=camera, render_mode="rgb_array", images=False)
         check_env(blind, skip_render_check=True)
-    asked = blind._camera.asked
-    asked.clear()
+    calls = camera.calls
+    calls.clear()
     assert set(blind.reset(options={"scene": OPEN})[0]) == set(blind.step(Action.FORWARD)[0]) == {"pose", "goal"}
-    assert asked == []
+    assert calls == []
     picture = blind.picture()
     assert (blind.picture() == picture).all() and (blind.render() == picture).all()
-    assert len(asked) == 1 and tuple(asked[0][1]) == tuple(blind.world.pose) and asked[0][2:4] == blind.world.tilt
+    assert len(calls) == 1 and tuple(calls[0][1]) == tuple(blind.world.pose) and calls[0][2:4] == blind.world.tilt
     blind.step(Action.FORWARD)
     assert not (blind.picture() == picture).all()
     blind.close()
 
 
-def test_a_picture_from_another_place_is_that_of_a_level_car_and_does_not_replace_the_true_one(env):
+def test_a_picture_from_another_pose_is_that_of_a_level_car_and_does_not_replace_the_true_one(env, camera):
     observation = env.reset(options={"scene": OPEN})[0]
     there = Pose(1.0, 2.0, 0.5)
     env.picture(there)
-    assert env._camera.asked[-1][1:4] == (there, 0.0, 0.0)
+    assert camera.calls[-1][1:4] == (there, 0.0, 0.0)
     assert (env.picture() == observation["image"]).all()
 
 
@@ -150,7 +155,7 @@ def test_every_family_gives_episodes():
         env.close()
 
 
-def test_what_cannot_be_done_is_refused_in_a_clear_line(env):
+def test_wrong_calls_are_refused_with_a_clear_message(env):
     with pytest.raises(ResetNeeded, match="call reset"):
         env.step(Action.FORWARD)
     with pytest.raises(ResetNeeded, match="call reset"):

@@ -82,7 +82,7 @@ def test_pavements_and_kerbs_are_drawn_beyond_the_road_and_nowhere_else(street):
     assert not changed[segments != SEGMENT_GROUND].any()
 
 
-def test_varied_looks_of_a_street_mostly_show_its_road_and_any_scene_may_have_one():
+def test_varied_appearances_of_a_street_mostly_show_its_road_and_any_scene_may_have_one():
     def patterns(scene):
         primitives = primitives_of(scene)
         return [varied(scene, primitives, np.random.default_rng(seed)).ground for seed in range(60)]
@@ -105,7 +105,7 @@ def test_varied_looks_of_a_street_mostly_show_its_road_and_any_scene_may_have_on
         ("varied", 0, 118.665, (314.6755, 8.0308, 4.8905, 62.9253)),
     ],
 )
-def test_scenes_that_are_no_street_look_as_they_did_before_streets_had_kerbs(family, index, mean, sums):
+def test_scenes_other_than_streets_look_as_they_did_before_streets_had_kerbs(family, index, mean, sums):
     scene = generate(family, split_seed("vision", index))
     look = of_scene(scene, primitives_of(scene))
     found = [part.sum() for part in (look.materials, look.ground, look.sky, look.light)]

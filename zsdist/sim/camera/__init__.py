@@ -14,28 +14,28 @@ __all__ = ["Camera", "Look", "make_camera"]
 
 
 class Camera(Protocol):
-    """What both back ends can do; arguments and results as of `CasterCamera`."""
+    """Interface of both back ends; arguments and results are those of `CasterCamera`."""
 
     config: CameraConfig
 
     def render(
         self, scene: Scene, pose: Pose, roll_rad: float = 0.0, pitch_rad: float = 0.0, people: np.ndarray | None = None
     ) -> np.ndarray:
-        """The picture `(size_px, size_px, 3)` uint8."""
+        """Return the picture `(size_px, size_px, 3)` uint8."""
 
     def render_labelled(
         self, scene: Scene, pose: Pose, roll_rad: float = 0.0, pitch_rad: float = 0.0, people: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The picture, depth in metres `(size_px, size_px)` float32, segments `(size_px, size_px)` uint8."""
+        """Return picture, depth in metres `(size_px, size_px)` float32 and segments `(size_px, size_px)` uint8."""
 
     def close(self) -> None:
-        """Give back what it holds; it draws nothing any more."""
+        """Release resources; the camera cannot be used afterwards."""
 
 
 def make_camera(config: CameraConfig, look: Look = of_scene) -> Camera:
-    """The camera that `config.back_end` names: `caster`, or `pybullet` (TinyRenderer, the slow reference)."""
+    """Return the camera that `config.back_end` names: `caster`, or `pybullet` (TinyRenderer, the slow reference)."""
     if config.back_end == "pybullet":
-        from zsdist.sim.camera.tiny import TinyCamera  # starts a PyBullet client, which the default never needs
+        from zsdist.sim.camera.tiny import TinyCamera  # starts a PyBullet client, which the caster does not need
 
         return TinyCamera(config, look)
     return CasterCamera(config, look)

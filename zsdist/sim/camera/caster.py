@@ -12,8 +12,8 @@ from zsdist.sim.camera.appearance import Appearance, of_scene
 from zsdist.sim.camera.kernels import SKY, SKY_DEPTH_M, cast, look_up
 from zsdist.sim.camera.optics import mount, tangents
 from zsdist.sim.camera.primitives import ARENA_HALF_M, Primitives, primitives_of
-from zsdist.sim.camera.shading import shade, shadow_corners
-from zsdist.sim.camera.shadows import shadow_map
+from zsdist.sim.camera.shading import Palette, Scratch, Shadows, shade
+from zsdist.sim.camera.shadows import shadow_corners, shadow_map
 from zsdist.sim.camera.textures import noise_pyramid
 from zsdist.sim.scenes.kinds import SEGMENT_GROUND, SEGMENT_SKY
 from zsdist.sim.scenes.scene import Scene
@@ -23,58 +23,60 @@ Look = Callable[[Scene, Primitives], Appearance]
 
 INSTANCE_WALL, INSTANCE_GROUND, INSTANCE_SKY = -1, -2, -3  # the first as in `Primitives.owners`
 
-_SHADOW_CELLS = 256  # a side; 10 cm each, read with interpolation
+_SHADOW_CELLS = 256  # cells per side of the shadow map; 10 cm each, read with interpolation
 _NO_DISCS = np.empty((0, 3))
-_SCENES_KEPT = 32  # prepared scenes: one for each car of an actor, and some
+_SCENES_KEPT = 32  # prepared scenes: one for each car of an actor, and some more
 
 
 @dataclass(frozen=True)
-class _Prepared:
-    scene: Scene  # held, so that its identity stays its own
+class _PreparedScene:
+    scene: Scene  # a reference, so that no other scene gets its `id`
     primitives: Primitives
     appearance: Appearance
     shadow: np.ndarray
-    segments: np.ndarray  # of sky, ground, then each primitive
+    segments: np.ndarray  # segment numbers of the sky, the ground, then each primitive
 
 
 class CasterCamera:
-    """Draws what the car's camera sees. What a scene needs is prepared at its first picture and kept.
+    """Ray-casting camera on the car. A scene is prepared at its first picture; prepared scenes are kept.
 
     Args:
         config: resolution, field of view and mount.
-        look: the appearance of a scene; `appearance.of_scene` unless training varies it.
+        look: function that gives the appearance of a scene; training pictures use a varied one.
+
+    Attributes:
+        config: as given.
     """
 
     def __init__(self, config: CameraConfig, look: Look = of_scene) -> None:
         self.config = config
         self._look = look
-        self._kept: OrderedDict[int, _Prepared] = OrderedDict()
+        self._kept: OrderedDict[int, _PreparedScene] = OrderedDict()
         size = config.size_px
         self._depth = np.empty((size, size), np.float32)
         self._index = np.empty((size, size), np.int32)
         self._packed = np.empty((size, size), np.int32)
-        self._work = np.empty((12, size), np.float32)
-        self._at = np.empty(size, np.uint32)
+        self._scratch = Scratch(np.empty((12, size), np.float32), np.empty(size, np.uint32))
         self._tangents = tangents(size, float(np.deg2rad(config.field_of_view_deg)))
 
     def render(
         self, scene: Scene, pose: Pose, roll_rad: float = 0.0, pitch_rad: float = 0.0, people: np.ndarray | None = None
     ) -> np.ndarray:
-        """The picture `(size_px, size_px, 3)` uint8, RGB.
+        """Return the picture `(size_px, size_px, 3)` uint8, RGB.
 
         Args:
-            scene: what stands in the arena.
-            pose: of the car.
-            roll_rad: of its body, positive: right side down.
-            pitch_rad: of its body, positive: nose down.
-            people: `(W, 2)` places of the walking obstacles, in order of those with a path; None: where they start.
+            scene: the scene in the arena.
+            pose: pose of the car.
+            roll_rad: roll of its body, positive: right side down.
+            pitch_rad: pitch of its body, positive: nose down.
+            people: `(W, 2)` positions of the walking obstacles, in the order of the scene; None: at their start.
         """
         return self._draw(scene, pose, roll_rad, pitch_rad, people)[0]
 
     def render_labelled(
         self, scene: Scene, pose: Pose, roll_rad: float = 0.0, pitch_rad: float = 0.0, people: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The picture as of `render`, depth `(size_px, size_px)` float32 and segments `(size_px, size_px)` uint8.
+        """Return the picture of `render`, depth `(size_px, size_px)` float32 and segments `(size_px, size_px)` uint8.
 
         Depth is in metres along the camera's axis, infinite for the sky; segments are `Kind.segment_id` and the
         `SEGMENT_` numbers of `kinds`.
@@ -87,9 +89,10 @@ class CasterCamera:
     def render_instances(
         self, scene: Scene, pose: Pose, roll_rad: float = 0.0, pitch_rad: float = 0.0, people: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The picture and depth as of `render_labelled`, and what each pixel shows, `(size_px, size_px)` int64.
+        """Return picture and depth of `render_labelled`, and the instance that each pixel shows.
 
-        That is the index of the scene's obstacle, or one of `INSTANCE_WALL`, `INSTANCE_GROUND` and `INSTANCE_SKY`.
+        Instances are `(size_px, size_px)` int64: the index of the scene's obstacle, or one of `INSTANCE_WALL`,
+        `INSTANCE_GROUND` and `INSTANCE_SKY`.
         """
         image, prepared = self._draw(scene, pose, roll_rad, pitch_rad, people)
         instances = np.concatenate([[INSTANCE_SKY, INSTANCE_GROUND], prepared.primitives.owners])
@@ -101,26 +104,27 @@ class CasterCamera:
 
     def _draw(
         self, scene: Scene, pose: Pose, roll_rad: float, pitch_rad: float, people: np.ndarray | None
-    ) -> tuple[np.ndarray, _Prepared]:
+    ) -> tuple[np.ndarray, _PreparedScene]:
         prepared = self._prepare(scene)
         primitives, look = prepared.primitives, prepared.appearance
         rows = primitives.rows_at(people)
         origin, axes = mount(pose, self.config.forward_m, self.config.height_m, roll_rad, pitch_rad)
-        # What walks has no shadow in the map.
+        # Walking obstacles have no shadow in the map.
         discs = rows[primitives.walkers[:, 0]][:, [0, 1, 4]] if len(primitives.walkers) else _NO_DISCS
         rectangles = np.empty((len(rows), 4), np.int64)
         cast(primitives.forms, rows, origin, axes, self._tangents, self._depth, self._index, rectangles)
+        palette = Palette(look.materials, look.ground, look.sky, look.light)
+        shadows = Shadows(prepared.shadow, ARENA_HALF_M, discs)
         shade(
-            primitives.forms, rows, look.materials, look.ground, look.sky, look.light, prepared.shadow, ARENA_HALF_M,
-            discs, noise_pyramid(), origin, axes, self._tangents, self._depth, self._index, rectangles,
-            self._work, self._at, self._packed,
+            primitives.forms, rows, palette, shadows, noise_pyramid(), origin, axes, self._tangents, self._depth,
+            self._index, rectangles, self._scratch, self._packed,
         )  # fmt: skip
         return cv2.cvtColor(self._packed.view(np.uint8).reshape(*self._packed.shape, 4), cv2.COLOR_RGBA2RGB), prepared
 
     def _depth_m(self) -> np.ndarray:
         return np.where(self._depth >= SKY_DEPTH_M, np.float32(np.inf), self._depth)
 
-    def _prepare(self, scene: Scene) -> _Prepared:
+    def _prepare(self, scene: Scene) -> _PreparedScene:
         prepared = self._kept.get(id(scene))
         if prepared is not None:
             self._kept.move_to_end(id(scene))
@@ -134,7 +138,7 @@ class CasterCamera:
         shadow_map(primitives.forms, primitives.rows, fixed, appearance.light[:3].copy(), ARENA_HALF_M, shadow)
         shadow = shadow_corners(shadow)
         segments = np.concatenate([[SEGMENT_SKY, SEGMENT_GROUND], primitives.segments]).astype(np.uint8)
-        prepared = _Prepared(scene, primitives, appearance, shadow, segments)
+        prepared = _PreparedScene(scene, primitives, appearance, shadow, segments)
         self._kept[id(scene)] = prepared
         if len(self._kept) > _SCENES_KEPT:
             self._kept.popitem(last=False)

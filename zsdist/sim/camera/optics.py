@@ -1,4 +1,4 @@
-"""Where the camera is and which way each of its axes points."""
+"""Position and axes of the camera, and the directions of its pixels."""
 
 import math
 
@@ -11,7 +11,7 @@ from zsdist.types import Pose
 def mount(
     pose: Pose, forward_m: float, height_m: float, roll_rad: float = 0.0, pitch_rad: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The camera's position and axes for a pose of the car.
+    """Return the camera's position and axes for a pose of the car.
 
     The camera is fixed to the body, `forward_m` ahead of the car's centre and `height_m` above the ground. The body's
     rotation is heading about z, then pitch about its left axis (positive: nose down), then roll about its forward
@@ -42,7 +42,7 @@ def _mount(
 
 
 def tangents(size_px: int, field_of_view_rad: float) -> np.ndarray:
-    """Tangents of the angles from the axis to each column of pixels, left positive, or to each row, up positive.
+    """Return the tangents of the angles from the axis to each column (left positive) or each row (up positive).
 
     Returns:
         `(size_px,)` float32, falling.

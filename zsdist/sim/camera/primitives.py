@@ -1,4 +1,4 @@
-"""A scene as the few shapes both back ends draw: upright frustums, ellipsoids and boxes, all turned about z only."""
+"""Primitive shapes of a scene for both back ends: upright frustums, ellipsoids and boxes, turned about z only."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -10,12 +10,15 @@ from zsdist.sim.scenes.scene import Obstacle, Scene
 
 ARENA_HALF_M = 12.5
 WALL_THICKNESS_M = 0.3
-CAR_BODY_SHARE = 0.58  # of a car's height; the cabin is above
-_NECK_SHARE = 0.8  # of a person's height: above are shoulders and head
+CAR_BODY_SHARE = 0.58  # height of a car's body, below the cabin, as a share of its height
+_NECK_SHARE = 0.8  # height of a person's neck as a share of its height: above it is the head
+
+
+Row = tuple[float, float, float, float, float, float, float]  # of `Primitives.rows`
 
 
 class Form(IntEnum):
-    """What a row of `Primitives.rows` is, and what its columns 3 to 6 mean."""
+    """Shape of a row of `Primitives.rows`, with the meaning of its columns 3 to 5."""
 
     FRUSTUM = 0  # height, radius at the bottom, radius at the top
     ELLIPSOID = 1  # semi-axes in x, y, z; column 2 is the z of its centre
@@ -23,7 +26,7 @@ class Form(IntEnum):
 
 
 class Part(IntEnum):
-    """Which part of its obstacle a primitive is; appearance gives each a colour."""
+    """Part of its obstacle that a primitive is; `Appearance` gives each a colour."""
 
     BODY = 0
     TOP = 1  # a tree's crown, a car's cabin, a person's head
@@ -41,7 +44,7 @@ class Primitives:
         owners: `(P,)` int64, index of the scene's obstacle; -1 for the arena's walls.
         parts: `(P,)` int64, `Part`.
         segments: `(P,)` uint8, number in segmentation images.
-        walkers: `(W, 2)` int64, for each walking obstacle in order the range `[first, last)` of its primitives.
+        walkers: `(W, 2)` int64, range `[first, last)` of the primitives of each walking obstacle, in order.
     """
 
     forms: np.ndarray
@@ -52,18 +55,18 @@ class Primitives:
     walkers: np.ndarray
 
     def rows_at(self, people: np.ndarray | None) -> np.ndarray:
-        """`rows` with the walking obstacles moved to `people` `(W, 2)`; None leaves them where the scene has them."""
+        """Return `rows` with the walking obstacles at the positions `people` `(W, 2)`; None: at their start."""
         if people is None or not len(self.walkers):
             return self.rows
         rows = self.rows.copy()
-        for (first, last), place in zip(self.walkers, np.asarray(people, np.float64), strict=True):
-            rows[first:last, :2] = place
+        for (first, last), position in zip(self.walkers, np.asarray(people, np.float64), strict=True):
+            rows[first:last, :2] = position
         return rows
 
 
 def primitives_of(scene: Scene) -> Primitives:
-    """The arena's walls and every obstacle of a scene as primitives."""
-    entries = [(Form.BOX, row, -1, Part.WALL, SEGMENT_WALL) for row in _walls()]
+    """Return the arena's walls and every obstacle of a scene as primitives."""
+    entries: list[tuple[Form, Row, int, Part, int]] = [(Form.BOX, row, -1, Part.WALL, SEGMENT_WALL) for row in _walls()]
     walkers = []
     for index, obstacle in enumerate(scene.obstacles):
         first = len(entries)
@@ -82,7 +85,7 @@ def primitives_of(scene: Scene) -> Primitives:
     )
 
 
-def _walls() -> list[tuple[float, ...]]:
+def _walls() -> list[Row]:
     middle, thick = ARENA_HALF_M + WALL_THICKNESS_M / 2, WALL_THICKNESS_M / 2
     long = ARENA_HALF_M + WALL_THICKNESS_M
     return [(s * middle, 0.0, 0.0, WALL_HEIGHT_M, thick, long, 0.0) for s in (-1, 1)] + [
@@ -90,10 +93,10 @@ def _walls() -> list[tuple[float, ...]]:
     ]
 
 
-def _obstacle(obstacle: Obstacle) -> list[tuple[Form, tuple[float, ...], Part]]:
+def _obstacle(obstacle: Obstacle) -> list[tuple[Form, Row, Part]]:
     kind, x, y = KINDS[obstacle.kind], obstacle.x_m, obstacle.y_m
     heading = np.deg2rad(obstacle.heading_deg)
-    if not kind.round:
+    if obstacle.size_m is not None:
         length, width, height = obstacle.size_m
         if kind.shape == "box":
             return [(Form.BOX, (x, y, 0.0, height, length / 2, width / 2, heading), Part.BODY)]
@@ -102,6 +105,7 @@ def _obstacle(obstacle: Obstacle) -> list[tuple[Form, tuple[float, ...], Part]]:
             (Form.BOX, (x, y, 0.0, body, length / 2, width / 2, heading), Part.BODY),
             (Form.BOX, (x, y, body, height - body, length * 0.27, width * 0.43, heading), Part.TOP),
         ]
+    assert obstacle.radius_m is not None, "a kind without size_m has a radius_m"
     radius, height = obstacle.radius_m, kind.height_m
     if kind.shape == "sphere":
         return [(Form.ELLIPSOID, (x, y, 0.0, radius, radius, height, 0.0), Part.BODY)]

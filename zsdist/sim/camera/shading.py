@@ -1,40 +1,89 @@
-"""Numba kernels that colour what the ray caster found: light, shadow, texture, haze.
+"""Numba kernels that colour the pixels of the ray caster: light, shadow, texture, haze.
 
-A picture is coloured row by row: the sky and the ground each over the columns they may take, then each primitive over
-those in which it was found. What is needed of a row (light, noise, figures) stands in rows of numbers of its own, so
-that every inner loop is short, in single precision and without branches, and the compiler does many pixels at once.
-For that it must know that the rows which a loop reads and writes do not overlap, and it checks eight pairs at most: so
-a loop writes one row, or two and reads three at most.
+A picture is coloured row by row: the sky and the ground each over their span of columns, then each primitive over the
+span in which it was found. The intermediate values of a row (light, noise, figures) are stored in scratch rows, so that
+every inner loop is short, in single precision and without branches, and the compiler vectorises it. For that the
+compiler must know that the rows which a loop reads and writes do not overlap. It checks eight pairs at most, so a loop
+writes one row, or writes two rows and reads three at most.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from zsdist.common.compiled import compiled
 from zsdist.sim.camera.appearance import Pattern, Texture
 from zsdist.sim.camera.kernels import GROUND, LEVEL, ROWWISE, SKY, row_directions, widened
+from zsdist.sim.camera.normals import box_normals, ellipsoid_normals, frustum_normals
 from zsdist.sim.camera.primitives import Form
+from zsdist.sim.camera.shadows import darken, sunshine
 from zsdist.sim.camera.textures import CLOUDS, GRAIN, ground_figure, noise, road_figure, surface_figure
 
 _FRUSTUM, _ELLIPSOID, _BARK = int(Form.FRUSTUM), int(Form.ELLIPSOID), int(Texture.BARK)
 _KERBS = int(Pattern.KERBS)
 
-# single precision, which a plain number in a kernel would not be
+# Constants in single precision, which a Python number in a kernel would not have.
 _ZERO, _ONE, _HALF, _WHITE = (np.float32(value) for value in (0.0, 1.0, 0.5, 255.0))
 _LOWEST, _OVERCAST = np.float32(0.02), np.float32(0.2)
-_SHADE, _LIGHTER = np.float32(0.55), np.float32(0.45)
-_EDGE, _SMALL, _FLAT, _FINE = (np.float32(value) for value in (1e-4, 1e-12, 0.7, 0.1))
+_FLAT, _FINE = np.float32(0.7), np.float32(0.1)
 _SIDE, _TOP, _FOOT, _OPEN, _PER_FOOT = (np.float32(value) for value in (0.75, 0.25, 0.6, 0.4, 1 / 0.35))
 _NEVER = np.float32(1e9)
-_PER_LEVEL = np.float32(1 / 255)
-_BYTE, _TWO_BYTES, _THREE_BYTES, _LAST_BYTE = (np.uint32(value) for value in (8, 16, 24, 255))
 _BARK_STRETCH = np.float32(0.2)
 
 
+class Palette(NamedTuple):
+    """Arrays of an `Appearance`."""
+
+    materials: np.ndarray
+    ground: np.ndarray
+    sky: np.ndarray
+    light: np.ndarray
+
+
+class Shadows(NamedTuple):
+    """Shadows on the ground.
+
+    Attributes:
+        corners: `(m, m)` from `shadow_corners`, over plus and minus `half_m`.
+        half_m: half the side of the shadow map.
+        discs: `(W, 3)` x, y, radius of walking obstacles, which have no shadow in the map.
+    """
+
+    corners: np.ndarray
+    half_m: float
+    discs: np.ndarray
+
+
+class Scratch(NamedTuple):
+    """Memory for the intermediate values of a row: `rows` `(12, n)` float32 and `indices` `(n,)` uint32."""
+
+    rows: np.ndarray
+    indices: np.ndarray
+
+
+class Span(NamedTuple):
+    """Pixels of a row: tangents `left` `(s,)` float32 and `up` of their rays, and `step`, the tangent of a pixel."""
+
+    left: np.ndarray
+    up: float
+    step: float
+
+
+class Frame(NamedTuple):
+    """A primitive's frame: cosine and sine of its heading, the camera's offset from it, and the sun in its frame."""
+
+    cos: np.float32
+    sin: np.float32
+    x: np.float32
+    y: np.float32
+    sun_x: np.float32
+    sun_y: np.float32
+
+
 @compiled(**ROWWISE)
-def _packed(red: float, green: float, blue: float) -> int:
-    """A colour, each part in 0 to 1, as the bytes red, green, blue, 0 of a little-endian number."""
+def _packed(red: np.float32, green: np.float32, blue: np.float32) -> np.int32:
+    """Return a colour, each part in 0 to 1, as the bytes red, green, blue, 0 of a little-endian number."""
     first = np.int32(min(max(red, _ZERO), _ONE) * _WHITE)
     second = np.int32(min(max(green, _ZERO), _ONE) * _WHITE)
     third = np.int32(min(max(blue, _ZERO), _ONE) * _WHITE)
@@ -42,34 +91,46 @@ def _packed(red: float, green: float, blue: float) -> int:
 
 
 @compiled(**ROWWISE)
-def _sky(pyramid, sky, gain, axes, b, a, work, at, line):  # noqa: ANN001, ANN202
-    """Colours a stretch of a row as sky: clear overhead, pale at the horizon, clouds on a plane far up."""
-    n = len(a)
+def _sky(
+    pyramid: np.ndarray, palette: Palette, axes: np.ndarray, span: Span, scratch: Scratch, line: np.ndarray
+) -> None:
+    """Colour a span of a row as sky: clear overhead, pale at the horizon, clouds on a plane far above."""
+    sky, a, work, n = palette.sky, span.left, scratch.rows, len(span.left)
     up, u, v, footprint, cloud = work[0, :n], work[1, :n], work[2, :n], work[3, :n], work[4, :n]
-    x0, y0, z0, x1, y1, z1 = row_directions(axes[0], axes[1], axes[2], b)
+    x0, y0, z0, x1, y1, z1 = row_directions(axes[0], axes[1], axes[2], span.up)
     for j in range(n):
         dx, dy, dz = x0 + a[j] * x1, y0 + a[j] * y1, z0 + a[j] * z1
         rise = max(dz, _LOWEST) / np.sqrt(dx * dx + dy * dy + dz * dz)
         up[j], footprint[j] = rise, _LOWEST / rise
     for j in range(n):
         u[j], v[j] = (x0 + a[j] * x1) / up[j], (y0 + a[j] * y1) / up[j]
-    noise(pyramid[CLOUDS], u, v, 33.0, footprint, at, cloud)
+    noise(pyramid[CLOUDS], u, v, 33.0, footprint, scratch.indices, cloud)
     amount = np.float32(sky[6])
     r0, g0, b0 = np.float32(sky[0]), np.float32(sky[1]), np.float32(sky[2])
     r1, g1, b1 = np.float32(sky[3] - sky[0]), np.float32(sky[4] - sky[1]), np.float32(sky[5] - sky[2])
-    gain = np.float32(gain)
+    gain = np.float32(palette.light[6])
     for j in range(n):
         clear = up[j] * (_ONE - min(amount * max(cloud[j] + _OVERCAST, _ZERO), _ONE))
         line[j] = _packed((r0 + r1 * clear) * gain, (g0 + g1 * clear) * gain, (b0 + b1 * clear) * gain)
 
 
 @compiled(**ROWWISE)
-def _ground(pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axes, b, a, step, work, at, line):  # noqa: ANN001, ANN202
-    """Colours a stretch of a row as ground: shadows, patches, a pattern, grain."""
-    n = len(a)
+def _ground(
+    pyramid: np.ndarray,
+    palette: Palette,
+    shadows: Shadows,
+    origin: np.ndarray,
+    axes: np.ndarray,
+    span: Span,
+    scratch: Scratch,
+    line: np.ndarray,
+) -> None:
+    """Colour a span of a row as ground: shadows, patches, a pattern, grain."""
+    ground, sky, light = palette.ground, palette.sky, palette.light
+    a, step, work, at, n = span.left, span.step, scratch.rows, scratch.indices, len(span.left)
     x, y, u, v = work[0, :n], work[1, :n], work[2, :n], work[3, :n]
     footprint, lit, patch, grain, figure = work[4, :n], work[5, :n], work[6, :n], work[7, :n], work[8, :n]
-    x0, y0, z0, x1, y1, z1 = row_directions(axes[0], axes[1], axes[2], b)
+    x0, y0, z0, x1, y1, z1 = row_directions(axes[0], axes[1], axes[2], span.up)
     ox, oy, oz, pixel = np.float32(origin[0]), np.float32(origin[1]), np.float32(origin[2]), np.float32(step)
     cos, sin = np.float32(ground[10]), np.float32(ground[11])
     for j in range(n):
@@ -79,12 +140,12 @@ def _ground(pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axe
         footprint[j] = pixel * (-oz / min(z0 + a[j] * z1, -LEVEL))
     for j in range(n):
         u[j], v[j] = cos * x[j] + sin * y[j], cos * y[j] - sin * x[j]
-    sunshine(shadow, shadow_half, x, y, at, lit)
-    for k in range(len(discs)):
-        _darken(discs[k], x, y, lit)
+    sunshine(shadows.corners, shadows.half_m, x, y, at, lit)
+    for k in range(len(shadows.discs)):
+        darken(shadows.discs[k], x, y, lit)
     noise(pyramid[CLOUDS], u, v, 17.0, footprint, at, patch)
     noise(pyramid[GRAIN], u, v, 1.0 / ground[8], footprint, at, grain)
-    pattern, finest = int(ground[6]), np.float32(0.25 * ground[9])  # a finer figure than two pixels would shimmer
+    pattern, finest = int(ground[6]), np.float32(0.25 * ground[9])  # a figure finer than two pixels would flicker
     if pattern == _KERBS:
         road_figure(u, v, ground[17:], ground[9], footprint, figure)
         finest = _NEVER
@@ -114,60 +175,12 @@ def _ground(pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axe
         line[j] = _packed(red + (r3 - red) * fog, green + (g3 - green) * fog, blue + (b3 - blue) * fog)
 
 
-def shadow_corners(light: np.ndarray) -> np.ndarray:
-    """For each cell of `shadows.shadow_map` its light and that of the next in x, in y and in both: four bytes.
-
-    So that `sunshine` finds what it needs of a cell in one place.
-    """
-    level = np.rint(255.0 * np.pad(light, ((0, 1), (0, 1)), "edge")).astype(np.uint32)
-    return level[:-1, :-1] | level[:-1, 1:] << 8 | level[1:, :-1] << 16 | level[1:, 1:] << 24
-
-
 @compiled(**ROWWISE)
-def sunshine(corners: np.ndarray, half_m: float, x: np.ndarray, y: np.ndarray, at: np.ndarray, out: np.ndarray) -> None:
-    """How much light reaches places on the ground, between the cells of the shadow map."""
-    cells = corners.shape[0]
-    flat = corners.reshape(-1)
-    per_m, middle, last = np.float32(cells / (2.0 * half_m)), np.float32(0.5 * cells - 0.5), np.float32(cells - 1.001)
-    for j in range(len(out)):
-        ix, iy = np.int32(_cell(x[j], per_m, middle, last)), np.int32(_cell(y[j], per_m, middle, last))
-        at[j] = np.uint32(iy * np.int32(cells) + ix)
-    for j in range(len(out)):
-        at[j] = flat[at[j]]
-    for j in range(len(out)):
-        gx, gy = _cell(x[j], per_m, middle, last), _cell(y[j], per_m, middle, last)
-        fx, fy = gx - np.float32(np.int32(gx)), gy - np.float32(np.int32(gy))
-        four = at[j]
-        near = _light(four) + fx * (_light(four >> _BYTE) - _light(four))
-        far = _light(four >> _TWO_BYTES) + fx * (_light(four >> _THREE_BYTES) - _light(four >> _TWO_BYTES))
-        out[j] = (near + fy * (far - near)) * _PER_LEVEL
-
-
-@compiled(**ROWWISE)
-def _cell(place_m: float, per_m: float, middle: float, last: float) -> float:
-    return min(max(place_m * per_m + middle, _ZERO), last)
-
-
-@compiled(**ROWWISE)
-def _light(bytes_: int) -> float:
-    return np.float32(np.int32(bytes_ & _LAST_BYTE))
-
-
-@compiled(**ROWWISE)
-def _darken(disc: np.ndarray, x: np.ndarray, y: np.ndarray, lit: np.ndarray) -> None:
-    """The shade about the feet of something that walks: a disc of x, y, radius in metres."""
-    dx, dy, per_radius = np.float32(disc[0]), np.float32(disc[1]), np.float32(1.0 / disc[2])
-    for j in range(len(lit)):
-        gap = np.sqrt((x[j] - dx) * (x[j] - dx) + (y[j] - dy) * (y[j] - dy)) * per_radius
-        lit[j] *= min(_SHADE + _LIGHTER * max(gap - _ONE, _ZERO), _ONE)
-
-
-@compiled(**ROWWISE)
-def _frame(row: np.ndarray, origin: np.ndarray, light: np.ndarray) -> tuple[float, float, float, float, float, float]:
-    """Cosine and sine of a primitive's heading, the camera's place from its own, and the sun in its frame."""
+def _frame(row: np.ndarray, origin: np.ndarray, light: np.ndarray) -> Frame:
+    """Return the frame of a primitive."""
     co, si = math.cos(row[6]), math.sin(row[6])
     sun_x, sun_y = co * light[0] + si * light[1], co * light[1] - si * light[0]
-    return (
+    return Frame(
         np.float32(co),
         np.float32(si),
         np.float32(origin[0] - row[0]),
@@ -178,75 +191,47 @@ def _frame(row: np.ndarray, origin: np.ndarray, light: np.ndarray) -> tuple[floa
 
 
 @compiled(**ROWWISE)
-def _frustum_normals(row, x, y, z, nx, ny, nz):  # noqa: ANN001, ANN202
-    """Unit normals of a frustum at places on it, from its own; z is above the ground."""
-    top, slope = np.float32(row[2] + row[3]) - _EDGE, np.float32((row[5] - row[4]) / row[3])
-    for j in range(len(z)):
-        square = x[j] * x[j] + y[j] * y[j]
-        inverse = _ZERO if z[j] > top else _ONE / np.sqrt(square + slope * slope * square + _SMALL)
-        nx[j], ny[j] = x[j] * inverse, y[j] * inverse
-    for j in range(len(z)):
-        nz[j] = _ONE if z[j] > top else -slope / np.sqrt(_ONE + slope * slope)
+def _surface(
+    pyramid: np.ndarray,
+    form: int,
+    row: np.ndarray,
+    material: np.ndarray,
+    light: np.ndarray,
+    frame: Frame,
+    origin: np.ndarray,
+    axes: np.ndarray,
+    span: Span,
+    t: np.ndarray,
+    scratch: Scratch,
+) -> None:
+    """Compute the light, haze and share of the second colour of one primitive along a span of a row.
 
-
-@compiled(**ROWWISE)
-def _ball_normals(row, x, y, z, nx, ny, nz):  # noqa: ANN001, ANN202
-    """As `_frustum_normals`, of an ellipsoid."""
-    middle = np.float32(row[2])
-    per_x, per_y, per_z = np.float32(row[3] ** -2.0), np.float32(row[4] ** -2.0), np.float32(row[5] ** -2.0)
-    for j in range(len(z)):
-        gx, gy, gz = x[j] * per_x, y[j] * per_y, (z[j] - middle) * per_z
-        inverse = _ONE / np.sqrt(gx * gx + gy * gy + gz * gz + _SMALL)
-        nx[j], ny[j] = gx * inverse, gy * inverse
-    for j in range(len(z)):
-        gx, gy, gz = x[j] * per_x, y[j] * per_y, (z[j] - middle) * per_z
-        nz[j] = gz / np.sqrt(gx * gx + gy * gy + gz * gz + _SMALL)
-
-
-@compiled(**ROWWISE)
-def _box_normals(row, x, y, z, nx, ny, nz):  # noqa: ANN001, ANN202
-    """As `_frustum_normals`, of a box: of the face that is nearest to each place."""
-    top, length, width = np.float32(row[2] + row[3]), np.float32(row[4]), np.float32(row[5])
-    for j in range(len(z)):
-        beyond_x, beyond_y = abs(x[j]) - length, abs(y[j]) - width
-        nz[j] = _ONE if z[j] - top > max(beyond_x, beyond_y) else _ZERO
-    for j in range(len(z)):
-        along = abs(x[j]) - length > abs(y[j]) - width
-        side = _ONE - nz[j]
-        nx[j] = (side if x[j] > _ZERO else -side) if along else _ZERO
-        ny[j] = _ZERO if along else (side if y[j] > _ZERO else -side)
-
-
-@compiled(**ROWWISE)
-def _surface(pyramid, form, row, material, light, frame, height, axes, b, a, step, t, work, at):  # noqa: ANN001, ANN202
-    """What the surface of one primitive needs to be coloured along a stretch of a row.
-
-    Leaves in `work` the light, the share of the second colour and the haze of each pixel, rows 5, 8 and 7.
+    They are left in the rows 5, 7 and 8 of `scratch`.
     """
-    n = len(a)
+    a, work, at, n = span.left, scratch.rows, scratch.indices, len(span.left)
     x, y, u, v, footprint = work[0, :n], work[1, :n], work[2, :n], work[3, :n], work[4, :n]
     lit, z, grain, figure = work[5, :n], work[6, :n], work[7, :n], work[8, :n]
     nx, ny, nz = work[9, :n], work[10, :n], work[11, :n]
-    x0, y0, z0, x1, y1, z1 = row_directions(axes[0], axes[1], axes[2], b)
+    x0, y0, z0, x1, y1, z1 = row_directions(axes[0], axes[1], axes[2], span.up)
     co, si, ox, oy, sun_x, sun_y = frame
-    oz, pixel = np.float32(height), np.float32(step)
+    oz, pixel = np.float32(origin[2]), np.float32(span.step)
     for j in range(n):
         wx, wy = ox + t[j] * (x0 + a[j] * x1), oy + t[j] * (y0 + a[j] * y1)
         x[j], y[j] = co * wx + si * wy, co * wy - si * wx
     for j in range(n):
         z[j], footprint[j] = oz + t[j] * (z0 + a[j] * z1), t[j] * pixel
     if form == _FRUSTUM:
-        _frustum_normals(row, x, y, z, nx, ny, nz)
+        frustum_normals(row, x, y, z, nx, ny, nz)
     elif form == _ELLIPSOID:
-        _ball_normals(row, x, y, z, nx, ny, nz)
+        ellipsoid_normals(row, x, y, z, nx, ny, nz)
     else:
-        _box_normals(row, x, y, z, nx, ny, nz)
+        box_normals(row, x, y, z, nx, ny, nz)
     sun_z, base, shift = np.float32(light[2]), np.float32(row[2]), np.float32(material[9])
     ambient, sunlight = np.float32(light[3] * light[6]), np.float32(light[4] * light[6])
     for j in range(n):
         facing = max(nx[j] * sun_x + ny[j] * sun_y + nz[j] * sun_z, _ZERO)
         light_here = ambient * (_SIDE + _TOP * nz[j]) + sunlight * facing
-        lit[j] = light_here * (_FOOT + _OPEN * min(z[j] * _PER_FOOT, _ONE))  # near the ground the sky is half hidden
+        lit[j] = light_here * (_FOOT + _OPEN * min(z[j] * _PER_FOOT, _ONE))  # the ground hides half of the sky
     for j in range(n):
         along = (abs(nx[j]) > abs(ny[j])) & (abs(nz[j]) <= _FLAT)
         u[j] = shift + (y[j] if along else x[j])
@@ -271,9 +256,9 @@ def _surface(pyramid, form, row, material, light, frame, height, axes, b, a, ste
 
 
 @compiled(**ROWWISE)
-def _paint(material, sky, gain, work, which, p, line):  # noqa: ANN001, ANN202
-    """Colours those pixels of a stretch of a row in which primitive `p` was found, as `_surface` left them."""
-    n = len(which)
+def _paint(palette: Palette, work: np.ndarray, which: np.ndarray, p: int, line: np.ndarray) -> None:
+    """Colour the pixels of a span of a row that show primitive `p`, from the values of `_surface`."""
+    material, sky, gain, n = palette.materials[p], palette.sky, palette.light[6], len(which)
     lit, fog, figure = work[5, :n], work[7, :n], work[8, :n]
     r0, g0, b0 = np.float32(material[0]), np.float32(material[1]), np.float32(material[2])
     r1, g1, b1 = np.float32(material[3]) - r0, np.float32(material[4]) - g0, np.float32(material[5]) - b0
@@ -290,13 +275,8 @@ def _paint(material, sky, gain, work, which, p, line):  # noqa: ANN001, ANN202
 def shade(
     forms: np.ndarray,
     rows: np.ndarray,
-    materials: np.ndarray,
-    ground: np.ndarray,
-    sky: np.ndarray,
-    light: np.ndarray,
-    shadow: np.ndarray,
-    shadow_half: float,
-    discs: np.ndarray,
+    palette: Palette,
+    shadows: Shadows,
     pyramid: np.ndarray,
     origin: np.ndarray,
     axes: np.ndarray,
@@ -304,72 +284,62 @@ def shade(
     depth: np.ndarray,
     index: np.ndarray,
     rectangles: np.ndarray,
-    work: np.ndarray,
-    at: np.ndarray,
+    scratch: Scratch,
     image: np.ndarray,
 ) -> None:
-    """Fill `image` `(n, n)` int32, a packed colour a pixel, from what `kernels.cast` left.
+    """Write the colour of every pixel, from the results of `kernels.cast`.
 
     Args:
         forms: see `Primitives`.
         rows: see `Primitives`.
-        materials: see `Appearance`.
-        ground: see `Appearance`.
-        sky: see `Appearance`.
-        light: see `Appearance`.
-        shadow: `(m, m)` from `shadow_corners`, over plus and minus `shadow_half` metres.
-        shadow_half: in metres.
-        discs: `(W, 3)` x, y, radius of what walks and so has no shadow in the map.
+        palette: appearance of the scene.
+        shadows: shadows on the ground.
         pyramid: from `noise_pyramid`.
-        origin: of the camera, see `optics.mount`.
-        axes: of the camera, see `optics.mount`.
+        origin: position of the camera, see `optics.mount`.
+        axes: axes of the camera, see `optics.mount`.
         tangents: `(n,)` float32, from `optics.tangents`.
-        depth: `(n, n)` metres along the axis.
-        index: `(n, n)` which primitive, or `GROUND` or `SKY`.
-        rectangles: `(P, 4)` rows and columns within which each primitive's picture lies.
-        work: `(12, n)` float32, room to work in.
-        at: `(n,)` uint32, room to work in.
+        depth: `(n, n)` metres along the camera's axis.
+        index: `(n, n)` number of the primitive, or `GROUND` or `SKY`.
+        rectangles: `(P, 4)` rows and columns within which each primitive is drawn.
+        scratch: memory, written.
         image: `(n, n)` int32, written: the bytes red, green, blue and 0 of each pixel.
     """
     n = depth.shape[0]
     step = float(tangents[0] - tangents[n - 1]) / (n - 1)
     for i in range(n):
-        b = float(tangents[i])
-        first, last = _stretch(index[i], GROUND)
+        up = float(tangents[i])
+        first, last = _columns_of(index[i], GROUND)
         horizon = first < last
         if horizon:
-            first, last = widened(first, last, n)
-            _ground(
-                pyramid, ground, sky, light, shadow, shadow_half, discs, origin, axes, b, tangents[first:last], step,
-                work, at, image[i, first:last],
-            )  # fmt: skip
-        first, last = _stretch(index[i], SKY)
+            start, end = widened(first, last, n)
+            span = Span(tangents[start:end], up, step)
+            _ground(pyramid, palette, shadows, origin, axes, span, scratch, image[i, start:end])
+        first, last = _columns_of(index[i], SKY)
         if first < last:
-            if not horizon:  # where both are, the sky must leave the ground as it is
+            if not horizon:  # in a row with both, the sky must not overwrite ground
                 first, last = widened(first, last, n)
-            _sky(pyramid, sky, light[6], axes, b, tangents[first:last], work, at, image[i, first:last])
+            span = Span(tangents[first:last], up, step)
+            _sky(pyramid, palette, axes, span, scratch, image[i, first:last])
     for p in range(len(forms)):
         row0, row1, column0, column1 = rectangles[p]
-        frame = _frame(rows[p], origin, light)
+        material, frame = palette.materials[p], _frame(rows[p], origin, palette.light)
         for i in range(row0, row1):
-            first, last = _stretch(index[i, column0:column1], p)
+            first, last = _columns_of(index[i, column0:column1], p)
             if first < last:
                 first, last = widened(first + column0, last + column0, n)
+                span = Span(tangents[first:last], float(tangents[i]), step)
                 t, which = depth[i, first:last], index[i, first:last]
-                _surface(
-                    pyramid, forms[p], rows[p], materials[p], light, frame, origin[2], axes, float(tangents[i]),
-                    tangents[first:last], step, t, work, at,
-                )  # fmt: skip
-                _paint(materials[p], sky, light[6], work, which, p, image[i, first:last])
+                _surface(pyramid, forms[p], rows[p], material, palette.light, frame, origin, axes, span, t, scratch)
+                _paint(palette, scratch.rows, which, p, image[i, first:last])
 
 
 @compiled(**ROWWISE)
-def _stretch(index: np.ndarray, which: int) -> tuple[int, int]:
-    """The least stretch of a row, first and end, that holds every pixel of `which`; empty where there is none."""
+def _columns_of(index: np.ndarray, which: int) -> tuple[int, int]:
+    """Return the shortest span of a row, first and end, that holds every pixel of `which`; empty if there is none."""
     n, it = np.int32(len(index)), np.int32(which)
     first, last = n, np.int32(0)
     for j in range(len(index)):
         here, column = index[j] == it, np.int32(j)
         first = min(first, column if here else n)
         last = max(last, column + np.int32(1) if here else np.int32(0))
-    return first, last
+    return int(first), int(last)

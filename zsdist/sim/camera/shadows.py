@@ -1,20 +1,26 @@
-"""Numba kernel of the ground's shadow map, made once for a scene."""
+"""Numba kernels of shadows on the ground: a shadow map, computed once for a scene, and its use in each picture."""
 
 import math
 
 import numpy as np
 
 from zsdist.common.compiled import compiled
-from zsdist.sim.camera.kernels import ELLIPSOID, FAST, FRUSTUM, NEAR_M, SKY_DEPTH_M, extents, into_frame
+from zsdist.sim.camera.kernels import ELLIPSOID, FAST, FRUSTUM, NEAR_M, ROWWISE, SKY_DEPTH_M, extents, into_frame
 from zsdist.sim.camera.primitives import Form
 
 _IN_SHADOW, _CONTACT_M = np.float32(0.55), 0.5
 _BOX = int(Form.BOX)
 
+# Constants in single precision, which a Python number in a kernel would not have.
+_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
+_SHADE, _LIGHTER = np.float32(0.55), np.float32(0.45)
+_PER_LEVEL = np.float32(1 / 255)
+_BYTE, _TWO_BYTES, _THREE_BYTES, _LAST_BYTE = (np.uint32(value) for value in (8, 16, 24, 255))
+
 
 @compiled(fastmath=FAST, error_model="numpy")
 def _enter(form: int, row: np.ndarray, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
-    """Depth at which a ray in the primitive's own frame (origin at its row's place) first meets it; -1: never."""
+    """Return the distance at which a ray in a primitive's own frame first meets it; -1 if it never does."""
     if form == FRUSTUM:
         height, r0 = row[3], row[4]
         k = (row[5] - r0) / height
@@ -65,10 +71,17 @@ def _enter(form: int, row: np.ndarray, ox: float, oy: float, oz: float, dx: floa
 def shadow_map(
     forms: np.ndarray, rows: np.ndarray, fixed: np.ndarray, sun: np.ndarray, half: float, out: np.ndarray
 ) -> None:
-    """How much light reaches the ground, `out` `(n, n)` `[iy, ix]` float32 over plus and minus `half` metres.
+    """Write to `out` the light that reaches the ground.
 
-    Sunlight is blocked by what stands in its way; close to an obstacle the sky is hidden too (contact shadow).
-    `fixed` `(P,)` bool leaves out what moves.
+    Obstacles block sunlight; close to an obstacle they hide part of the sky too (contact shadow).
+
+    Args:
+        forms: see `Primitives`.
+        rows: see `Primitives`.
+        fixed: `(P,)` bool, primitives that do not move; others cast no shadow.
+        sun: `(3,)` unit direction to the sun.
+        half: the map covers plus and minus this, in metres.
+        out: `(n, n)` `[iy, ix]` float32, written: share of the light.
     """
     n = out.shape[0]
     cell = 2.0 * half / n
@@ -82,9 +95,9 @@ def shadow_map(
         reach = math.sqrt(hx * hx + hy * hy)
         into_frame(row, sun, d)
         cosine, sine = math.cos(row[6]), math.sin(row[6])
-        length = (row[2] + z1) / sun[2]  # of the shadow along -sun, per unit of sun's horizontal part
+        length = (row[2] + z1) / sun[2]  # of the shadow along -sun, per unit of the sun's horizontal part
         ex, ey = row[0] - sun[0] * length, row[1] - sun[1] * length
-        # the shadow lies along a strip from the primitive's place away from the sun
+        # The shadow lies along a strip from the primitive away from the sun.
         way_x, way_y = ex - row[0], ey - row[1]
         way = max(math.sqrt(way_x * way_x + way_y * way_y), 1e-9)
         way_x, way_y = way_x / way, way_y / way
@@ -111,3 +124,62 @@ def shadow_map(
                         gap = max(math.sqrt(lx * lx + ly * ly) - hx, 0.0)
                     if gap < _CONTACT_M:
                         out[iy, ix] *= 0.62 + 0.38 * gap / _CONTACT_M
+
+
+def shadow_corners(light: np.ndarray) -> np.ndarray:
+    """Return the light of each cell of `shadows.shadow_map` and of its neighbours in x, y and both, as four bytes.
+
+    `sunshine` then reads all that it needs for a cell from one address.
+    """
+    level = np.rint(255.0 * np.pad(light, ((0, 1), (0, 1)), "edge")).astype(np.uint32)
+    return level[:-1, :-1] | level[:-1, 1:] << 8 | level[1:, :-1] << 16 | level[1:, 1:] << 24
+
+
+@compiled(**ROWWISE)
+def sunshine(corners: np.ndarray, half_m: float, x: np.ndarray, y: np.ndarray, at: np.ndarray, out: np.ndarray) -> None:
+    """Write to `out` the light that reaches points on the ground, interpolated between cells of the shadow map.
+
+    Args:
+        corners: `(m, m)` uint32 from `shadow_corners`.
+        half_m: the map covers plus and minus this.
+        x: `(n,)` metres.
+        y: `(n,)` metres.
+        at: `(n,)` uint32, scratch.
+        out: `(n,)`, written: share of the light.
+    """
+    cells = corners.shape[0]
+    flat = corners.reshape(-1)
+    per_m, middle, last = np.float32(cells / (2.0 * half_m)), np.float32(0.5 * cells - 0.5), np.float32(cells - 1.001)
+    for j in range(len(out)):
+        ix, iy = np.int32(_cell(x[j], per_m, middle, last)), np.int32(_cell(y[j], per_m, middle, last))
+        at[j] = np.uint32(iy * np.int32(cells) + ix)
+    for j in range(len(out)):
+        at[j] = flat[at[j]]
+    for j in range(len(out)):
+        gx, gy = _cell(x[j], per_m, middle, last), _cell(y[j], per_m, middle, last)
+        fx, fy = gx - np.float32(np.int32(gx)), gy - np.float32(np.int32(gy))
+        four = at[j]
+        near = _light(four) + fx * (_light(four >> _BYTE) - _light(four))
+        far = _light(four >> _TWO_BYTES) + fx * (_light(four >> _THREE_BYTES) - _light(four >> _TWO_BYTES))
+        out[j] = (near + fy * (far - near)) * _PER_LEVEL
+
+
+@compiled(**ROWWISE)
+def _cell(point_m: np.float32, per_m: np.float32, middle: np.float32, last: np.float32) -> np.float32:
+    """Return the fractional index of a shadow map's cell along one axis."""
+    return min(max(point_m * per_m + middle, _ZERO), last)
+
+
+@compiled(**ROWWISE)
+def _light(four: np.uint32) -> np.float32:
+    """Return the lowest byte."""
+    return np.float32(np.int32(four & _LAST_BYTE))
+
+
+@compiled(**ROWWISE)
+def darken(disc: np.ndarray, x: np.ndarray, y: np.ndarray, lit: np.ndarray) -> None:
+    """Darken the ground around the feet of a walking obstacle: a disc of x, y, radius in metres."""
+    dx, dy, per_radius = np.float32(disc[0]), np.float32(disc[1]), np.float32(1.0 / disc[2])
+    for j in range(len(lit)):
+        gap = np.sqrt((x[j] - dx) * (x[j] - dx) + (y[j] - dy) * (y[j] - dy)) * per_radius
+        lit[j] *= min(_SHADE + _LIGHTER * max(gap - _ONE, _ZERO), _ONE)

@@ -1,6 +1,6 @@
-"""The reference camera: PyBullet's TinyRenderer over meshes of the same shapes, in a client of its own.
+"""The reference camera: PyBullet's TinyRenderer over meshes of the same shapes, in a physics client of its own.
 
-It has no textures, so its pictures differ from the caster's in colour; depth and segments agree to the pixel or nearly
+It has no textures, so its pictures differ from the caster's in colour; depth and segments agree to about a pixel
 (measured by `benchmarks/camera.py`).
 """
 
@@ -19,19 +19,22 @@ from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Pose
 
 _NEAR_M, _FAR_M = 0.05, 100.0
-_SIDES = 48  # of a round shape: its chords stay within 0.3% of the radius
+_SIDES = 48  # sides of a round shape: its chords stay within 0.3% of the radius
 _RINGS = 16
 _GROUND_HALF_M = 60.0
-_GROUND_TILES = 6  # a side
+_GROUND_TILES = 6  # tiles per side
 Mesh = tuple[np.ndarray, np.ndarray]  # vertices (V, 3) and triangles (T, 3)
 
 
 class TinyCamera:
-    """The same pictures as `CasterCamera` (see there for arguments and results), drawn by PyBullet.
+    """Camera that draws with PyBullet; arguments and results are those of `CasterCamera`.
 
-    The shapes of one scene at a time stand in the client; another scene replaces them. What PyBullet never gives back,
-    not even when it disconnects, are the Python objects of the meshes that it was handed: about 30 MiB a scene. Draw
-    many scenes in processes that end from time to time.
+    The client holds the shapes of one scene at a time; another scene replaces them. PyBullet never releases the Python
+    objects of its meshes, not even when it disconnects: about 30 MiB a scene. Draw many scenes in processes that end
+    from time to time.
+
+    Attributes:
+        config: resolution, field of view and mount.
     """
 
     def __init__(self, config: CameraConfig, look: Look = of_scene) -> None:
@@ -42,20 +45,20 @@ class TinyCamera:
         size, fov = config.size_px, config.field_of_view_deg
         self._size = size
         projection = list(pybullet.computeProjectionMatrixFOV(fov, 1.0, _NEAR_M, _FAR_M))
-        # TinyRenderer samples a pixel at its corner; half a pixel's shift makes that its centre.
+        # TinyRenderer samples a pixel at its corner; a shift by half a pixel makes that its centre.
         projection[8], projection[9] = 1 / size, 1 / size
         self._projection = projection
 
     def render(
         self, scene: Scene, pose: Pose, roll_rad: float = 0.0, pitch_rad: float = 0.0, people: np.ndarray | None = None
     ) -> np.ndarray:
-        """As of `CasterCamera.render`."""
+        """Return the picture; see `CasterCamera.render`."""
         return self.render_labelled(scene, pose, roll_rad, pitch_rad, people)[0]
 
     def render_labelled(
         self, scene: Scene, pose: Pose, roll_rad: float = 0.0, pitch_rad: float = 0.0, people: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """As of `CasterCamera.render_labelled`."""
+        """Return picture, depth and segments; see `CasterCamera.render_labelled`."""
         if scene is not self._scene:
             self._build(scene)
         self._place(self._primitives.rows_at(people))
@@ -65,7 +68,7 @@ class TinyCamera:
         _, _, colours, buffer, bodies = pybullet.getCameraImage(
             self._size, self._size, view, self._projection, lightDirection=light[:3].tolist(),
             lightAmbientCoeff=float(light[3]), lightDiffuseCoeff=float(light[4]), lightSpecularCoeff=0.0,
-            shadow=0,  # said each time: once switched on it stays on
+            shadow=0,  # in every call, since shadows stay on once they are switched on
             renderer=pybullet.ER_TINY_RENDERER, physicsClientId=self._client,
         )  # fmt: skip
         shape = (self._size, self._size)
@@ -94,14 +97,14 @@ class TinyCamera:
                 self._primitives.forms, self._primitives.rows, self._appearance.materials, strict=True
             )
         ]
-        # The last entry answers to index -1, where there is no body: the sky.
+        # The last entry is the sky: pixels without a body have the index -1.
         self._segments = np.full(max([ground, *self._bodies]) + 2, SEGMENT_SKY, np.uint8)
         self._segments[ground] = SEGMENT_GROUND
         self._segments[self._bodies] = self._primitives.segments
 
     def _body(self, mesh: Mesh, colour: np.ndarray) -> int:
         vertices, triangles = mesh
-        # Every triangle has corners of its own, so that TinyRenderer shades it flat with its own normal.
+        # Triangles share no corners, so that TinyRenderer shades each flat with its own normal.
         corners = vertices[triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -118,7 +121,7 @@ class TinyCamera:
 
 
 def _mesh(form: int, row: np.ndarray) -> Mesh:
-    """Vertices and triangles of a primitive in its own frame, seen from outside counter-clockwise."""
+    """Return vertices and triangles of a primitive in its own frame, counter-clockwise when seen from outside."""
     if form == Form.BOX:
         return _loft([(0.0, 1.0), (1.0, 1.0)], 4, (row[4] * math.sqrt(2), row[5] * math.sqrt(2), row[3]), math.pi / 4)
     if form == Form.FRUSTUM:
@@ -130,7 +133,7 @@ def _mesh(form: int, row: np.ndarray) -> Mesh:
 def _loft(
     profile: list[tuple[float, float]], sides: int, scale: tuple[float, float, float], first: float = 0.0
 ) -> Mesh:
-    """Rings of `sides` corners at each (z, radius) of the profile, joined and capped, then scaled."""
+    """Return a mesh of rings of `sides` corners at each (z, radius) of the profile, joined, capped and scaled."""
     angles = first + np.arange(sides) * math.tau / sides
     rings = [np.stack([r * np.cos(angles), r * np.sin(angles), np.full(sides, z)], 1) for z, r in profile]
     ends = np.array([[0.0, 0.0, profile[0][0]], [0.0, 0.0, profile[-1][0]]])
@@ -149,7 +152,7 @@ def _loft(
 
 
 def _ground_mesh() -> Mesh:
-    """The ground as squares of two triangles."""
+    """Return the ground as squares of two triangles each."""
     ticks = np.linspace(-_GROUND_HALF_M, _GROUND_HALF_M, _GROUND_TILES + 1)
     xs, ys = np.meshgrid(ticks, ticks)
     vertices = np.stack([xs.ravel(), ys.ravel(), np.zeros(xs.size)], 1)

@@ -1,7 +1,7 @@
 """The car of Table 1 as a PyBullet body.
 
-The wheels are spheres, driven each on its own axle and steered by skidding: they alone touch the ground. A skin on the
-base, the cabinet and the outlines of the wheels, alone touches obstacles.
+The wheels are spheres with an axle and a motor each; the car steers by skidding. Only the wheels touch the ground, and
+only a skin on the base touches obstacles. The skin has the shape of the cabinet and the outlines of the wheels.
 """
 
 import math
@@ -12,18 +12,18 @@ from zsdist.sim.physics.controller import STOPPED, WHEEL_RADIUS_M, Motion, Rates
 from zsdist.types import Pose
 
 TREAD_M = 1.0  # Table 1: between the left and the right wheels
-CABINET_M = (2.0, 0.9, 0.6)  # Table 1; its height is ours
-CABINET_HEIGHT_M = 0.6  # of the cabinet's centre
+CABINET_M = (2.0, 0.9, 0.6)  # length and width as in Table 1; the paper gives no height
+CABINET_HEIGHT_M = 0.6  # height of the cabinet's centre
 WHEEL_WIDTH_M = 0.09
-AXLES_M = 0.52  # ahead of and behind the centre
-CENTRE_OF_MASS_M = 0.3  # above the ground: higher, and the car rears up
+AXLES_M = 0.52  # distance of the axles ahead of and behind the centre
+CENTRE_OF_MASS_M = 0.3  # above the ground; if it is higher, the car rears up
 CABINET_KG = 80.0
 WHEEL_KG = 4.0
-AXLE_INERTIA_KG_M2 = 5.0  # ten times a solid wheel's: lower, and turns creep; 15 and more, and the car rears up
+AXLE_INERTIA_KG_M2 = 5.0  # ten times a solid wheel's; with less, turns are slow; with 15 or more, the car rears up
 WHEEL_FRICTION = 1.5
 MOTOR_NM = 400.0
 
-# Who collides with whom: a body's group must be in the other's mask, both ways.
+# Two bodies collide if the group of each is in the mask of the other.
 GROUND_GROUP, WHEEL_GROUP, SKIN_GROUP, OBSTACLE_GROUP = 1, 2, 4, 8
 
 _WHEELS = [(AXLES_M, TREAD_M / 2), (AXLES_M, -TREAD_M / 2), (-AXLES_M, TREAD_M / 2), (-AXLES_M, -TREAD_M / 2)]
@@ -32,7 +32,14 @@ _ACROSS = [math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]  # a cylinder's axis along 
 
 
 class Car:
-    """The body, in the physics client `client`."""
+    """The car's body in a physics client.
+
+    Args:
+        client: number of the PyBullet client.
+
+    Attributes:
+        body: number of the PyBullet body.
+    """
 
     def __init__(self, client: int) -> None:
         self._client = client
@@ -67,7 +74,7 @@ class Car:
         self._torques = [MOTOR_NM] * wheels
         self._commanded: Rates | None = None
         pybullet.setCollisionFilterGroupMask(self.body, -1, SKIN_GROUP, OBSTACLE_GROUP, physicsClientId=client)
-        # One property a call: given together, PyBullet writes a wheel's friction to the base.
+        # One property per call: PyBullet writes a wheel's friction to the base if several are given together.
         rolling_inertia = 0.4 * WHEEL_KG * WHEEL_RADIUS_M**2
         for wheel in self._wheels:
             pybullet.setCollisionFilterGroupMask(self.body, wheel, WHEEL_GROUP, GROUND_GROUP, physicsClientId=client)
@@ -79,17 +86,17 @@ class Car:
         pybullet.changeDynamics(self.body, -1, activationState=awake, physicsClientId=client)
 
     def place(self, pose: Pose) -> None:
-        """Stands the car still at `pose`, as if it had never been anywhere else."""
-        turned = pybullet.getQuaternionFromEuler([0.0, 0.0, pose.heading_rad])
+        """Put the car at rest at `pose`, with no trace of its motion before."""
+        quaternion = pybullet.getQuaternionFromEuler([0.0, 0.0, pose.heading_rad])
         self.command(STOPPED)
         position = [pose.x_m, pose.y_m, CENTRE_OF_MASS_M]
-        pybullet.resetBasePositionAndOrientation(self.body, position, turned, physicsClientId=self._client)
+        pybullet.resetBasePositionAndOrientation(self.body, position, quaternion, physicsClientId=self._client)
         pybullet.resetBaseVelocity(self.body, [0.0] * 3, [0.0] * 3, physicsClientId=self._client)
         for wheel in self._wheels:
             pybullet.resetJointState(self.body, wheel, 0.0, 0.0, physicsClientId=self._client)
 
     def command(self, rates: Rates) -> None:
-        """Sets the rates at which the four motors turn their wheels, which they do until told otherwise."""
+        """Set the rates of the four wheels; the motors keep them until the next command."""
         if rates == self._commanded:
             return
         self._commanded = rates
@@ -104,28 +111,28 @@ class Car:
         )
 
     def motion(self) -> Motion:
-        """The true motion."""
-        moving = self.moving()
-        heading, speed_mps, turn_rate = heading_and_speed(*moving)
-        return Motion(Pose(moving[0], moving[1], heading), speed_mps, turn_rate)
+        """Return the true motion."""
+        raw = self.raw_motion()
+        heading, speed_mps, turn_rate = heading_and_speed(*raw)
+        return Motion(Pose(raw[0], raw[1], heading), speed_mps, turn_rate)
 
-    def moving(self) -> tuple[float, ...]:
-        """The true motion as PyBullet has it, for `heading_and_speed`.
+    def raw_motion(self) -> tuple[float, ...]:
+        """Return the true motion in PyBullet's numbers, for `heading_and_speed`.
 
         Returns:
-            Place in x and y, quaternion x, y, z, w, velocity in x and y, turn rate; metres, seconds, radians.
+            Position in x and y, quaternion x, y, z, w, velocity in x and y, turn rate; metres, seconds, radians.
         """
-        (x_m, y_m, _), turned = pybullet.getBasePositionAndOrientation(self.body, self._client)
+        (x_m, y_m, _), quaternion = pybullet.getBasePositionAndOrientation(self.body, self._client)
         (east, north, _), (_, _, turn_rate) = pybullet.getBaseVelocity(self.body, self._client)
-        return x_m, y_m, *turned, east, north, turn_rate
+        return x_m, y_m, *quaternion, east, north, turn_rate
 
     def tilt(self) -> tuple[float, float]:
-        """Roll, right side down positive, and pitch, nose down positive, in radians."""
-        _, turned = pybullet.getBasePositionAndOrientation(self.body, physicsClientId=self._client)
-        return pybullet.getEulerFromQuaternion(turned)[:2]
+        """Return roll (right side down positive) and pitch (nose down positive) in radians."""
+        _, quaternion = pybullet.getBasePositionAndOrientation(self.body, physicsClientId=self._client)
+        return pybullet.getEulerFromQuaternion(quaternion)[:2]
 
     def contact(self) -> bool:
-        """Whether PyBullet found the skin to touch an obstacle or pushed it off one when it last looked."""
+        """Return whether the skin touched an obstacle, or was pushed off one, in PyBullet's last detection."""
         points = pybullet.getContactPoints(bodyA=self.body, linkIndexA=-1, physicsClientId=self._client)
         return any(point[_DISTANCE] <= 0.0 or point[_NORMAL_FORCE] > 0.0 for point in points)
 
@@ -145,6 +152,6 @@ def heading_and_speed(
     north_mps: float,
     turn_rate: float,
 ) -> tuple[float, float, float]:
-    """Heading, speed along it and turn rate of a car that moves as `Car.moving` says."""
+    """Return heading, speed along it and turn rate from the numbers of `Car.raw_motion`."""
     heading = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
     return heading, east_mps * math.cos(heading) + north_mps * math.sin(heading), turn_rate

@@ -1,4 +1,4 @@
-"""The car's box against the true obstacle shapes, all at once: contact, clearance, and shapes drawn onto a grid.
+"""Collision tests of the car's box with the true obstacle shapes: contact, clearance and rasterisation.
 
 Circles are rows `x, y, radius`; boxes are rows `x, y, length, width, heading_rad` (length along the heading).
 """
@@ -24,7 +24,7 @@ def touching(
     width_m: float = CAR_WIDTH_M,
     arena_m: float = math.inf,
 ) -> bool:
-    """Whether the oriented box at `pose` touches an obstacle, or a wall of an arena of side `arena_m`."""
+    """Return whether the oriented box at `pose` touches an obstacle, or a wall of an arena of side `arena_m`."""
     return clearance_m(pose, circles, boxes, length_m, width_m, arena_m) <= 0.0
 
 
@@ -36,18 +36,18 @@ def clearance_m(
     width_m: float = CAR_WIDTH_M,
     arena_m: float = math.inf,
 ) -> float:
-    """Distance in metres from the oriented box at `pose` to the nearest surface; 0 where it touches or overlaps one.
+    """Return the distance in metres from the oriented box at `pose` to the nearest surface.
 
     Args:
-        pose: of the box.
+        pose: pose of the box.
         circles: `(N, 3)` float64.
         boxes: `(M, 5)` float64.
-        length_m: of the box along its heading; 0 with `width_m` 0 for a point.
-        width_m: of the box.
-        arena_m: side of the walled arena about the origin; infinite: no walls.
+        length_m: length of the box along its heading; 0 with `width_m` 0 for a point.
+        width_m: width of the box.
+        arena_m: side of the walled arena around the origin; infinite: no walls.
 
     Returns:
-        The distance; infinite where there is nothing.
+        The distance; 0 if the box touches or overlaps an obstacle, infinite if there is none.
     """
     return box_clearance(pose[0], pose[1], pose[2], length_m / 2, width_m / 2, circles, boxes, arena_m / 2)
 
@@ -63,7 +63,7 @@ def box_clearance(
     boxes: np.ndarray,
     wall: float,
 ) -> float:
-    """Compiled `clearance_m`, of half lengths and half the arena's side."""
+    """Return `clearance_m`; compiled, with half lengths and half the arena's side."""
     cos, sin = math.cos(heading), math.sin(heading)
     nearest = min(
         wall - abs(x) - abs(cos) * half_l - abs(sin) * half_w, wall - abs(y) - abs(sin) * half_l - abs(cos) * half_w
@@ -91,9 +91,10 @@ def box_clearance(
 def _box_gap(
     cx: float, cy: float, cos: float, sin: float, half_l: float, half_w: float, half_l2: float, half_w2: float
 ) -> float:
-    """Distance between a box about the origin along the axes and one about `(cx, cy)` turned by (cos, sin).
+    """Return the distance between a box along the axes at the origin and one at `(cx, cy)` turned by (cos, sin).
 
-    They overlap unless one of the four axes separates them; apart, the nearest points include a corner of one.
+    They overlap unless one of their four axes separates them. If they do not overlap, the nearest points include a
+    corner of one of them.
     """
     bx, by = -(cx * cos + cy * sin), cx * sin - cy * cos  # the first box's centre in the second's frame
     apart = (
@@ -117,33 +118,33 @@ def _box_gap(
 
 
 def rasterise(circles: np.ndarray, boxes: np.ndarray, grid: Grid) -> np.ndarray:
-    """Squares of the fine frame that a shape touches, `[iy, ix]` `(fine_size, fine_size)` bool.
+    """Return the fine cells that a shape touches, `[iy, ix]` `(fine_size, fine_size)` bool.
 
-    No part of a shape lies outside the marked squares, however thin it is.
+    No part of a shape lies outside the marked cells, however thin it is.
     """
     return _rasterise(circles, boxes, grid.fine_size, grid.fine_m)
 
 
 @compiled()
-def _rasterise(circles: np.ndarray, boxes: np.ndarray, size: int, square: float) -> np.ndarray:
+def _rasterise(circles: np.ndarray, boxes: np.ndarray, size: int, fine_m: float) -> np.ndarray:
     occupied = np.zeros((size, size), dtype=np.bool_)
-    origin, half = -size * square / 2, square / 2
+    origin, half = -size * fine_m / 2, fine_m / 2
     for i in range(circles.shape[0]):
         x, y, r = circles[i, 0] - origin, circles[i, 1] - origin, circles[i, 2]
-        for fy in range(max(int((y - r) / square), 0), min(int((y + r) / square) + 1, size)):
-            for fx in range(max(int((x - r) / square), 0), min(int((x + r) / square) + 1, size)):
-                dx = max(abs((fx + 0.5) * square - x) - half, 0.0)
-                dy = max(abs((fy + 0.5) * square - y) - half, 0.0)
+        for fy in range(max(int((y - r) / fine_m), 0), min(int((y + r) / fine_m) + 1, size)):
+            for fx in range(max(int((x - r) / fine_m), 0), min(int((x + r) / fine_m) + 1, size)):
+                dx = max(abs((fx + 0.5) * fine_m - x) - half, 0.0)
+                dy = max(abs((fy + 0.5) * fine_m - y) - half, 0.0)
                 if dx * dx + dy * dy <= r * r:
                     occupied[fy, fx] = True
     for i in range(boxes.shape[0]):
         x, y, half_l, half_w = boxes[i, 0] - origin, boxes[i, 1] - origin, boxes[i, 2] / 2, boxes[i, 3] / 2
         cos, sin = math.cos(boxes[i, 4]), math.sin(boxes[i, 4])
         wide, high = abs(cos) * half_l + abs(sin) * half_w, abs(sin) * half_l + abs(cos) * half_w
-        grow = half * (abs(cos) + abs(sin))  # half a square's extent along the box's axes
-        for fy in range(max(int((y - high) / square), 0), min(int((y + high) / square) + 1, size)):
-            for fx in range(max(int((x - wide) / square), 0), min(int((x + wide) / square) + 1, size)):
-                dx, dy = (fx + 0.5) * square - x, (fy + 0.5) * square - y
+        grow = half * (abs(cos) + abs(sin))  # half a fine cell's extent along the box's axes
+        for fy in range(max(int((y - high) / fine_m), 0), min(int((y + high) / fine_m) + 1, size)):
+            for fx in range(max(int((x - wide) / fine_m), 0), min(int((x + wide) / fine_m) + 1, size)):
+                dx, dy = (fx + 0.5) * fine_m - x, (fy + 0.5) * fine_m - y
                 if abs(dx * cos + dy * sin) <= half_l + grow and abs(dy * cos - dx * sin) <= half_w + grow:
                     occupied[fy, fx] = True
     return occupied

@@ -1,4 +1,4 @@
-"""The controller that turns one lattice action into four wheel rates, a step of the simulation at a time."""
+"""The controller that turns one lattice action into wheel rates for each step of the simulation."""
 
 import math
 from typing import NamedTuple
@@ -12,7 +12,7 @@ WHEEL_RADIUS_M = 0.5  # Table 1
 
 
 class Motion(NamedTuple):
-    """Where the car is and how it moves: `speed_mps` along its heading, `turn_rate_rad_s` counter-clockwise."""
+    """Pose and motion of the car: `speed_mps` along its heading, `turn_rate_rad_s` counter-clockwise."""
 
     pose: Pose
     speed_mps: float
@@ -20,7 +20,7 @@ class Motion(NamedTuple):
 
 
 class Rates(NamedTuple):
-    """Wheel rates in radians a second, forward positive; both wheels of a side turn alike."""
+    """Wheel rates in radians per second, forward positive; both wheels of a side have the same rate."""
 
     left: float
     right: float
@@ -30,24 +30,24 @@ STOPPED = Rates(0.0, 0.0)
 
 
 class Gains(NamedTuple):
-    """The controller's constants; the defaults were found by a random search over driven sequences."""
+    """Constants of the controller; the defaults come from a random search over driven sequences."""
 
     turn: float = 16.0  # wheel rate (rad/s) per radian of heading error, in place
     turn_most_rad_s: float = 11.0
-    turn_least_rad_s: float = 2.5  # below this the wheels only strain against friction
-    aligned_rad: float = 0.07  # a heading this close ends a turn in place
-    calm_rad_s: float = 0.45  # and so slow a turn
-    facing_rad: float = 0.27  # a heading this close lets the advance begin
-    hold: float = 4.5  # speed (1/s) per metre off the place, turning in place
+    turn_least_rad_s: float = 2.5  # friction holds the wheels at lower rates
+    aligned_rad: float = 0.07  # a turn in place ends at this heading error
+    calm_rad_s: float = 0.45  # if the turn rate is this low
+    facing_rad: float = 0.27  # an advance begins at this heading error
+    hold: float = 4.5  # speed (1/s) per metre off the target while turning in place
     hold_most_mps: float = 0.3
-    still_mps: float = 0.1  # a turn begins once the car is this slow: turning at speed, it slides off its place
+    still_mps: float = 0.1  # a turn begins at this speed: at higher speeds the car slides away
     speed_most_mps: float = 1.75
     speed_up_mps2: float = 5.0
     slow_down_mps2: float = 4.0
-    arrive_m: float = 0.1  # so close ahead of the target the advance ends: about the way it takes to stop
+    arrive_m: float = 0.1  # an advance ends this close to the target: about the distance that it takes to stop
     arrive_mps: float = 1.2  # if the car is this slow
-    flow_mps: float = 1.0  # speed asked for at the target, so that an advance that follows need not start from rest
-    look_ahead_m: float = 0.8  # least distance over which an offset to the side is taken out
+    flow_mps: float = 1.0  # speed demanded at the target, so that a following advance need not start from rest
+    look_ahead_m: float = 0.8  # least distance over which a lateral offset is corrected
     aim_most_rad: float = 0.17
     steer: float = 9.3  # wheel rate (rad/s) per radian of heading error, driving
     damp: float = 0.5  # wheel rate per turn rate
@@ -56,31 +56,31 @@ class Gains(NamedTuple):
 GAINS = Gains()
 
 
-# What a manoeuvre is at.
+# Phases of a manoeuvre.
 _BRAKE = 1
 _TURN = 2  # in place, towards the line to the target
 _ADVANCE = 3
 _ALIGN = 4  # in place, to the target's heading
-_THERE = 5
+_DONE = 5
 
-_X, _Y, _HEADING, _ADVANCES, _STEP_S, _PHASE, _ASKED_MPS = range(7)  # of a manoeuvre's state
+_X, _Y, _HEADING, _ADVANCES, _STEP_S, _PHASE, _DEMANDED_MPS = range(7)  # indices of a manoeuvre's state
 
 
 class Manoeuvre:
-    """Drives the car to one target pose: brake and turn in place first, then advance along its heading, then align.
+    """Control of the car on its way to one target pose: brake, turn in place, advance along the heading, align.
 
-    An advance ends while the car still rolls, so near the target that it would come to rest there.
+    An advance ends while the car still rolls, so near the target that it comes to rest there.
 
     Args:
         target: pose to end at.
-        advance: False for a turn in place.
-        turn: whether a turn comes first; without one a speed from the manoeuvre before is kept.
+        advance: whether the car advances; False for a turn in place.
+        turn: whether a turn comes first; without one the car keeps the speed of the manoeuvre before.
         step_s: time between two calls of `steer`.
 
     Attributes:
         target: as given.
-        state: `(7,)` float64, which `steer` reads and writes: the target's x, y and heading, whether it advances, the
-            time between two calls, what it is at, and the speed asked for last (NaN: none yet).
+        state: `(7,)` float64, which `steer` reads and writes: the target's x, y and heading, whether the car advances,
+            the time between two calls, the phase, and the last demanded speed (NaN: none yet).
     """
 
     def __init__(self, target: Pose, advance: bool, turn: bool, step_s: float) -> None:
@@ -89,7 +89,7 @@ class Manoeuvre:
         self.state = np.array([*target, advance, step_s, phase, math.nan])
 
     def rates(self, motion: Motion) -> Rates | None:
-        """The wheel rates for the next step; None once the car is there."""
+        """Return the wheel rates for the next step; None once the car has arrived."""
         rates = Rates(*steer(self.state, *motion.pose, motion.speed_mps, motion.turn_rate_rad_s))
         return None if math.isnan(rates.left) else rates
 
@@ -98,15 +98,15 @@ class Manoeuvre:
 def steer(
     state: np.ndarray, x_m: float, y_m: float, heading: float, speed_mps: float, turn_rate: float
 ) -> tuple[float, float]:
-    """Rates of the left and the right wheels for the next step of a manoeuvre; NaN once the car is there.
+    """Return the rates of the left and right wheels for the next step of a manoeuvre; NaN once the car has arrived.
 
     Args:
-        state: of the `Manoeuvre`.
-        x_m: place of the car.
-        y_m: place of the car.
-        heading: of the car, radians within half a turn of east.
-        speed_mps: of the car.
-        turn_rate: of the car, radians a second.
+        state: state of the `Manoeuvre`, written.
+        x_m: x of the car.
+        y_m: y of the car.
+        heading: heading of the car, in radians within half a turn of east.
+        speed_mps: speed of the car along its heading.
+        turn_rate: turn rate of the car, in radians per second.
     """
     phase, advances = int(state[_PHASE]), state[_ADVANCES] != 0.0
     east, north = state[_X] - x_m, state[_Y] - y_m
@@ -126,18 +126,18 @@ def steer(
         phase = _ALIGN
     state[_PHASE] = phase
     if phase == _ADVANCE:
-        before = speed_mps if math.isnan(state[_ASKED_MPS]) else state[_ASKED_MPS]
+        before = speed_mps if math.isnan(state[_DEMANDED_MPS]) else state[_DEMANDED_MPS]
         braking = math.sqrt(2 * GAINS.slow_down_mps2 * ahead + GAINS.flow_mps**2) if ahead > 0 else 0.0
-        asked_mps = max(0.0, min(GAINS.speed_most_mps, braking, before + GAINS.speed_up_mps2 * state[_STEP_S]))
-        state[_ASKED_MPS] = asked_mps
+        demanded_mps = max(0.0, min(GAINS.speed_most_mps, braking, before + GAINS.speed_up_mps2 * state[_STEP_S]))
+        state[_DEMANDED_MPS] = demanded_mps
         rate = _clip(GAINS.steer * aim - GAINS.damp * turn_rate, GAINS.turn_most_rad_s)
-        return asked_mps / WHEEL_RADIUS_M - rate, asked_mps / WHEEL_RADIUS_M + rate
+        return demanded_mps / WHEEL_RADIUS_M - rate, demanded_mps / WHEEL_RADIUS_M + rate
     error, hold_mps = aim, 0.0
     if phase == _ALIGN:
         if abs(turn) < GAINS.aligned_rad:
             if abs(turn_rate) >= GAINS.calm_rad_s:
                 return 0.0, 0.0
-            state[_PHASE] = _THERE
+            state[_PHASE] = _DONE
             return math.nan, math.nan
         off = east * math.cos(heading) + north * math.sin(heading)
         error, hold_mps = turn, _clip(GAINS.hold * off, GAINS.hold_most_mps)

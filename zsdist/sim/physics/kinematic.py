@@ -1,4 +1,4 @@
-"""A car without a controller: it stands exactly where each action should bring it. A yardstick for the real one."""
+"""A kinematic car, which each action moves exactly to its target: a reference for the simulated one."""
 
 import math
 
@@ -12,11 +12,11 @@ from zsdist.sim.physics.controller import Manoeuvre
 from zsdist.sim.physics.world import DriveResult, World
 from zsdist.types import Pose
 
-STEPS = 12  # simulation steps of a turn, and of an advance: about what the real car takes
+STEPS = 12  # simulation steps of a turn, and of an advance: about as many as the simulated car takes
 
 
-class ExactWorld(World):
-    """The same arena and people; the car is put from pose to pose, and collides where its box would."""
+class KinematicWorld(World):
+    """World in which the car is moved exactly from pose to pose, and collides by the box test alone."""
 
     def _carry_out(self, manoeuvre: Manoeuvre) -> DriveResult:
         start, target = self.pose, manoeuvre.target
@@ -30,11 +30,11 @@ class ExactWorld(World):
 
 
 def make_env(config: Config, images: bool = True, exact: bool = False) -> CarNavigation:
-    """The environment, with the real car or the exact one."""
+    """Return the environment with the simulated car, or with the kinematic one if `exact`."""
     env = CarNavigation(config=config, images=images)
     if exact:
         env.world.close()
-        env.world = ExactWorld(Grid.from_config(config.grid), config.sim.step_s)
+        env.world = KinematicWorld(Grid.from_config(config.grid), config.sim.step_s)
     return env
 
 

@@ -19,20 +19,20 @@ def ray_distances(
     angles_rad: np.ndarray,
     max_m: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How far one sees along each ray from a point, in the plane.
+    """Return the distance along each ray from a point to the nearest obstacle or wall, in the plane.
 
     Args:
         circles: `(N, 3)` x, y, radius in metres.
         boxes: `(M, 5)` x, y, length, width in metres and heading in radians.
         arena_half_m: the walls stand at plus and minus this in x and y; infinity: no walls.
-        x_m: of the point the rays start from.
-        y_m: of the same point.
+        x_m: x of the rays' origin.
+        y_m: y of the rays' origin.
         angles_rad: `(R,)` directions in the world, counter-clockwise from east.
-        max_m: rays end here.
+        max_m: greatest length of a ray.
 
     Returns:
-        `(R,)` float64 distances, `max_m` where nothing nearer is met and 0 inside an obstacle; and `(R,)` int64, what
-        was met: the circle's index, N plus the box's index, `HIT_WALL` or `HIT_NOTHING`.
+        `(R,)` float64 distances, `max_m` if nothing nearer is hit and 0 inside an obstacle; and `(R,)` int64 hits: the
+        circle's index, N plus the box's index, `HIT_WALL` or `HIT_NOTHING`.
     """
     return _ray_distances(
         np.ascontiguousarray(circles, np.float64).reshape(-1, 3),

@@ -1,4 +1,4 @@
-"""The physics: one car among the obstacles of a scene, driven action by action along the planning lattice."""
+"""The simulated physics: one car and the obstacles of a scene, driven action by action along the planning lattice."""
 
 import math
 from typing import NamedTuple
@@ -17,19 +17,19 @@ from zsdist.sim.scenes.scene import Scene
 from zsdist.sim.scenes.walkers import Walker
 from zsdist.types import LatticeState, Pose
 
-MOST_STEPS = 80  # of one manoeuvre: the slowest take about half
-SETTLE_STEPS = 4  # of the car on its wheels before an episode
-CONTACT_WITHIN_M = 0.15  # with more room by our box test PyBullet need not be asked
-ON_LATTICE_M = 0.10  # a start this near to a lattice state, and with this heading, is on it
+MOST_STEPS = 80  # simulation steps of one manoeuvre at most: the slowest take about half as many
+SETTLE_STEPS = 4  # simulation steps in which the car settles on its wheels before an episode
+CONTACT_WITHIN_M = 0.15  # with more clearance by the box test there is no need to ask PyBullet for contacts
+ON_LATTICE_M = 0.10  # a start within this distance of a lattice state, and within this angle, is on the lattice
 ON_LATTICE_RAD = math.radians(5.0)
 
-_SOLVER_ITERATIONS = 10  # half the time of PyBullet's 50, and the car drives as well
-_HEIGHT_M = 2.0  # of every collision shape: what is lower is still met by the wheels
+_SOLVER_ITERATIONS = 10  # takes half the time of PyBullet's default of 50, and the car drives as well
+_HEIGHT_M = 2.0  # height of every collision shape, also for lower obstacles, which the wheels would hit
 _WALL_M = 1.0  # thickness of the arena's walls
 _PER_COMPOUND = 16  # PyBullet silently drops further shapes of an array
-_MOST_SHAPES = 4096  # PyBullet frees no collision shape before its client is closed
-# As articulated bodies without joints, which PyBullet makes unasked, what never moves by itself takes a tenth of each
-# simulation step. The car drives the same to the bit.
+_MOST_SHAPES = 4096  # PyBullet frees collision shapes only when its client is closed
+# By default PyBullet makes articulated bodies without joints; bodies that never move by themselves then take a tenth of
+# each simulation step. With this option the car's poses are bit-identical.
 _RIGID = {"useMaximalCoordinates": True}
 _NOBODY = np.empty((0, 2))
 _NOBODY.flags.writeable = False
@@ -37,15 +37,15 @@ _UPRIGHT = [0.0, 0.0, 0.0, 1.0]
 
 
 class DriveResult(NamedTuple):
-    """How a drive ended.
+    """Result of driving one action.
 
     Attributes:
-        pose: true pose of the car.
-        sim_steps: simulation steps it took.
-        contact: whether the car collided. Our box test on the true pose decides, and PyBullet's contacts confirm it.
-            Where the two disagree (about one pose in two thousand), either counts: a car whose box overlaps has hit
-            something, and one that the solver pushes off an obstacle no longer drives freely.
-        confirmed: whether PyBullet's contacts at this pose say the same as our box test.
+        pose: true pose of the car at the end.
+        sim_steps: number of simulation steps.
+        contact: whether the car collided, by the box test on the true pose or by PyBullet's contacts. If the two
+            disagree (at about one pose in two thousand), either counts: a car whose box overlaps an obstacle has hit
+            it, and a car that the solver pushes off an obstacle no longer drives freely.
+        confirmed: whether PyBullet's contacts at this pose agree with the box test.
     """
 
     pose: Pose
@@ -57,11 +57,16 @@ class DriveResult(NamedTuple):
 class World:
     """A walled arena in a PyBullet client of its own (DIRECT: no window).
 
-    Episodes do not influence one another: the same scene and actions give bit-equal poses, whatever was driven before.
+    Episodes do not influence one another: the same scene and actions give bit-identical poses after any other episodes.
 
     Args:
         grid: planning grid and arena.
-        step_s: of the simulation.
+        step_s: duration of a simulation step.
+
+    Attributes:
+        grid: as given.
+        step_s: as given.
+        scene: scene of the last reset; None before the first.
     """
 
     def __init__(self, grid: Grid, step_s: float = 0.05) -> None:
@@ -72,14 +77,14 @@ class World:
         self._connect()
 
     def close(self) -> None:
-        """Ends the physics client; the world cannot be used afterwards."""
+        """Close the physics client; the world cannot be used afterwards."""
         if self._client >= 0:
             pybullet.disconnect(physicsClientId=self._client)
             self._client = -1
 
     @property
     def pose(self) -> Pose:
-        """The true pose of the car."""
+        """True pose of the car."""
         return self._car.motion().pose
 
     @property
@@ -89,19 +94,19 @@ class World:
 
     @property
     def people(self) -> np.ndarray:
-        """Present places of the walking obstacles, `(P, 2)` metres, in the order of the scene."""
+        """Present positions of the walking obstacles, `(P, 2)` metres, in the order of the scene."""
         if not self._walkers:
             return _NOBODY
         return np.array([(walker.x_m, walker.y_m) for walker in self._walkers], dtype=np.float64)
 
     def reset(self, scene: Scene, start: Pose | None = None) -> int:
-        """Puts the obstacles of `scene` and the car in place, and drives a car that starts off the lattice onto it.
+        """Set up a scene and the car, and drive a car that starts off the lattice onto it.
 
-        Where there is no room for that the car stays at its start, and its first action ends on the lattice.
+        If there is no room for that, the car stays at its start, and its first action ends on the lattice.
 
         Args:
-            scene: what to set up. Bodies of the scene before are kept where they are the same.
-            start: of the car; the scene's own without it.
+            scene: scene to set up. The bodies of the scene before are kept if its obstacles are equal.
+            start: pose of the car; None: the scene's start.
 
         Returns:
             Simulation steps driven to reach the lattice.
@@ -110,7 +115,7 @@ class World:
             SceneError: an obstacle or a wall stands on the start.
         """
         start = scene.start.pose if start is None else start
-        self._furnish(scene)
+        self._set_up(scene)
         if touching(start, self._circles, self._boxes, arena_m=self.grid.arena_m):
             place = f"({start.x_m:g}, {start.y_m:g})"
             raise SceneError(f"scene {scene.name}: an obstacle or a wall stands on the start {place}")
@@ -122,14 +127,14 @@ class World:
         return 0
 
     def put(self, pose: Pose) -> None:
-        """Stands the car still at `pose`, whatever is there."""
+        """Put the car at rest at `pose`, even if it overlaps an obstacle."""
         self._car.place(pose)
 
     def drive(self, action: int) -> DriveResult:
-        """Carries out one `Action`, as exactly as the car can, and stops at once at a collision.
+        """Drive one `Action`, and stop at once at a collision.
 
-        The target is the action's end on the lattice, counted from the lattice state nearest to the true pose, so that
-        errors do not add up. An advance that would leave the grid is not made: the car turns and stays.
+        The target is the action's successor of the lattice state nearest to the true pose, so that errors do not add
+        up. The car does not make an advance that would leave the grid; it only turns.
         """
         state = self.grid.lattice_state(self.pose)
         end = successor(state, action)
@@ -139,28 +144,28 @@ class World:
         return self._carry_out(Manoeuvre(self.grid.pose(end), advance, bool(TURNS[action]), self.step_s))
 
     def contact(self) -> bool:
-        """Whether PyBullet finds the car, where it is now, to touch an obstacle."""
+        """Return whether the car touches an obstacle at its present pose, by PyBullet's collision detection."""
         pybullet.performCollisionDetection(physicsClientId=self._client)
         return self._car.contact()
 
     def touches(self) -> bool:
-        """Whether our box test finds the car, where it is now, to touch an obstacle."""
+        """Return whether the car touches an obstacle at its present pose, by the box test."""
         return touching(self.pose, self._circles, self._boxes, arena_m=self.grid.arena_m)
 
     def _carry_out(self, manoeuvre: Manoeuvre) -> DriveResult:
         car, client, steps = self._car, self._client, 0
         state, circles, boxes, wall = manoeuvre.state, self._circles, self._boxes, self.grid.arena_m / 2
         while True:
-            moving = car.moving()
-            heading, room_m, left, right = _watch(state, circles, boxes, wall, *moving)
+            motion = car.raw_motion()
+            heading, room_m, left, right = _control(state, circles, boxes, wall, *motion)
             if steps > 0 and (room_m <= 0.0 or (room_m < CONTACT_WITHIN_M and car.contact())):
                 confirmed = self.contact() == (room_m <= 0.0)
-                return DriveResult(Pose(moving[0], moving[1], heading), steps, True, confirmed)
+                return DriveResult(Pose(motion[0], motion[1], heading), steps, True, confirmed)
             if steps == MOST_STEPS or math.isnan(left):
-                return DriveResult(Pose(moving[0], moving[1], heading), steps, False, True)
+                return DriveResult(Pose(motion[0], motion[1], heading), steps, False, True)
             car.command(Rates(left, right))
             if self._walkers:
-                self._walk(Pose(moving[0], moving[1], heading))
+                self._walk(Pose(motion[0], motion[1], heading))
             pybullet.stepSimulation(client)
             steps += 1
 
@@ -176,13 +181,14 @@ class World:
 
     def _drive_onto_lattice(self, start: Pose) -> int:
         for target in self._lattice_nearby(start):
-            way = math.atan2(target.y_m - start.y_m, target.x_m - start.x_m)
+            bearing = math.atan2(target.y_m - start.y_m, target.x_m - start.x_m)
             far = math.dist(start[:2], target[:2]) > ON_LATTICE_M
-            if not self._free_way(start, target, way if far else start.heading_rad):
+            if not self._path_is_free(start, target, bearing if far else start.heading_rad):
                 continue
             steps = 0
             if far:
-                steps += self._carry_out(Manoeuvre(target._replace(heading_rad=way), True, True, self.step_s)).sim_steps
+                advance = Manoeuvre(target._replace(heading_rad=bearing), True, True, self.step_s)
+                steps += self._carry_out(advance).sim_steps
             result = self._carry_out(Manoeuvre(target, False, True, self.step_s))
             if not result.contact:
                 return steps + result.sim_steps
@@ -190,7 +196,7 @@ class World:
         return 0
 
     def _lattice_nearby(self, pose: Pose) -> list[Pose]:
-        """Poses of the lattice states around `pose`, the nearest first."""
+        """Return the poses of the lattice states around `pose`, the nearest first."""
         near = self.grid.lattice_state(pose)
         cells = [(near.ix + dx, near.iy + dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
         states = [
@@ -206,14 +212,14 @@ class World:
 
         return sorted((self.grid.pose(state) for state in states), key=effort)
 
-    def _free_way(self, start: Pose, target: Pose, way: float) -> bool:
-        """Whether turning to `way`, going straight to `target` and turning to its heading keeps clear of everything."""
-        poses = [start._replace(heading_rad=angle) for angle in _arc(start.heading_rad, way)]
+    def _path_is_free(self, start: Pose, target: Pose, bearing: float) -> bool:
+        """Return whether the car can turn to `bearing`, go straight to `target` and turn to its heading."""
+        poses = [start._replace(heading_rad=angle) for angle in _arc(start.heading_rad, bearing)]
         poses += [
-            Pose(start.x_m + share * (target.x_m - start.x_m), start.y_m + share * (target.y_m - start.y_m), way)
+            Pose(start.x_m + share * (target.x_m - start.x_m), start.y_m + share * (target.y_m - start.y_m), bearing)
             for share in np.linspace(0.0, 1.0, 20)
         ]
-        poses += [target._replace(heading_rad=angle) for angle in _arc(way, target.heading_rad)]
+        poses += [target._replace(heading_rad=angle) for angle in _arc(bearing, target.heading_rad)]
         return not any(touching(pose, self._circles, self._boxes, arena_m=self.grid.arena_m) for pose in poses)
 
     def _connect(self) -> None:
@@ -234,8 +240,8 @@ class World:
         middle = (self.grid.arena_m + _WALL_M) / 2
         side = self.grid.arena_m + 2 * _WALL_M
         walls = [(x, y, side, _WALL_M, turn) for x, y, turn in _sides(middle)]
-        # Without a visual shape of its own PyBullet makes a body a mesh of each collision shape, 0.4 ms apiece.
-        self._speck = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=[0.01] * 3, physicsClientId=client)
+        # For a body without a visual shape PyBullet makes a mesh of each collision shape, which takes 0.4 ms each.
+        self._visual = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=[0.01] * 3, physicsClientId=client)
         self._shapes = 0
         self._build(NO_CIRCLES, np.array(walls))
         self._standing_bodies: list[int] = []
@@ -245,8 +251,8 @@ class World:
         self._circles, self._boxes = NO_CIRCLES, NO_BOXES
         self.scene = None
 
-    def _furnish(self, scene: Scene) -> None:
-        """Makes the obstacles' bodies, in the scene's order: an order that is always the same keeps replays equal."""
+    def _set_up(self, scene: Scene) -> None:
+        """Make the obstacles' bodies, always in the order of the scene, so that repeated drives are bit-identical."""
         if self.scene is None or self.scene.obstacles != scene.obstacles:
             if self._shapes + len(scene.obstacles) > _MOST_SHAPES:
                 self._connect()
@@ -267,35 +273,35 @@ class World:
             self._move(body, walker)
 
     def _move(self, body: int, walker: Walker) -> None:
-        place = [walker.x_m, walker.y_m, 0.0]
-        pybullet.resetBasePositionAndOrientation(body, place, _UPRIGHT, physicsClientId=self._client)
+        position = [walker.x_m, walker.y_m, 0.0]
+        pybullet.resetBasePositionAndOrientation(body, position, _UPRIGHT, physicsClientId=self._client)
 
     def _build(self, circles: np.ndarray, boxes: np.ndarray) -> list[int]:
-        """Bodies of many shapes each, which make a simulation step shorter than a body for each shape would."""
+        """Return bodies of up to `_PER_COMPOUND` shapes: a simulation step is shorter than with a body for each."""
         shapes = [
             (pybullet.GEOM_CYLINDER, radius, [0.0, 0.0, 0.0], [x, y, _HEIGHT_M / 2], _UPRIGHT)
             for x, y, radius in circles.tolist()
         ]
         for x, y, length, width, heading in boxes.tolist():
-            turned = [0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2)]
+            quaternion = [0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2)]
             half = [length / 2, width / 2, _HEIGHT_M / 2]
-            shapes.append((pybullet.GEOM_BOX, 0.0, half, [x, y, _HEIGHT_M / 2], turned))
+            shapes.append((pybullet.GEOM_BOX, 0.0, half, [x, y, _HEIGHT_M / 2], quaternion))
         bodies = []
         for first in range(0, len(shapes), _PER_COMPOUND):
             chunk = shapes[first : first + _PER_COMPOUND]
-            kinds, radii, halves, places, turns = (list(column) for column in zip(*chunk, strict=True))
+            types, radii, halves, positions, quaternions = (list(column) for column in zip(*chunk, strict=True))
             compound = pybullet.createCollisionShapeArray(
-                shapeTypes=kinds,
+                shapeTypes=types,
                 radii=radii,
                 halfExtents=halves,
-                lengths=[_HEIGHT_M] * len(kinds),
-                collisionFramePositions=places,
-                collisionFrameOrientations=turns,
+                lengths=[_HEIGHT_M] * len(types),
+                collisionFramePositions=positions,
+                collisionFrameOrientations=quaternions,
                 physicsClientId=self._client,
             )
             body = pybullet.createMultiBody(
                 baseCollisionShapeIndex=compound,
-                baseVisualShapeIndex=self._speck,
+                baseVisualShapeIndex=self._visual,
                 **_RIGID,
                 physicsClientId=self._client,
             )
@@ -315,20 +321,22 @@ def _sides(middle: float) -> list[tuple[float, float, float]]:
 
 
 @compiled()
-def _watch(
-    state: np.ndarray, circles: np.ndarray, boxes: np.ndarray, wall: float, *moving: float
+def _control(
+    state: np.ndarray, circles: np.ndarray, boxes: np.ndarray, wall: float, *motion: float
 ) -> tuple[float, float, float, float]:
-    """Heading, room in metres, and next wheel rates of a car on a manoeuvre; in one call, 20 times an action.
+    """Return heading, clearance in metres, and next wheel rates of a car on a manoeuvre.
+
+    All in one call, since this is needed about 20 times an action.
 
     Args:
-        state: of the manoeuvre.
-        circles: as of `clearance_m`.
-        boxes: as of `clearance_m`.
+        state: state of the manoeuvre.
+        circles: as in `clearance_m`.
+        boxes: as in `clearance_m`.
         wall: half the arena's side.
-        *moving: from `Car.moving`.
+        *motion: from `Car.raw_motion`.
     """
-    x_m, y_m = moving[0], moving[1]
-    heading, speed_mps, turn_rate = heading_and_speed(*moving)
+    x_m, y_m = motion[0], motion[1]
+    heading, speed_mps, turn_rate = heading_and_speed(*motion)
     room_m = box_clearance(x_m, y_m, heading, CAR_LENGTH_M / 2, CAR_WIDTH_M / 2, circles, boxes, wall)
     left, right = steer(state, x_m, y_m, heading, speed_mps, turn_rate)
     return heading, room_m, left, right

@@ -1,7 +1,7 @@
-"""Families of scenes, drawn from (family, seed) and each proven solvable.
+"""Families of random scenes, generated from (family, seed); every scene is solvable.
 
-The same family and seed give the same scene in every process. A scene for which no way exists over (cell, heading)
-with the car's footprint is drawn again from the same stream of numbers.
+The same family and seed give the same scene in every process. A scene without a path over (cell, heading) with the
+car's footprint is drawn again from the same stream of random numbers.
 """
 
 from collections.abc import Callable
@@ -23,10 +23,10 @@ __all__ = ["FAMILIES", "SINGLETON_SCENES", "draw", "generate", "split_seed"]
 SINGLETON_SCENES = 10
 MAX_SEED = 2**31
 MAX_TRIES = 200
-LEAST_WAY_M = 10.0  # between start and goal
-OFF_EAST_DEG = 60.0  # `ood-start-goal`: the way leads at least so far from east; in `iid` it is always less
+LEAST_WAY_M = 10.0  # least distance between start and goal
+OFF_EAST_DEG = 60.0  # `ood-start-goal`: least angle between east and the direction to the goal; in `iid` it is less
 
-# weights of kinds
+# Weights of kinds.
 WILD = {"tree": 0.6, "bush": 0.15, "pole": 0.1, "person": 0.15}
 SMALL = {"tree": 0.35, "bush": 0.25, "pole": 0.25, "person": 0.15}
 VARIED = {"box": 0.3, "car": 0.15, "pole": 0.2, "person": 0.15, "bush": 0.2}
@@ -35,25 +35,25 @@ EVERY = {"tree": 0.3, "sand_pile": 0.2, "rock": 0.2, "bush": 0.1, "pole": 0.05, 
 
 
 def generate(family: str, seed: int) -> Scene:
-    """The scene of a family and a seed, checked and solvable.
+    """Return the scene of a family and a seed, checked and solvable.
 
     Args:
         family: a key of `FAMILIES`.
         seed: 0 or more; for `singleton`, the number of one of its ten scenes.
 
     Raises:
-        SceneError: no such family, a seed that is not allowed, or no solvable scene in `MAX_TRIES` draws.
+        SceneError: no such family, a seed out of range, or no solvable scene in `MAX_TRIES` draws.
     """
     return generate_counted(family, seed)[0]
 
 
 def draw(family: str, split: Split, index: int) -> Scene:
-    """The `index`-th scene of a family's split. `singleton` has no splits: its ten scenes are all there is."""
+    """Return the `index`-th scene of a family's split; `singleton` has the same ten scenes in every split."""
     return generate(family, index % SINGLETON_SCENES if family == "singleton" else split_seed(split, index))
 
 
 def generate_counted(family: str, seed: int) -> tuple[Scene, int]:
-    """`generate`, and how many draws it took."""
+    """Return the scene of `generate`, and the number of draws it took."""
     if family not in FAMILIES:
         raise SceneError(f"scene family is {family!r}; allowed are {', '.join(FAMILIES)}")
     most = SINGLETON_SCENES if family == "singleton" else MAX_SEED
@@ -72,7 +72,7 @@ def generate_counted(family: str, seed: int) -> tuple[Scene, int]:
 
 
 def _west_to_east(rng: np.random.Generator, border: int = 3) -> Canvas:
-    """Start in the four western columns of cells, goal in the four eastern ones, `border` rows from north and south."""
+    """Return a start in the four western columns and a goal in the four eastern ones, `border` rows from the edges."""
     last = DEFAULT_GRID.cells - 1
     rows = rng.integers(border, last + 1 - border, 2)
     columns = rng.integers(0, 4, 2)
@@ -80,8 +80,8 @@ def _west_to_east(rng: np.random.Generator, border: int = 3) -> Canvas:
     return Canvas(rng, start, (last - int(columns[1]), int(rows[1])))
 
 
-def _any_other_way(rng: np.random.Generator) -> Canvas:
-    """Start and goal anywhere, 10 m or more apart, in a direction that is not within `OFF_EAST_DEG` of east."""
+def _not_eastwards(rng: np.random.Generator) -> Canvas:
+    """Return a start and a goal anywhere, 10 m or more apart, in a direction more than `OFF_EAST_DEG` from east."""
     while True:
         cells = rng.integers(1, DEFAULT_GRID.cells - 1, 4)
         dx, dy = (cells[2:] - cells[:2]) * DEFAULT_GRID.cell_size_m
@@ -101,7 +101,7 @@ def _iid(rng: np.random.Generator, name: str) -> Scene:
 
 
 def _start_goal(rng: np.random.Generator, name: str) -> Scene:
-    canvas = _any_other_way(rng)
+    canvas = _not_eastwards(rng)
     canvas.scatter(int(rng.integers(12, 21)), WILD)
     return canvas.scene(name, _ground(rng, TRAINED_GROUNDS))
 
@@ -122,7 +122,7 @@ def _clusters(rng: np.random.Generator, name: str) -> Scene:
 def _add_clusters(canvas: Canvas, kinds: dict[str, float]) -> None:
     rng = canvas.rng
     start, goal = np.array(canvas.ends)
-    centres = [start + (goal - start) * rng.uniform(0.35, 0.65)]  # one stands in the way
+    centres = [start + (goal - start) * rng.uniform(0.35, 0.65)]  # one is on the straight line to the goal
     centres += [rng.uniform(-7.0, 7.0, 2) for _ in range(int(rng.integers(2, 5)))]
     for centre in centres:
         canvas.scatter(int(rng.integers(4, 8)), kinds, gap_m=0.02, scale=0.8, centre=centre, spread_m=2.6)
@@ -148,14 +148,14 @@ def _dynamic(rng: np.random.Generator, name: str) -> Scene:
 
 
 def _all(rng: np.random.Generator, name: str) -> Scene:
-    """New kinds and ground, walls or clusters or many small ones, other directions, walking people."""
+    """Return a scene with withheld kinds and ground, walking people, and walls, clusters or many small obstacles."""
     plan = int(rng.integers(3))
     if plan == 0:
         canvas = _west_to_east(rng)
         families_layout.walls(canvas)
         canvas.scatter(int(rng.integers(2, 6)), EVERY, gap_m=families_layout.PASSAGE_M)
     else:
-        canvas = _any_other_way(rng)
+        canvas = _not_eastwards(rng)
         if plan == 1:
             _add_clusters(canvas, EVERY)
         else:
@@ -172,20 +172,20 @@ def _street(rng: np.random.Generator, name: str) -> Scene:
 
 
 def _varied(rng: np.random.Generator, name: str) -> Scene:
-    canvas = _any_other_way(rng) if rng.random() < 0.5 else _west_to_east(rng)
+    canvas = _not_eastwards(rng) if rng.random() < 0.5 else _west_to_east(rng)
     canvas.scatter(int(rng.integers(1, 5)), {"pole": 1.0}, scale=4.0)  # columns as thick as a trunk
     canvas.scatter(int(rng.integers(6, 21)), VARIED, scale=float(rng.uniform(0.6, 1.4)))
     return canvas.scene(name, _ground(rng, TRAINED_GROUNDS))
 
 
 def _vocabulary(rng: np.random.Generator, name: str) -> Scene:
-    """A few obstacles of every kind on any ground, to learn what they are called."""
-    canvas = _any_other_way(rng)
+    """Return a scene with a few obstacles of any kind on any ground, for learning words."""
+    canvas = _not_eastwards(rng)
     canvas.scatter(int(rng.integers(5, 13)), dict.fromkeys(KINDS, 1.0), gap_m=0.6)
     return canvas.scene(name, _ground(rng, tuple(GROUNDS)))
 
 
-# The order is part of every scene's seed: append only.
+# The position of a family in this dictionary is part of its scenes' seeds: append only.
 FAMILIES: dict[str, Callable[[np.random.Generator, str], Scene]] = {
     "singleton": _iid,
     "iid": _iid,

@@ -1,4 +1,4 @@
-"""A scene while it is being drawn: obstacles go where they keep their distance from the others, start and goal."""
+"""A scene under construction: obstacles are placed at a distance from one another, the start and the goal."""
 
 import math
 from collections.abc import Sequence
@@ -11,11 +11,11 @@ from zsdist.sim.scenes.kinds import KINDS
 from zsdist.sim.scenes.scene import DEFAULT_GRID, Obstacle, Scene, Start
 from zsdist.types import LatticeState, Pose
 
-START_CLEARANCE_M = 1.5  # of start and goal from every surface; the cells of this disc are known to be free
-SCATTER_M = 9.6  # scattered obstacles have their centres within this of both axes
+START_CLEARANCE_M = 1.5  # least distance of start and goal from every surface; this disc is known to be free
+SCATTER_M = 9.6  # greatest distance of a scattered obstacle's centre from either axis
 TRIES = 80
 
-# radius in metres, least and greatest, as drawn for each round kind; trees as in Table 1 of the paper
+# Least and greatest radius of each round kind, in metres; trees as in Table 1 of the paper.
 RADII_M = {
     "tree": (1.0, 1.0),
     "person": (0.3, 0.3),
@@ -24,7 +24,7 @@ RADII_M = {
     "bush": (0.5, 1.1),
     "pole": (0.12, 0.25),
 }
-# length, width and height in metres, least and greatest, of the others
+# Least and greatest length, width and height of the other kinds, in metres.
 SIZES_M = {
     "box": ((1.0, 4.0), (0.5, 2.0), (1.6, 2.6)),
     "car": ((3.8, 4.8), (1.7, 1.95), (1.4, 1.6)),
@@ -32,7 +32,7 @@ SIZES_M = {
 
 
 class Redraw(Exception):  # noqa: N818 -- no error: the scene is drawn again
-    """The scene being drawn came out impossible."""
+    """Signal that the scene under construction is impossible and must be drawn again."""
 
 
 @dataclass
@@ -40,10 +40,10 @@ class Canvas:
     """Start, goal and the obstacles placed so far.
 
     Attributes:
-        rng: of the scene.
+        rng: random numbers of the scene.
         start: lattice state.
         goal: cell `(ix, iy)`.
-        obstacles: those placed.
+        obstacles: obstacles placed so far.
     """
 
     rng: np.random.Generator
@@ -57,12 +57,12 @@ class Canvas:
         return DEFAULT_GRID.centre(self.start.ix, self.start.iy), DEFAULT_GRID.centre(*self.goal)
 
     def scene(self, name: str, ground: str) -> Scene:
-        """What has been drawn."""
+        """Return the finished scene."""
         (x_m, y_m), goal = self.ends
         return Scene(name, ground, Start(x_m, y_m, 45.0 * self.start.heading), goal, tuple(self.obstacles))
 
     def gap_m(self, obstacle: Obstacle, others: list[Obstacle]) -> float:
-        """Distance in metres from an obstacle's surface to the nearest of others; at most 0 where they overlap."""
+        """Return the distance in metres from an obstacle's surface to the nearest other; 0 or less if they overlap."""
         rest = Scene("", "", Start(0.0, 0.0, 0.0), (0.0, 0.0), tuple(others))
         circles, boxes = rest.circles(), rest.boxes()
         length_m, width_m = obstacle.size_m[:2] if obstacle.size_m else (0.0, 0.0)
@@ -70,12 +70,12 @@ class Canvas:
         return clearance_m(pose, circles, boxes, length_m, width_m) - (obstacle.radius_m or 0.0)
 
     def clear_of_ends(self, obstacle: Obstacle) -> bool:
-        """Whether start and goal are `START_CLEARANCE_M` away from its surface."""
+        """Return whether start and goal are `START_CLEARANCE_M` or more away from an obstacle's surface."""
         points = [Obstacle("person", x_m, y_m, 0.0) for x_m, y_m in self.ends]
         return self.gap_m(obstacle, points) >= START_CLEARANCE_M
 
     def place(self, obstacle: Obstacle, gap_m: float) -> bool:
-        """Adds an obstacle where it is clear of start and goal and `gap_m` away from the others; says whether."""
+        """Add an obstacle if it is clear of start and goal and `gap_m` from the others; return whether it was added."""
         if not self.clear_of_ends(obstacle) or self.gap_m(obstacle, self.obstacles) < gap_m:
             return False
         self.obstacles.append(obstacle)
@@ -90,15 +90,15 @@ class Canvas:
         centre: Sequence[float] = (0.0, 0.0),
         spread_m: float = SCATTER_M,
     ) -> None:
-        """Places obstacles of drawn kind and size evenly over a square.
+        """Add obstacles of random kind and size, uniformly over a square.
 
         Args:
-            count: how many.
+            count: number of obstacles.
             kinds: weight of each kind.
             gap_m: least distance between surfaces.
-            scale: of the radii of round obstacles.
-            centre: of the square.
-            spread_m: half its side.
+            scale: factor of the radii of round obstacles.
+            centre: centre of the square.
+            spread_m: half the side of the square.
 
         Raises:
             Redraw: there is no room for all of them.
@@ -115,7 +115,7 @@ class Canvas:
                 raise Redraw
 
     def walkers(self, count: int) -> None:
-        """Places walking people whose whole path is clear of start, goal and what stands.
+        """Add walking people whose whole path is clear of start, goal and standing obstacles.
 
         Raises:
             Redraw: there is no room for all of them.
@@ -141,24 +141,25 @@ class Canvas:
 
 
 def draw(rng: np.random.Generator, kind: str, x_m: float, y_m: float, scale: float = 1.0) -> Obstacle:
-    """An obstacle of a kind at a place, its size drawn; boxes and cars get a heading too."""
+    """Return an obstacle of a kind at a position, with a random size; boxes and cars get a random heading too."""
     if kind in RADII_M:
         return Obstacle(kind, x_m, y_m, round(float(rng.uniform(*RADII_M[kind])) * scale, 2))
-    size_m = tuple(round(float(rng.uniform(*limits)), 2) for limits in SIZES_M[kind])
+    length_m, width_m, height_m = (round(float(rng.uniform(*limits)), 2) for limits in SIZES_M[kind])
+    size_m = (length_m, width_m, height_m)
     return Obstacle(kind, x_m, y_m, None, size_m, round(float(rng.uniform(-180.0, 180.0)), 1))
 
 
 def _along(person: Obstacle) -> list[Obstacle]:
-    """The person standing at each point of its path, a quarter of a metre apart."""
-    places = []
+    """Return the person as standing obstacles along its path, a quarter of a metre apart."""
+    positions = []
     for (x0, y0), (x1, y1) in zip(person.path, person.path[1:], strict=False):
         count = max(math.ceil(math.hypot(x1 - x0, y1 - y0) / 0.25), 1)
-        places += [(x0 + (x1 - x0) * i / count, y0 + (y1 - y0) * i / count) for i in range(count + 1)]
-    return [Obstacle("person", x_m, y_m, person.radius_m) for x_m, y_m in places]
+        positions += [(x0 + (x1 - x0) * i / count, y0 + (y1 - y0) * i / count) for i in range(count + 1)]
+    return [Obstacle("person", x_m, y_m, person.radius_m) for x_m, y_m in positions]
 
 
 def turned(scene: Scene, quarters: int) -> Scene:
-    """The scene turned about the origin by quarters of a turn, counter-clockwise; the lattice maps onto itself."""
+    """Return the scene turned around the origin by quarters of a turn, counter-clockwise; cells map onto cells."""
 
     def point(x_m: float, y_m: float) -> tuple[float, float]:
         for _ in range(quarters % 4):
@@ -167,7 +168,7 @@ def turned(scene: Scene, quarters: int) -> Scene:
 
     def obstacle(old: Obstacle) -> Obstacle:
         heading_deg = (old.heading_deg + 90.0 * quarters) % 360.0 if old.size_m else old.heading_deg
-        path = tuple(point(*place) for place in old.path)
+        path = tuple(point(*position) for position in old.path)
         return Obstacle(old.kind, *point(old.x_m, old.y_m), old.radius_m, old.size_m, heading_deg, path, old.speed_mps)
 
     start = Start(*point(scene.start.x_m, scene.start.y_m), (scene.start.heading_deg + 90.0 * quarters) % 360.0)

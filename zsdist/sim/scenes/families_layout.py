@@ -1,7 +1,7 @@
-"""Scenes with a plan: walls with gaps, chicanes, corridors and pockets, and streets.
+"""Scenes with a layout: walls with gaps, chicanes, corridors and pockets, and streets.
 
-Drawn with the start in the west and the goal in the east. Every way between two walls is `PASSAGE_M` wide or more, or
-closed: the car's turn in place needs 2.31 m, and it cannot back out.
+The start is in the west and the goal in the east. Every passage between two walls is `PASSAGE_M` wide or more, or
+closed: the car's turn in place needs 2.31 m, and it cannot reverse.
 """
 
 import math
@@ -13,20 +13,20 @@ from zsdist.sim.scenes.scene import DEFAULT_GRID, Obstacle, Scene
 PASSAGE_M = 3.0
 WALL_HEIGHTS_M = (1.8, 2.6)
 EDGE_M = DEFAULT_GRID.arena_m / 2
-ROAD_HALF_M = (3.6, 5.0)  # from the middle of a road to its kerbs
+ROAD_HALF_M = (3.6, 5.0)  # least and greatest distance from the middle of a road to its kerbs
 _POLE_BEHIND_KERB_M = 0.4
-_CAR_FROM_KERB_M = 1.0  # of its centre, on the road
-_LINE_M = 0.03  # places are rounded to the centimetre
+_CAR_FROM_KERB_M = 1.0  # distance of a car's centre from the kerb, on the road
+_LINE_M = 0.03  # tolerance of a line of obstacles: positions are rounded to the centimetre
 
 
 @dataclass(frozen=True)
 class Road:
-    """Where a street's kerbs are; on the ground one sees them, and nothing stops at them.
+    """Position of a street's kerbs, which are drawn on the ground and are no obstacles.
 
     Attributes:
-        along_x: whether it leads along x, else along y.
+        along_x: whether the street leads along x; else it leads along y.
         middle_m: the other coordinate of its middle line.
-        half_m: from there to the kerbs.
+        half_m: distance from the middle line to the kerbs.
     """
 
     along_x: bool
@@ -35,7 +35,7 @@ class Road:
 
 
 def walls(canvas: Canvas) -> None:
-    """Adds walls of a drawn plan; raises `Redraw` where they come too close to start or goal."""
+    """Add walls of a random plan; raise `Redraw` if they are too close to start or goal."""
     plan = (_gaps, _chicane, _corridor, _pockets)[int(canvas.rng.integers(4))]
     for wall in plan(canvas):
         if not canvas.clear_of_ends(wall):
@@ -44,7 +44,7 @@ def walls(canvas: Canvas) -> None:
 
 
 def _gaps(canvas: Canvas) -> list[Obstacle]:
-    """One or two walls across the arena, each with one or two gaps."""
+    """Return one or two walls across the arena, each with one or two gaps."""
     rng = canvas.rng
     xs = [rng.uniform(-4.0, 4.0)] if rng.random() < 0.4 else [rng.uniform(-4.5, -2.5), rng.uniform(2.0, 4.5)]
     pieces = []
@@ -55,7 +55,7 @@ def _gaps(canvas: Canvas) -> list[Obstacle]:
 
 
 def _chicane(canvas: Canvas) -> list[Obstacle]:
-    """Two or three walls, open at the north and the south end by turns."""
+    """Return two or three walls, open at the north and the south end by turns."""
     rng = canvas.rng
     count = int(rng.integers(2, 4))
     north = bool(rng.integers(2))
@@ -69,7 +69,7 @@ def _chicane(canvas: Canvas) -> list[Obstacle]:
 
 
 def _corridor(canvas: Canvas) -> list[Obstacle]:
-    """A corridor that is the only way from west to east."""
+    """Return a corridor that is the only passage from west to east."""
     rng = canvas.rng
     y_m, width_m, length_m = _row(canvas, -7, 7), rng.uniform(PASSAGE_M + 0.1, 4.0), rng.uniform(4.0, 8.0)
     x_m, thick_m = rng.uniform(-1.5, 1.5), rng.uniform(0.4, 0.8)
@@ -80,7 +80,7 @@ def _corridor(canvas: Canvas) -> list[Obstacle]:
 
 
 def _pockets(canvas: Canvas) -> list[Obstacle]:
-    """One dead end between start and goal, or two side by side, open towards the start."""
+    """Return one dead end between start and goal, or two side by side, open towards the start."""
     rng = canvas.rng
     middle_m = (canvas.ends[0][1] + canvas.ends[1][1]) / 2
     single = rng.random() < 0.6
@@ -97,13 +97,13 @@ def _pockets(canvas: Canvas) -> list[Obstacle]:
 
 
 def _row(canvas: Canvas, low_m: float, high_m: float) -> float:
-    """The centre of a row of cells between two heights: ways are centred on the lattice, on which the car turns."""
+    """Return the centre of a random row of cells between two y: passages are centred on rows, where the car drives."""
     centres = [float(y) for y in DEFAULT_GRID.cell_centres()[1] if low_m <= y <= high_m]
     return centres[int(canvas.rng.integers(len(centres)))]
 
 
 def _across(canvas: Canvas, x_m: float, gaps: list[tuple[float, float]]) -> list[Obstacle]:
-    """A wall across the arena at `x_m`, from south to north, with gaps `(centre, width)` in that order."""
+    """Return the pieces of a wall across the arena at `x_m`, with gaps `(centre, width)` from south to north."""
     thick_m = canvas.rng.uniform(0.4, 0.8)
     bounds = [-EDGE_M]
     for y_m, width_m in gaps:
@@ -116,17 +116,17 @@ def _across(canvas: Canvas, x_m: float, gaps: list[tuple[float, float]]) -> list
 
 
 def _wall(canvas: Canvas, x_m: float, y_m: float, east_m: float, north_m: float) -> Obstacle:
-    """A wall about a centre, to the millimetre; sizes are rounded down, so that no way is narrowed."""
+    """Return a wall around a centre, to the millimetre; sizes are rounded down, so that no passage is narrowed."""
     height_m = round(float(canvas.rng.uniform(*WALL_HEIGHTS_M)), 2)
     size_m = (math.floor(east_m * 500) / 500, math.floor(north_m * 500) / 500, height_m)
     return Obstacle("box", round(float(x_m), 4), round(float(y_m), 4), None, size_m)
 
 
 def street(canvas: Canvas) -> None:
-    """A street from west to east: buildings behind the pavements, cars along the kerbs, poles and people.
+    """Add a street from west to east: buildings behind the pavements, cars along the kerbs, poles and people.
 
     Raises:
-        Redraw: something came too close to start or goal.
+        Redraw: an obstacle is too close to start or goal.
     """
     rng = canvas.rng
     middle_m = (canvas.ends[0][1] + canvas.ends[1][1]) / 2
@@ -142,12 +142,12 @@ def street(canvas: Canvas) -> None:
             if abs(centre_y) <= EDGE_M:
                 canvas.obstacles.append(Obstacle("box", centre_x, centre_y, None, size_m))
             x_m += length_m + (rng.uniform(0.0, 0.1) if rng.random() < 0.6 else rng.uniform(PASSAGE_M, 4.5))
-        for x_m in _places(canvas, -10.0, 4.6, 8.0):  # parked cars
-            size_m = draw(rng, "car", 0.0, 0.0).size_m
+        for x_m in _positions(canvas, -10.0, 4.6, 8.0):  # parked cars
+            car_size_m = draw(rng, "car", 0.0, 0.0).size_m
             heading_deg = round(rng.normal(0.0 if side < 0 else 180.0, 2.0), 1)
-            place = (round(x_m, 2), round(middle_m + side * (kerb_m - _CAR_FROM_KERB_M), 2))
-            canvas.place(Obstacle("car", *place, None, size_m, heading_deg), 0.4)
-        for x_m in _places(canvas, -11.0, 3.5, 7.0):  # lamp posts and signs
+            position = (round(x_m, 2), round(middle_m + side * (kerb_m - _CAR_FROM_KERB_M), 2))
+            canvas.place(Obstacle("car", *position, None, car_size_m, heading_deg), 0.4)
+        for x_m in _positions(canvas, -11.0, 3.5, 7.0):  # lamp posts and signs
             radius_m = round(rng.uniform(0.08, 0.25), 2)
             y_m = middle_m + side * (kerb_m + _POLE_BEHIND_KERB_M)
             canvas.place(Obstacle("pole", round(x_m, 2), round(y_m, 2), radius_m), 0.2)
@@ -160,17 +160,17 @@ def street(canvas: Canvas) -> None:
 
 
 def road_of(scene: Scene) -> Road | None:
-    """The road of a scene that has the plan of a `street`, turned or not; None for every other scene.
+    """Return the road of a scene with the layout of a `street`, turned or not; None for every other scene.
 
-    A scene file does not name a road, so it is told by what stands along it: all poles in two lines behind the kerbs,
-    all cars in two lines before them. Scattered obstacles never stand so.
+    A scene file does not name a road, so it is recognised by the obstacles along it: all poles are in two lines behind
+    the kerbs and all cars in two lines in front of them. Scattered obstacles are never placed in such lines.
     """
     poles = [(o.y_m, o.x_m) for o in scene.obstacles if o.kind == "pole"]
     cars = [(o.y_m, o.x_m) for o in scene.obstacles if o.kind == "car"]
     if scene.ground != "asphalt" or not poles or not cars:
         return None
     for along_x, axis in ((True, 0), (False, 1)):
-        lines = [place[axis] for place in poles]
+        lines = [pole[axis] for pole in poles]
         middle_m, pole_m = (max(lines) + min(lines)) / 2, (max(lines) - min(lines)) / 2
         half_m = pole_m - _POLE_BEHIND_KERB_M
         if (
@@ -182,10 +182,10 @@ def road_of(scene: Scene) -> Road | None:
     return None
 
 
-def _places(canvas: Canvas, first_m: float, least_m: float, most_m: float) -> list[float]:
-    """Places along the street from `first_m` on, a drawn distance apart."""
-    places, x_m = [], first_m + canvas.rng.uniform(0.0, 3.0)
+def _positions(canvas: Canvas, first_m: float, least_m: float, most_m: float) -> list[float]:
+    """Return positions along the street from `first_m` on, with random distances."""
+    positions, x_m = [], first_m + canvas.rng.uniform(0.0, 3.0)
     while x_m < -first_m:
-        places.append(x_m)
+        positions.append(x_m)
         x_m += canvas.rng.uniform(least_m, most_m)
-    return places
+    return positions

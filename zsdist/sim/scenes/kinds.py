@@ -1,8 +1,8 @@
-"""What obstacles and grounds there are: shape, size and colour of each kind, as physics and cameras draw them.
+"""Kinds of obstacles and grounds: shape, size and colour, for physics and cameras.
 
-An obstacle's collision shape is an upright cylinder or box, from the ground to its height; what is drawn agrees with
-it at the ground, so that what the camera sees is what the car would hit. Only what is below `SIGHT_HEIGHT_M` counts as
-in the car's way: a tree's crown does not.
+An obstacle's collision shape is an upright cylinder or box, from the ground to its height. The drawn shape agrees with
+it at the ground, so that the car would hit what the camera sees. Only parts below `SIGHT_HEIGHT_M` count as obstacles:
+a tree's crown does not.
 """
 
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ from typing import Literal
 Colour = tuple[float, float, float]
 Shape = Literal["cylinder", "sphere", "cone", "tree", "capsule", "box", "car"]
 
-SIGHT_HEIGHT_M = 1.5  # rays ignore what is above
-WALL_HEIGHT_M = 2.0  # of the arena's walls
+SIGHT_HEIGHT_M = 1.5  # rays ignore parts above it
+WALL_HEIGHT_M = 2.0  # height of the arena's walls
 WALL_COLOUR: Colour = (0.62, 0.60, 0.57)
 
 SEGMENT_SKY = 0
@@ -25,16 +25,16 @@ class Kind:
     """One kind of obstacle.
 
     Attributes:
-        name: as in scene files.
-        height_m: of the drawn body; boxes and cars have the height of their `size_m` instead.
-        default_radius_m: of the circle at the ground (Table 1 of the paper: 1 m); None for kinds with a `size_m`.
-        shape: what is drawn. `cylinder`; `sphere`: half an ellipsoid that stands on the ground with semi-axes
+        name: name in scene files.
+        height_m: height of the drawn body; boxes and cars have the height of their `size_m` instead.
+        default_radius_m: radius at the ground (Table 1 of the paper: 1 m); None for kinds with a `size_m`.
+        shape: drawn shape. `cylinder`; `sphere`: half an ellipsoid that stands on the ground with semi-axes
             `(radius, radius, height)`; `cone`: a frustum with `radius` at the ground and `TOP_SHARE` of it at the top;
             `tree`: a trunk cylinder of `radius` up to `TRUNK_HEIGHT_M` and a wider crown above; `capsule`: an upright
             body of `radius`; `box`; `car`: a box with a cabin.
-        dynamic: whether it may walk.
+        dynamic: whether obstacles of the kind may walk.
         base_colour: red, green, blue in 0 to 1; the camera varies it from scene to scene.
-        segment_id: its number in segmentation images.
+        segment_id: number in segmentation images.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Kind:
 
     @property
     def round(self) -> bool:
-        """Whether the collision shape is a circle (`radius_m`) rather than an oriented box (`size_m`)."""
+        """Return whether the collision shape is a circle (`radius_m`) instead of an oriented box (`size_m`)."""
         return self.default_radius_m is not None
 
 
@@ -60,9 +60,9 @@ class Ground:
     roughness: float
 
 
-TOP_SHARE = 0.8  # a frustum's top radius over its base radius: steep, so that sight and collision agree
+TOP_SHARE = 0.8  # ratio of a frustum's top radius to its base radius: steep, so that sight and collision agree
 TRUNK_HEIGHT_M = 2.2
-CROWN_SHARE = 1.4  # a crown's radius over the trunk's
+CROWN_SHARE = 1.4  # ratio of a crown's radius to the trunk's
 
 KINDS: dict[str, Kind] = {
     kind.name: kind

@@ -1,13 +1,13 @@
-"""What is withheld from whom: families, kinds, grounds and seeds for each purpose, in one place.
+"""Families, kinds, grounds and seeds that scenes may have for each purpose.
 
-The vision model is trained on streets and never sees a tree, a sand pile or a rock, nor sand; the policy is trained
-in scattered scenes and never meets a sand pile, a rock, a box or a car, nor sand; validation uses what policy
-training uses, with seeds of its own; the test families have all of it. `singleton` alone has no split: its ten scenes
-are trained on and tested on, which is what it is for (Fig. 1 of the paper).
-
-Words are learned from scenes of their own, which show every kind and ground: one cannot learn what a rock is called
-without having seen one. Only the projection to text space is trained on them; the visual-act head, which is tested on
-kinds and grounds it has not seen, never is.
+* The vision model is trained on streets and never sees a tree, a sand pile, a rock or sand.
+* The policy is trained in scattered scenes and never meets a sand pile, a rock, a box, a car or sand.
+* Validation uses the kinds and grounds of policy training, with seeds of its own.
+* The test families have all kinds and grounds.
+* `singleton` has no split: training and test use the same ten scenes, as in Fig. 1 of the paper.
+* Words are learned from scenes of their own, which show every kind and ground, since nobody can learn the word for a
+  rock without a picture of one. Only the projection to text space is trained on them, never the visual-act head, which
+  is tested on kinds and grounds that it has not seen.
 """
 
 from dataclasses import dataclass
@@ -35,20 +35,20 @@ OOD_FAMILIES = (
 )
 POLICY_KINDS = ("tree", "bush", "pole", "person")
 STREET_KINDS = ("box", "car", "pole", "person")
-WITHHELD_KINDS = ("sand_pile", "rock")  # from the training of head and policy
+WITHHELD_KINDS = ("sand_pile", "rock")  # withheld from the training of head and policy
 WITHHELD_GROUNDS = ("sand",)
 TRAINED_GROUNDS = tuple(ground for ground in GROUNDS if ground not in WITHHELD_GROUNDS)
 
 
 @dataclass(frozen=True)
 class Purpose:
-    """What scenes drawn for one purpose may contain.
+    """Contents that scenes for one purpose may have.
 
     Attributes:
-        families: from which they may come.
-        kinds: of obstacles in them.
-        grounds: in them.
-        split: whose seeds they have (a key of `SPLITS`).
+        families: families of the scenes.
+        kinds: kinds of obstacles.
+        grounds: kinds of ground.
+        split: split that gives the seeds (a key of `SPLITS`).
     """
 
     families: tuple[str, ...]
@@ -67,13 +67,13 @@ MANIFEST: dict[str, Purpose] = {
 
 
 def split_seed(split: Split, index: int) -> int:
-    """The seed of the `index`-th scene of a split; those of different splits never meet.
+    """Return the seed of the `index`-th scene of a split; splits share no seeds.
 
     Raises:
-        SceneError: an unknown split, or more scenes than a split has.
+        SceneError: the split is unknown, or the index is out of range.
     """
     if split not in SPLITS:
         raise SceneError(f"split is {split!r}; allowed are {', '.join(SPLITS)}")
     if not 0 <= index < _SPLIT_SIZE:
-        raise SceneError(f"index of a scene is {index}; allowed is 0 to {_SPLIT_SIZE - 1}")
+        raise SceneError(f"index of a scene in a split is {index}; allowed is 0 to {_SPLIT_SIZE - 1}")
     return SPLITS[split][index]

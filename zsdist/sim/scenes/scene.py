@@ -1,4 +1,4 @@
-"""Scenes as pure data, and the scene file: YAML, metres, arena centre at the origin, x east, y north."""
+"""Scenes as plain data, and scene files: YAML, metres, arena centre at the origin, x east, y north."""
 
 import hashlib
 import json
@@ -26,13 +26,13 @@ MAX_OBSTACLES = 500
 MAX_RADIUS_M = 10.0
 MAX_SIDE_M = 40.0  # longer than the arena's diagonal
 MAX_SPEED_MPS = 10.0
-MAX_NUMBER = 1e4  # of places and headings; what is outside the arena is refused after that
+MAX_NUMBER = 1e4  # of coordinates and headings; `check` refuses positions outside the arena
 MAX_FILE_BYTES = 2**20
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where the car begins: `x_m`, `y_m`, and `heading_deg` counter-clockwise from east."""
+    """Start of the car: `x_m`, `y_m`, and `heading_deg` counter-clockwise from east."""
 
     x_m: float
     y_m: float
@@ -40,7 +40,7 @@ class Start:
 
     @property
     def pose(self) -> Pose:
-        """The same as a pose, heading in radians within (-pi, pi]."""
+        """The start as a pose, with a heading in radians within (-pi, pi]."""
         return Pose(self.x_m, self.y_m, math.pi - (math.pi - math.radians(self.heading_deg)) % math.tau)
 
 
@@ -50,12 +50,13 @@ class Obstacle:
 
     Attributes:
         kind: a key of `KINDS`.
-        x_m, y_m: its centre, at the start of the episode.
-        radius_m: of round kinds, else None.
-        size_m: `(length, width, height)` of boxes and cars, length along their heading, else None.
-        heading_deg: of boxes and cars, counter-clockwise from east.
-        path: points `(x_m, y_m)` between which a person walks to and fro, the first its place; empty: it stands.
-        speed_mps: at which it walks.
+        x_m: x of its centre at the start of the episode.
+        y_m: y of its centre at the start of the episode.
+        radius_m: radius of round kinds; None for boxes and cars.
+        size_m: `(length, width, height)` of boxes and cars, length along their heading; None for round kinds.
+        heading_deg: heading of boxes and cars, counter-clockwise from east.
+        path: points `(x_m, y_m)` along which a person walks back and forth, the first its centre; empty: it stands.
+        speed_mps: walking speed.
     """
 
     kind: str
@@ -69,25 +70,25 @@ class Obstacle:
 
     @property
     def walks(self) -> bool:
-        """Whether it has a path; only such obstacles move."""
+        """Return whether the obstacle has a path; only such obstacles move."""
         return bool(self.path)
 
     @property
     def height_m(self) -> float:
-        """Of its body."""
+        """Height of the obstacle's body."""
         return KINDS[self.kind].height_m if self.size_m is None else self.size_m[2]
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A start, a goal and what stands between them.
+    """A start, a goal and the obstacles between them.
 
     Attributes:
-        name: identifies the scene in results.
+        name: name of the scene in results.
         ground: a key of `GROUNDS`.
-        start: pose of the car at the beginning.
+        start: start of the car.
         goal: `(x_m, y_m)`.
-        obstacles: in the order of the file.
+        obstacles: obstacles in the order of the file.
     """
 
     name: str
@@ -97,14 +98,14 @@ class Scene:
     obstacles: tuple[Obstacle, ...]
 
     def walkers(self) -> tuple[Obstacle, ...]:
-        """The obstacles with a path, in order; `people` arrays have a row for each."""
+        """Return the obstacles with a path, in order; `people` arrays have a row for each."""
         return tuple(obstacle for obstacle in self.obstacles if obstacle.walks)
 
     def circles(self, people: np.ndarray | None = None) -> np.ndarray:
-        """Collision circles `(N, 3)`: x, y, radius in metres, of round obstacles in order.
+        """Return the collision circles `(N, 3)` of round obstacles in order: x, y, radius in metres.
 
         Args:
-            people: `(P, 2)` present places of the walking ones; without it they are at their first place.
+            people: `(P, 2)` present positions of the walking obstacles; None: at their start.
         """
         rows, walker = [], 0
         for obstacle in self.obstacles:
@@ -119,12 +120,12 @@ class Scene:
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
     def standing_circles(self) -> np.ndarray:
-        """`circles` without those that walk, `(N, 3)`."""
+        """Return the collision circles of round obstacles that do not walk, `(N, 3)`."""
         rows = [(o.x_m, o.y_m, o.radius_m) for o in self.obstacles if o.radius_m is not None and not o.walks]
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
     def boxes(self) -> np.ndarray:
-        """Collision boxes `(M, 5)`: x, y, length, width (m) and heading (rad), without the arena's walls."""
+        """Return the collision boxes `(M, 5)`: x, y, length, width (m), heading (rad); without the arena's walls."""
         rows = [
             (o.x_m, o.y_m, o.size_m[0], o.size_m[1], math.radians(o.heading_deg))
             for o in self.obstacles
@@ -133,14 +134,14 @@ class Scene:
         return np.array(rows, dtype=np.float64).reshape(-1, 5)
 
     def occupancy(self, grid: Grid) -> np.ndarray:
-        """True occupied space `[iy, ix]` `(fine_size, fine_size)` bool: squares that a standing obstacle touches.
+        """Return the true occupancy `[iy, ix]` `(fine_size, fine_size)` bool: fine cells touched by standing obstacles.
 
-        Walking people are left out: they stop for the car and never block a way for good.
+        Walking people are left out: they stop for the car and never block a path for good.
         """
         return rasterise(self.standing_circles(), self.boxes(), grid)
 
     def hash(self) -> str:
-        """16 hexadecimal digits of everything but the name: equal for scenes that look and drive alike."""
+        """Return 16 hexadecimal digits, a hash of everything but the name."""
         content = (self.ground, _fields(self.start), self.goal, [_fields(obstacle) for obstacle in self.obstacles])
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
@@ -150,24 +151,24 @@ def _fields(item: Start | Obstacle) -> list:
 
 
 def check(scene: Scene, grid: Grid = DEFAULT_GRID) -> None:
-    """Holds a scene against the arena.
+    """Check that a scene fits into the arena.
 
     Raises:
-        SceneError: start or goal off the planning grid, an obstacle's place outside the arena, or an obstacle on the
-            car at its start or over the goal.
+        SceneError: the start or the goal is off the planning grid, an obstacle's centre or path is outside the arena,
+            or an obstacle overlaps the car's start or covers the goal.
     """
     half = grid.arena_m / 2
-    for what, x_m, y_m in (("start", scene.start.x_m, scene.start.y_m), ("goal", *scene.goal)):
+    for name, x_m, y_m in (("start", scene.start.x_m, scene.start.y_m), ("goal", *scene.goal)):
         if not grid.contains(x_m, y_m):
             side = grid.side_m / 2
-            raise SceneError(f"{what} ({x_m:g}, {y_m:g}) is outside the grid; allowed is -{side:g} to below {side:g} m")
+            raise SceneError(f"{name} ({x_m:g}, {y_m:g}) is outside the grid; allowed is -{side:g} to below {side:g} m")
     goal = Pose(*scene.goal, 0.0)
     for index, obstacle in enumerate(scene.obstacles):
         label = f"obstacles[{index}], {obstacle.kind} at ({obstacle.x_m:g}, {obstacle.y_m:g}),"
         for x_m, y_m in ((obstacle.x_m, obstacle.y_m), *obstacle.path):
             if max(abs(x_m), abs(y_m)) > half:
-                place = f"point ({x_m:g}, {y_m:g})"
-                raise SceneError(f"{label} {place} is outside the arena; allowed is -{half:g} to {half:g} m")
+                point = f"point ({x_m:g}, {y_m:g})"
+                raise SceneError(f"{label} {point} is outside the arena; allowed is -{half:g} to {half:g} m")
         alone = Scene("", scene.ground, scene.start, scene.goal, (obstacle,))
         circles, boxes = alone.circles(), alone.boxes()
         if clearance_m(scene.start.pose, circles, boxes) <= 0:
@@ -177,10 +178,10 @@ def check(scene: Scene, grid: Grid = DEFAULT_GRID) -> None:
 
 
 def read(path: str | Path, grid: Grid = DEFAULT_GRID) -> Scene:
-    """The scene of a YAML file, checked in every respect.
+    """Return the scene of a YAML file, fully checked.
 
     Raises:
-        SceneError: one line with the file's name and the reason.
+        SceneError: the file is wrong; one line with the file's name and the reason.
     """
     try:
         if Path(path).stat().st_size > MAX_FILE_BYTES:
@@ -190,7 +191,7 @@ def read(path: str | Path, grid: Grid = DEFAULT_GRID) -> Scene:
         check(scene, grid)
     except OSError as error:
         raise SceneError(f"scene file {path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: text that is no UTF-8
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: not UTF-8
         raise SceneError(f"scene file {path} is not valid YAML: {' '.join(str(error).split())}") from error
     except SceneError as error:
         raise SceneError(f"scene file {path}: {error}") from error
@@ -198,22 +199,22 @@ def read(path: str | Path, grid: Grid = DEFAULT_GRID) -> Scene:
 
 
 def read_folder(folder: str | Path, grid: Grid = DEFAULT_GRID) -> list[Scene]:
-    """The scenes of every `*.yaml` and `*.yml` file of a folder, in the order of their names; hidden files are none.
+    """Return the scenes of the `*.yaml` and `*.yml` files of a folder, ordered by file name, without hidden files.
 
     Raises:
-        SceneError: there is no such folder, it holds no scene file, or one of them is wrong.
+        SceneError: there is no such folder, it has no scene file, or one of them is wrong.
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise SceneError(f"scene folder {folder} is not there or no folder")
+        raise SceneError(f"scene folder {folder} does not exist or is not a folder")
     paths = sorted(path for suffix in ("yaml", "yml") for path in folder.glob(f"[!.]*.{suffix}"))
     if not paths:
-        raise SceneError(f"scene folder {folder} holds no scene file; allowed are files named *.yaml or *.yml")
+        raise SceneError(f"scene folder {folder} has no scene file; allowed are files named *.yaml or *.yml")
     return [read(path, grid) for path in paths]
 
 
 def write(scene: Scene, path: str | Path) -> None:
-    """Writes a scene as a file that `read` turns into an equal one."""
+    """Write a scene as a file from which `read` returns an equal scene."""
     head = {
         "version": 1,
         "name": scene.name,
@@ -239,7 +240,7 @@ def _entry(obstacle: Obstacle) -> dict[str, Any]:
 
 
 def _flow(value: Any) -> str:
-    """A value as YAML on one line."""
+    """Return a value as YAML on one line."""
     text = yaml.safe_dump(value, sort_keys=False, default_flow_style=True, width=math.inf, allow_unicode=True)
     return text.removesuffix("\n").removesuffix("\n...")
 
@@ -287,12 +288,12 @@ def _obstacle(entry: Any, label: str) -> Obstacle:
     return Obstacle(kind, x_m, y_m, radius_m, size_m, heading_deg, path, speed_mps)
 
 
-def _path(value: Any, label: str, place: tuple[float, float]) -> tuple[tuple[float, float], ...]:
+def _path(value: Any, label: str, centre: tuple[float, float]) -> tuple[tuple[float, float], ...]:
     if not isinstance(value, list) or len(value) < 2:
         raise SceneError(f"{label} is {show(value)}; allowed is a list of two or more points [x, y]")
     points = tuple(_numbers(point, f"{label}[{i}]", 2) for i, point in enumerate(value))
-    if points[0] != place:
-        raise SceneError(f"{label} begins at {list(points[0])}; allowed is the person's own place, {list(place)}")
+    if points[0] != centre:
+        raise SceneError(f"{label} begins at {list(points[0])}; allowed is the person's own centre, {list(centre)}")
     for i, (one, other) in enumerate(pairwise(points)):
         if one == other:
             raise SceneError(f"{label}[{i + 1}] repeats the point before it, {list(other)}")

@@ -1,4 +1,4 @@
-"""Whether a scene can be solved, and by which way: A* with the whole truth, over (cell, heading) with the footprint."""
+"""Solvability of scenes: the shortest path over (cell, heading) on the true map, with the car's footprint."""
 
 from functools import cache
 
@@ -13,17 +13,17 @@ SUCCESS_RADIUS_M = SimConfig().success_radius_m
 
 @cache
 def footprints(grid: Grid) -> FootprintTable:
-    """The car's footprint table of a grid, made once a process."""
+    """Return the car's footprint table of a grid, computed once per process."""
     return FootprintTable(grid)
 
 
 def solve(scene: Scene, grid: Grid = DEFAULT_GRID, success_radius_m: float = SUCCESS_RADIUS_M) -> LatticePath | None:
-    """The shortest way from the lattice state nearest to the start to a cell within the success radius of the goal.
+    """Return the shortest path from the lattice state nearest to the start to a cell within the goal's success radius.
 
-    Walking people are left out, since they give way; all standing obstacles count, with the footprint's margin.
+    Walking people are left out, since they stop for the car; all standing obstacles count, with the footprint's margin.
 
     Returns:
-        The way, or None where there is none.
+        The path, or None if there is none.
     """
     blocked = footprints(grid).blocked(scene.occupancy(grid))
     costs = metres_cost(grid)
@@ -35,6 +35,6 @@ def solve(scene: Scene, grid: Grid = DEFAULT_GRID, success_radius_m: float = SUC
 
 
 def shortest_m(scene: Scene, grid: Grid = DEFAULT_GRID, success_radius_m: float = SUCCESS_RADIUS_M) -> float:
-    """Length in metres of the way of `solve`; infinite where there is none."""
-    way = solve(scene, grid, success_radius_m)
-    return float("inf") if way is None else length_m(way.states, grid.cell_size_m)
+    """Return the length in metres of the path of `solve`; infinite if there is none."""
+    shortest = solve(scene, grid, success_radius_m)
+    return float("inf") if shortest is None else length_m(shortest.states, grid.cell_size_m)

@@ -1,4 +1,4 @@
-"""People who walk to and fro along their paths and stop for the car."""
+"""People who walk back and forth along their paths and stop for the car."""
 
 import math
 from bisect import bisect_right
@@ -10,31 +10,39 @@ from zsdist.sim.physics.collision import NO_BOXES, clearance_m
 from zsdist.sim.scenes.scene import Obstacle
 from zsdist.types import Pose
 
-STOP_M = 1.5  # a person whose surface is within this of the car's box stands still
+STOP_M = 1.5  # a person stands still if its surface is within this distance of the car's box
 
 
 class Walker:
-    """One walking person; `x_m`, `y_m` is its present place."""
+    """One walking person.
+
+    Args:
+        obstacle: a person with a path.
+
+    Attributes:
+        x_m: present position.
+        y_m: present position.
+    """
 
     def __init__(self, obstacle: Obstacle) -> None:
         self._points = obstacle.path
-        self._marks = [0.0, *accumulate(math.dist(*leg) for leg in pairwise(self._points))]  # metres to each point
+        self._distances_m = [0.0, *accumulate(math.dist(*leg) for leg in pairwise(self._points))]  # to each point
         self._speed_mps = obstacle.speed_mps
         self._radius_m = obstacle.radius_m
         self._walked_m = 0.0
         self.x_m, self.y_m = self._points[0]
 
     def walk(self, car: Pose, duration_s: float) -> bool:
-        """Goes on for `duration_s` unless the car is near; whether it moved."""
+        """Walk for `duration_s` unless the car is near; return whether the person moved."""
         circle = np.array([(self.x_m, self.y_m, self._radius_m)])
         if clearance_m(car, circle, NO_BOXES) < STOP_M:
             return False
         self._walked_m += self._speed_mps * duration_s
-        length = self._marks[-1]
-        along = self._walked_m % (2 * length)
-        along = min(along, 2 * length - along)  # the way back
-        leg = min(bisect_right(self._marks, along), len(self._points) - 1)
+        length_m = self._distances_m[-1]
+        along_m = self._walked_m % (2 * length_m)
+        along_m = min(along_m, 2 * length_m - along_m)  # on the second half it walks back
+        leg = min(bisect_right(self._distances_m, along_m), len(self._points) - 1)
         (x_m, y_m), (next_x_m, next_y_m) = self._points[leg - 1 : leg + 1]
-        share = (along - self._marks[leg - 1]) / (self._marks[leg] - self._marks[leg - 1])
+        share = (along_m - self._distances_m[leg - 1]) / (self._distances_m[leg] - self._distances_m[leg - 1])
         self.x_m, self.y_m = x_m + share * (next_x_m - x_m), y_m + share * (next_y_m - y_m)
         return True

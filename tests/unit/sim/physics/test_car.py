@@ -52,7 +52,7 @@ def test_a_placed_car_is_still_and_level_at_its_pose(client):
     assert car.tilt() == pytest.approx((0.0, 0.0))
 
 
-def test_motors_go_on_as_they_were_told_last_until_the_car_is_placed(client):
+def test_motors_keep_the_last_command_until_the_car_is_placed(client):
     car = Car(client)
     for rates, speed in ((Rates(2.0, 1.0), 2.0), (Rates(2.0, 1.0), 2.0), (Rates(0.5, 1.0), 0.5)):
         car.command(rates)

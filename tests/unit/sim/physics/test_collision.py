@@ -72,7 +72,7 @@ def test_the_walls_of_the_arena_are_touched_by_a_corner():
     assert touching(Pose(12.5 - reach + 0.01, 0.0, math.pi / 4), NO_CIRCLES, NO_BOXES, arena_m=25.0)
 
 
-def test_a_raster_marks_every_square_that_holds_a_point_of_a_shape_and_none_far_from_it():
+def test_a_raster_marks_every_fine_cell_with_a_point_of_a_shape_and_none_far_from_it():
     rng = np.random.default_rng(2)
     circles = np.column_stack([rng.uniform(-12, 12, (6, 2)), rng.uniform(0.05, 1.5, 6)])
     boxes = np.column_stack([rng.uniform(-12, 12, (6, 2)), rng.uniform(0.05, 6, (6, 2)), rng.uniform(-4, 4, 6)])
@@ -90,7 +90,7 @@ def test_a_raster_marks_every_square_that_holds_a_point_of_a_shape_and_none_far_
         assert clearance_m(Pose(xs[ix], ys[iy], 0.0), circles, boxes, GRID.fine_m, GRID.fine_m) <= 0.05
 
 
-def test_a_pole_thinner_than_a_square_and_a_shape_beyond_the_edge_are_marked():
+def test_a_pole_thinner_than_a_fine_cell_and_a_shape_beyond_the_edge_are_marked():
     occupied = rasterise(np.array([[0.08, 0.08, 0.01], [13.0, 0.0, 0.6]]), NO_BOXES, GRID)
     assert occupied[80, 80]
     assert occupied[80, 159] and occupied.sum() > 2

@@ -47,7 +47,7 @@ def test_a_car_at_its_target_is_done_and_one_that_spins_there_is_not():
 
 
 @pytest.mark.parametrize("heading_rad", [-3.1, -1.0, 0.3, 3.1])
-def test_rates_stay_within_what_the_wheels_may_be_asked(heading_rad):
+def test_rates_stay_within_the_limits_of_the_wheels(heading_rad):
     for advance in (False, True):
         rates = Manoeuvre(AHEAD, advance, False, 0.05).rates(Motion(Pose(0.0, 0.0, heading_rad), 1.5, 0.0))
         most = GAINS.speed_most_mps / WHEEL_RADIUS_M + GAINS.turn_most_rad_s

@@ -31,7 +31,7 @@ def test_every_action_ends_on_the_lattice_to_the_micrometre(env, action):
         assert abs(math.remainder(there.heading_rad - here.heading_rad, math.tau)) < 1e-6
 
 
-def test_what_stands_in_the_way_is_hit(env):
+def test_an_obstacle_in_the_way_is_hit(env):
     pole = Obstacle("pole", 2.3, 0.3125, radius_m=0.1)
     env.reset(options={"scene": Scene("pole", "grass", OPEN.start, OPEN.goal, (pole,))})
     ended = [env.step(int(Action.FORWARD)) for _ in range(2)][-1]

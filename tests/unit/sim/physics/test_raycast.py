@@ -21,14 +21,14 @@ def test_distance_to_a_turned_box_is_to_its_near_corner():
     assert hits[0] == 1  # boxes count on from the circles
 
 
-def test_walls_are_met_in_every_direction():
+def test_rays_hit_walls_in_every_direction():
     angles = np.array([0.0, math.pi / 2, math.pi, -math.pi / 2, math.pi / 4])
     distances, hits = ray_distances(NONE3, NONE5, 12.5, 2.5, 0.5, angles, 30.0)
     assert distances == pytest.approx([10.0, 12.0, 15.0, 13.0, 10.0 * math.sqrt(2)])
     assert (hits == HIT_WALL).all()
 
 
-def test_nothing_within_reach_gives_the_reach():
+def test_a_ray_that_hits_nothing_has_the_greatest_length():
     distances, hits = ray_distances(np.array([[9.0, 0.0, 1.0]]), NONE5, 12.5, 0.0, 0.0, np.array([0.0, 1.0]), 5.0)
     assert (distances == 5.0).all()
     assert (hits == HIT_NOTHING).all()

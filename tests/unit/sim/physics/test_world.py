@@ -34,7 +34,7 @@ OTHER = scene(Obstacle("bush", 4.1, 0.3, 0.9), Obstacle("bush", -3.0, 2.0, 0.4),
 
 
 def hash_of_drive(world: World, of: Scene, actions: list[Action]) -> str:
-    """Of every pose and tilt, to the last bit."""
+    """Return the hash of every pose and tilt."""
     world.reset(of)
     numbers = [*world.pose, *world.tilt]
     for action in actions:
@@ -88,7 +88,7 @@ def test_a_replay_is_bit_equal_after_other_episodes_in_the_same_world(world):
     assert hash_of_drive(world, SCATTERED, ROUTE) == first
 
 
-def test_a_replay_is_bit_equal_where_the_car_already_stands_on_its_start(world):
+def test_a_replay_is_bit_equal_if_the_car_already_stands_on_its_start(world):
     first = hash_of_drive(world, SCATTERED, ROUTE)
     for _ in range(3):
         world.reset(SCATTERED)
@@ -104,7 +104,7 @@ def test_a_replay_is_bit_equal_after_a_collision_and_in_a_new_world(world):
     new.close()
 
 
-def test_a_replay_is_bit_equal_after_the_client_was_made_anew(world, monkeypatch):
+def test_a_replay_is_bit_equal_after_the_client_was_replaced(world, monkeypatch):
     first = hash_of_drive(world, SCATTERED, ROUTE)
     monkeypatch.setattr("zsdist.sim.physics.world._MOST_SHAPES", 0)  # as after thousands of scenes
     hash_of_drive(world, OTHER, ROUTE)
@@ -165,7 +165,7 @@ def test_an_obstacle_on_the_start_is_refused(world):
         world.reset(scene(Obstacle("tree", 1.0, 1.0, 1.0)))
 
 
-def test_a_walking_person_stops_for_the_car_and_is_never_hit_standing_off(world):
+def test_a_walking_person_stops_at_a_distance_from_the_car_and_is_never_hit(world):
     path = ((4.0, -6.0), (4.0, 6.0))
     world.reset(scene(Obstacle("person", 4.0, -6.0, 0.3, path=path, speed_mps=1.2)))
     nearest = math.inf
@@ -176,7 +176,7 @@ def test_a_walking_person_stops_for_the_car_and_is_never_hit_standing_off(world)
     assert nearest >= STOP_M - 1.2 * 0.05
 
 
-def test_people_start_anew_with_each_episode(world):
+def test_people_return_to_their_start_with_each_episode(world):
     moving = scene(Obstacle("person", 6.0, 0.0, 0.3, path=((6.0, 0.0), (6.0, 3.0)), speed_mps=0.8))
     world.reset(moving)
     world.drive(TURN_LEFT)

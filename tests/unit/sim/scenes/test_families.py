@@ -25,7 +25,7 @@ def toward_goal(scene):
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_every_scene_can_be_driven_to_the_goal_without_touching_what_stands(family):
+def test_every_scene_can_be_driven_to_the_goal_without_touching_standing_obstacles(family):
     for seed in SEEDS:
         scene = generate(family, seed)
         check(scene)
@@ -40,7 +40,7 @@ def test_every_scene_can_be_driven_to_the_goal_without_touching_what_stands(fami
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_start_and_goal_are_lattice_places_ten_metres_apart_and_clear(family):
+def test_start_and_goal_are_on_the_lattice_ten_metres_apart_and_clear(family):
     for seed in SEEDS:
         scene = generate(family, seed)
         pose = scene.start.pose
@@ -71,12 +71,12 @@ def test_singleton_has_ten_scenes_and_refuses_others():
             generate("singleton", seed)
 
 
-def test_an_unknown_family_is_refused_with_those_there_are():
+def test_an_unknown_family_is_refused_with_a_list_of_the_known_ones():
     with pytest.raises(SceneError, match="'ood'; allowed are singleton, iid"):
         generate("ood", 0)
 
 
-def test_a_family_that_never_comes_out_solvable_ends_in_an_error(monkeypatch):
+def test_a_family_without_a_solvable_draw_ends_in_an_error(monkeypatch):
     def hopeless(rng, name):
         raise Redraw
 
@@ -105,7 +105,7 @@ def test_iid_leads_from_west_to_east_among_12_to_20_and_start_goal_leads_elsewhe
     assert all(o.radius_m == 1.0 for o in generate("iid", 0).obstacles if o.kind == "tree")
 
 
-def test_ways_between_walls_are_three_metres_wide_or_closed():
+def test_passages_between_walls_are_three_metres_wide_or_closed():
     walls_seen = 0
     for seed in range(40):
         boxes = generate("ood-layout", seed).boxes()
@@ -116,7 +116,7 @@ def test_ways_between_walls_are_three_metres_wide_or_closed():
     assert walls_seen >= 80
 
 
-def test_layout_scenes_make_the_way_longer_than_iid_ones():
+def test_paths_in_layout_scenes_are_longer_than_in_iid_ones():
     def detour(family):
         scenes = [generate(family, seed) for seed in range(20)]
         return np.mean([shortest_m(s) / math.dist((s.start.x_m, s.start.y_m), s.goal) for s in scenes])
@@ -124,7 +124,7 @@ def test_layout_scenes_make_the_way_longer_than_iid_ones():
     assert detour("ood-layout") > detour("iid") + 0.05
 
 
-def test_clusters_stand_closer_and_density_holds_more_and_smaller_than_iid():
+def test_clusters_are_closer_and_density_has_more_and_smaller_obstacles_than_iid():
     def nearest_gap(scene):
         circles = scene.circles()
         gaps = np.hypot(*(circles[:, None, :2] - circles[None, :, :2]).T) - circles[:, 2] - circles[:, 2][:, None]
@@ -138,7 +138,7 @@ def test_clusters_stand_closer_and_density_holds_more_and_smaller_than_iid():
     assert max(s.circles()[:, 2].max() for s in scenes["ood-density"]) < 1.0
 
 
-def test_people_walk_only_in_dynamic_scenes_and_clear_of_start_goal_and_what_stands():
+def test_people_walk_only_in_dynamic_scenes_and_clear_of_start_goal_and_standing_obstacles():
     for family, seed in EVERY:
         scene = generate(family, seed)
         assert bool(scene.walkers()) == (family in ("ood-dynamic", "ood-all"))
@@ -153,7 +153,7 @@ def test_people_walk_only_in_dynamic_scenes_and_clear_of_start_goal_and_what_sta
                     assert min(math.dist(at[:2], end) for end in ends) - person.radius_m > 1.45
 
 
-def test_a_scene_turned_by_a_quarter_keeps_its_shortest_way():
+def test_a_scene_turned_by_a_quarter_keeps_its_shortest_path():
     scene = generate("ood-dynamic", 2)
     once = turned(scene, 1)
     assert shortest_m(once) == pytest.approx(shortest_m(scene), abs=1e-6)
@@ -163,7 +163,7 @@ def test_a_scene_turned_by_a_quarter_keeps_its_shortest_way():
     assert back.circles() == pytest.approx(scene.circles()) and back.goal == scene.goal
 
 
-def test_a_walled_off_goal_has_no_way_and_a_walker_in_a_gap_does_not_close_it():
+def test_a_walled_off_goal_has_no_path_and_a_walker_in_a_gap_does_not_close_it():
     scene = generate("iid", 0)
     wall = Obstacle("box", 0.0, 0.0, None, (0.5, 25.0, 2.0))
     closed = type(scene)("closed", "grass", Start(-8.4375, 0.3125, 0.0), (8.4375, 0.3125), (wall,))

@@ -21,7 +21,7 @@ def test_scenes_drawn_for_a_purpose_contain_only_what_the_manifest_allows(purpos
             assert scene.ground in entry.grounds
 
 
-def test_what_is_withheld_is_in_no_training_purpose_and_in_the_test():
+def test_withheld_kinds_and_grounds_are_in_no_training_and_in_the_test():
     for purpose in TRAINING:
         assert not set(MANIFEST[purpose].kinds) & set(WITHHELD_KINDS)
         assert not set(MANIFEST[purpose].grounds) & set(WITHHELD_GROUNDS)
@@ -35,7 +35,7 @@ def test_the_vision_model_never_sees_the_policys_commonest_obstacle():
     assert "tree" not in MANIFEST["vision-training"].kinds
 
 
-def test_what_learns_words_has_a_family_of_its_own_that_no_head_trains_on_and_no_test_draws_from():
+def test_words_have_a_family_of_their_own_that_no_head_trains_on_and_no_test_uses():
     words = MANIFEST["word-training"]
     assert set(words.kinds) == set(KINDS) and set(words.grounds) == set(GROUNDS)
     others = {family for name, entry in MANIFEST.items() if name != "word-training" for family in entry.families}
@@ -53,14 +53,14 @@ def test_appearance_scenes_show_only_kinds_and_grounds_that_no_training_shows():
         assert scene.ground in WITHHELD_GROUNDS
 
 
-def test_seeds_of_different_splits_never_meet():
+def test_splits_share_no_seeds():
     for one, other in itertools.combinations(SPLITS.values(), 2):
         assert not range(max(one.start, other.start), min(one.stop, other.stop))
     assert split_seed("train", 0) != split_seed("validation", 0)
     assert all(split_seed(split, 7) in SPLITS[split] for split in SPLITS)
 
 
-def test_a_split_that_is_not_there_or_an_index_beyond_it_is_refused():
+def test_an_unknown_split_or_an_index_out_of_range_is_refused():
     with pytest.raises(SceneError, match="allowed are train, validation, test"):
         split_seed("holdout", 0)
     for index in (-1, 1_000_000):
@@ -68,7 +68,7 @@ def test_a_split_that_is_not_there_or_an_index_beyond_it_is_refused():
             split_seed("test", index)
 
 
-def test_the_manifest_names_only_what_there_is_and_the_default_configuration_keeps_to_it():
+def test_the_manifest_names_only_existing_things_and_the_default_configuration_agrees_with_it():
     for entry in MANIFEST.values():
         assert set(entry.families) <= set(FAMILIES)
         assert set(entry.kinds) <= set(KINDS) and set(entry.grounds) <= set(GROUNDS)

@@ -55,7 +55,7 @@ WRONG = {
     "two sizes": (TREE, "{kind: car, x: 1, y: 2, size_m: [1, 1]}", "a list of 3 numbers"),
     "flat box": (TREE, "{kind: box, x: 1, y: 2, size_m: [1, 0, 1]}", r"size_m\[1\] is 0"),
     "path of a tree": (TREE, "{kind: tree, x: 1, y: 2, path: [[1, 2], [3, 4]], speed_mps: 1}", "unknown key 'path'"),
-    "path from elsewhere": (PERSON, "path: [[3.5, -4], [5, -4]], speed_mps: 0.8}", "the person's own place"),
+    "path from elsewhere": (PERSON, "path: [[3.5, -4], [5, -4]], speed_mps: 0.8}", "the person's own centre"),
     "path of one point": (PERSON, "path: [[3.0, -4.0]], speed_mps: 0.8}", "two or more points"),
     "path that stands still": (PERSON, "path: [[3, -4], [3, -4]], speed_mps: 0.8}", "repeats the point before"),
     "path that leaves the arena": (PERSON, "path: [[3, -4], [30, -4]], speed_mps: 0.8}", "outside the arena"),
@@ -88,7 +88,7 @@ def file(tmp_path):
     return make
 
 
-def test_a_scene_file_means_what_the_format_says(file):
+def test_a_scene_file_is_read_as_the_format_says(file):
     scene = read(file(GOOD))
     assert scene.name == "wilderness-0001" and scene.ground == "sand"
     assert scene.start == Start(-8.4, -7.5, 45.0) and scene.goal == (8.1, 8.1)
@@ -111,7 +111,7 @@ def test_a_wrong_file_is_refused_in_one_line_with_its_name_and_the_reason(file, 
 
 @given(st.integers(0, len(GOOD)), st.integers(0, 12), st.text(alphabet="[]{}&*!:?-.,0123456789aex\n'\"#<", max_size=6))
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_whatever_is_done_to_a_file_it_is_read_or_refused(file, at, cut, text):
+def test_any_change_to_a_file_leaves_it_readable_or_refused(file, at, cut, text):
     try:
         scene = read(file(GOOD[:at] + text + GOOD[at + cut :]))
     except SceneError as error:
@@ -120,7 +120,7 @@ def test_whatever_is_done_to_a_file_it_is_read_or_refused(file, at, cut, text):
         check(scene)
 
 
-def test_a_file_that_is_no_text_or_not_there_is_refused_by_name(tmp_path):
+def test_a_binary_or_missing_file_is_refused_by_name(tmp_path):
     (tmp_path / "a.yaml").write_bytes(b"\xff\xfe\x00name")
     with pytest.raises(SceneError, match=r"a\.yaml"):
         read(tmp_path / "a.yaml")
@@ -129,7 +129,7 @@ def test_a_file_that_is_no_text_or_not_there_is_refused_by_name(tmp_path):
 
 
 @pytest.mark.parametrize("family", ["iid", "ood-layout", "ood-dynamic", "ood-all"])
-def test_what_is_written_reads_back_equal(family, tmp_path):
+def test_a_written_scene_reads_back_equal(family, tmp_path):
     for seed in range(5):
         scene = generate(family, seed)
         write(scene, tmp_path / "x.yaml")
@@ -152,7 +152,7 @@ def test_a_folder_gives_its_scenes_in_the_order_of_file_names(file, tmp_path):
 
 
 def test_a_folder_without_scenes_or_with_a_wrong_one_is_refused(file, tmp_path):
-    with pytest.raises(SceneError, match="holds no scene file"):
+    with pytest.raises(SceneError, match="has no scene file"):
         read_folder(tmp_path)
     with pytest.raises(SceneError, match="is not there"):
         read_folder(tmp_path / "nowhere")
@@ -162,7 +162,7 @@ def test_a_folder_without_scenes_or_with_a_wrong_one_is_refused(file, tmp_path):
         read_folder(tmp_path)
 
 
-def test_the_hash_knows_the_content_and_not_the_name():
+def test_the_hash_depends_on_the_content_and_not_on_the_name():
     scene = generate("iid", 1)
     assert len(scene.hash()) == 16 and int(scene.hash(), 16) >= 0
     assert replace(scene, name="other").hash() == scene.hash()
@@ -180,7 +180,7 @@ def test_shapes_have_a_row_for_each_obstacle_and_people_move_only_walkers(file):
     assert [walker.kind for walker in scene.walkers()] == ["person"]
 
 
-def test_true_occupancy_holds_what_stands_and_not_who_walks(file):
+def test_true_occupancy_contains_standing_obstacles_and_no_walkers(file):
     grid = Grid()
     occupied = read(file(GOOD)).occupancy(grid)
     for x_m, y_m, there in (
@@ -194,7 +194,7 @@ def test_true_occupancy_holds_what_stands_and_not_who_walks(file):
         assert occupied[fy, fx] == there
 
 
-def test_the_heading_of_a_start_is_brought_into_half_a_turn_either_way():
+def test_the_heading_of_a_start_is_wrapped_to_half_a_turn_either_way():
     assert Start(0.0, 0.0, 270.0).pose.heading_rad == pytest.approx(-math.pi / 2)
     assert Start(0.0, 0.0, 180.0).pose.heading_rad == pytest.approx(math.pi)
     assert Start(0.0, 0.0, -405.0).pose.heading_rad == pytest.approx(-math.pi / 4)

@@ -12,14 +12,14 @@ BENT = Obstacle("person", 0.0, 0.0, 0.3, path=((0.0, 0.0), (2.0, 0.0), (2.0, 1.0
     ("seconds", "place"),
     [(0.5, (0.5, 0.0)), (2.5, (2.0, 0.5)), (3.5, (2.0, 0.5)), (5.5, (0.5, 0.0)), (6.5, (0.5, 0.0))],
 )
-def test_walks_to_and_fro_along_its_path(seconds, place):
+def test_a_person_walks_back_and_forth_along_its_path(seconds, place):
     walker = Walker(BENT)
     for _ in range(round(seconds / 0.05)):
         assert walker.walk(FAR, 0.05)
     assert (walker.x_m, walker.y_m) == pytest.approx(place, abs=1e-9)
 
 
-def test_stands_while_the_car_is_within_a_metre_and_a_half_and_then_goes_on():
+def test_a_person_stands_while_the_car_is_within_a_metre_and_a_half_and_then_walks_on():
     walker = Walker(BENT)
     near = Pose(0.0, 0.545 + 0.3 + 1.4, 0.0)
     assert not walker.walk(near, 1.0)
