@@ -200,7 +200,9 @@ def _profile(folder: Path, episodes: int, settings: list[str]) -> dict[str, floa
         if any(parts == ("roles", "actor") for parts, _ in stack):
             counts["actor"][_part(stack[0][0])] += 1
 
-    options = launch.parser().parse_args(["--single-process", "--actors", "1", *_arguments(folder, episodes, settings)])
+    options = launch.make_parser().parse_args(
+        ["--single-process", "--actors", "1", *_arguments(folder, episodes, settings)]
+    )
     before = signal.signal(signal.SIGPROF, sample)
     signal.setitimer(signal.ITIMER_PROF, SAMPLE_EVERY_S, SAMPLE_EVERY_S)
     try:

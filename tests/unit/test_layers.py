@@ -14,8 +14,9 @@ ROWS = (  # a unit may import from rows above its own in this list; within a row
     {"agent", "sim", "telemetry"},
     {"driving", "datasets"},
     {"roles"},
-    {"evaluation", "run"},
-    {"reporting"},
+    {"run"},
+    {"evaluation"},
+    {"reporting", "diagnostics"},
     {"pretraining"},
     {"launch", "evaluate", "pretrain", "monitor", "report", "doctor", "certs"},
 )
