@@ -13,15 +13,18 @@ from typing import Any
 
 from rich.console import Console
 
+from zsdist import config
 from zsdist.common import cli, output_files
 from zsdist.errors import RunError
 from zsdist.evaluation.baselines import BASELINES
 from zsdist.evaluation.comparison import compare
 from zsdist.evaluation.contenders import FULL, VARIANTS, Contender
 from zsdist.evaluation.drivers import Observability
-from zsdist.evaluation.policies import SHIPPED, NamedPolicy, check_together, find_policy
+from zsdist.evaluation.policies import NamedPolicy, check_together
 from zsdist.evaluation.report import Report, evaluate, show_together, together
 from zsdist.evaluation.selection import select
+from zsdist.run.checkpoint import check_vision
+from zsdist.run.policies import SHIPPED, load_by_name
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -69,6 +72,33 @@ def main(options: argparse.Namespace) -> int:
     _write(options.json, result)
     show_together(result, console)
     return 0
+
+
+def find_policy(name: str, config_file: Path | None = None, variant: str = FULL) -> NamedPolicy:
+    """Return the policy that a POLICY argument names.
+
+    Args:
+        name: of a baseline or a shipped policy, or a path of a run directory or a checkpoint.
+        config_file: world of a baseline; a learned policy has its own.
+        variant: of a learned policy.
+
+    Raises:
+        WeightsError: it is neither a baseline nor a folder with weights, or was trained with another encoder than the
+            one on this machine.
+        ConfigError: the configuration file is wrong.
+        RunError: an option does not fit the policy.
+    """
+    if variant not in VARIANTS:
+        raise RunError(f"--variant is {variant!r}; allowed are {', '.join(VARIANTS)}")
+    if name in BASELINES:
+        if variant != FULL:
+            raise RunError(f"--variant {variant}: baseline {name!r} has no variants; allowed is a learned policy")
+        return NamedPolicy(name, Contender(config.load(config_file), baseline=name))
+    if config_file is not None:
+        raise RunError(f"--config {config_file}: a learned policy has its own configuration; remove the option")
+    policy = load_by_name(name, BASELINES)
+    note = check_vision(policy)
+    return NamedPolicy(name, Contender(policy.config, policy.parameters, variant=variant), policy.sha256, note)
 
 
 def _list_policies() -> None:

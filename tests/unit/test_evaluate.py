@@ -1,6 +1,9 @@
 import json
+import time
 
+import numpy as np
 import pytest
+from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist import evaluate
 from zsdist.common import cli
@@ -8,7 +11,9 @@ from zsdist.config import Config
 from zsdist.evaluation import report as reports
 from zsdist.evaluation.baselines import BASELINES
 from zsdist.evaluation.contenders import VARIANTS, Contender
+from zsdist.evaluation.episodes import EpisodeRunner
 from zsdist.evaluation.policies import NamedPolicy
+from zsdist.evaluation.workers import drive_all
 from zsdist.sim.scenes import families, scene
 
 KEYS = [
@@ -97,6 +102,32 @@ def test_a_folder_without_weights_is_refused(tmp_path, capsys):
     assert run(str(tmp_path)) == 2
     complaint = capsys.readouterr().err
     assert complaint.count("\n") == 1 and str(tmp_path) in complaint
+
+
+def test_the_shipped_policy_was_trained_for_the_networks_and_the_vision_of_this_package():
+    policy = evaluate.find_policy("pretrained")
+    contender = policy.contender
+    assert contender.config.scenes.train == ("iid",) and len(policy.weights_sha256) == 64
+    env = LatticeEnv(config=contender.settings)
+    driver = contender.driver(FakeVisualAct())
+    record = EpisodeRunner(env, contender.settings, driver, contender.observability, time.monotonic).drive(
+        families.draw("iid", "validation", 0), np.random.default_rng(0)
+    )
+    assert record.outcome == "success"
+
+
+def test_a_baselines_world_may_be_configured(tmp_path):
+    (tmp_path / "short.yaml").write_text("sim: {max_steps: 2}\n")
+    policy = evaluate.find_policy("astar", tmp_path / "short.yaml")
+    assert policy.weights_sha256 is None
+    records = drive_all(
+        policy.contender,
+        [families.draw("singleton", "test", 0)],
+        seed=0,
+        workers=1,
+        on_record=lambda index, record: None,
+    )
+    assert records[0].steps == 2 and records[0].outcome == "timeout"
 
 
 def test_a_note_on_the_vision_model_is_printed_once_beside_the_result(folder, capsys, monkeypatch):

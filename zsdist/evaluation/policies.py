@@ -1,17 +1,10 @@
-"""Policies by the names that a command line gives them: baselines, shipped policies, run directories, checkpoints."""
+"""Policies as a command line names them, and the check that several can be evaluated together."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-import zsdist
-from zsdist import config
-from zsdist.errors import RunError, WeightsError
-from zsdist.evaluation.baselines import BASELINES
-from zsdist.evaluation.contenders import FULL, VARIANTS, Contender
-from zsdist.run.checkpoint import check_vision, load_policy
-
-SHIPPED = {"pretrained": Path(zsdist.__file__).parent / "policies" / "pretrained"}  # learned policies of the package
+from zsdist.errors import RunError
+from zsdist.evaluation.contenders import Contender
 
 
 @dataclass(frozen=True)
@@ -29,37 +22,6 @@ class NamedPolicy:
     contender: Contender
     weights_sha256: str | None = None
     note: str | None = None
-
-
-def find_policy(name: str, config_file: Path | None = None, variant: str = FULL) -> NamedPolicy:
-    """Return the policy of a name.
-
-    Args:
-        name: of a baseline or a shipped policy, or a path of a run directory or a checkpoint.
-        config_file: world of a baseline; a learned policy has its own.
-        variant: of a learned policy.
-
-    Raises:
-        WeightsError: it is neither a baseline nor a folder with weights, or was trained with another encoder than the
-            one on this machine.
-        ConfigError: the configuration file is wrong.
-        RunError: an option does not fit the policy.
-    """
-    if variant not in VARIANTS:
-        raise RunError(f"--variant is {variant!r}; allowed are {', '.join(VARIANTS)}")
-    if name in BASELINES:
-        if variant != FULL:
-            raise RunError(f"--variant {variant}: baseline {name!r} has no variants; allowed is a learned policy")
-        return NamedPolicy(name, Contender(config.load(config_file), baseline=name))
-    if config_file is not None:
-        raise RunError(f"--config {config_file}: a learned policy has its own configuration; remove the option")
-    folder = SHIPPED.get(name, Path(name))
-    if not folder.exists():
-        known = ", ".join((*SHIPPED, *BASELINES))
-        raise WeightsError(f"policy {name!r} is no folder; allowed are a run directory, a checkpoint and {known}")
-    policy = load_policy(folder)
-    note = check_vision(policy)
-    return NamedPolicy(name, Contender(policy.config, policy.parameters, variant=variant), policy.sha256, note)
 
 
 def check_together(policies: Sequence[NamedPolicy], no_shield: bool) -> None:

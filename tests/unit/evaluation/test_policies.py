@@ -1,35 +1,25 @@
-import time
+import pytest
 
-import numpy as np
-from fakes import FakeVisualAct, LatticeEnv
+from zsdist.config import Config
+from zsdist.errors import RunError
+from zsdist.evaluation.contenders import Contender
+from zsdist.evaluation.policies import NamedPolicy, check_together
 
-from zsdist.evaluation.episodes import EpisodeRunner
-from zsdist.evaluation.policies import find_policy
-from zsdist.evaluation.workers import drive_all
-from zsdist.sim.scenes import families
-
-
-def test_the_shipped_policy_was_trained_for_the_networks_and_the_vision_of_this_package():
-    policy = find_policy("pretrained")
-    contender = policy.contender
-    assert contender.config.scenes.train == ("iid",) and len(policy.weights_sha256) == 64
-    env = LatticeEnv(config=contender.settings)
-    driver = contender.driver(FakeVisualAct())
-    record = EpisodeRunner(env, contender.settings, driver, contender.observability, time.monotonic).drive(
-        families.draw("iid", "validation", 0), np.random.default_rng(0)
-    )
-    assert record.outcome == "success"
+LEARNED, BASELINE = Contender(Config(), {}), Contender(Config(), baseline="astar")
 
 
-def test_a_baselines_world_may_be_configured(tmp_path):
-    (tmp_path / "short.yaml").write_text("sim: {max_steps: 2}\n")
-    policy = find_policy("astar", tmp_path / "short.yaml")
-    assert policy.weights_sha256 is None
-    records = drive_all(
-        policy.contender,
-        [families.draw("singleton", "test", 0)],
-        seed=0,
-        workers=1,
-        on_record=lambda index, record: None,
-    )
-    assert records[0].steps == 2 and records[0].outcome == "timeout"
+def test_learned_policies_of_different_weights_are_evaluated_together():
+    check_together([NamedPolicy("a", LEARNED, "1"), NamedPolicy("b", LEARNED, "2")], no_shield=True)
+
+
+@pytest.mark.parametrize(
+    ("policies", "no_shield", "words"),
+    [
+        ([NamedPolicy("astar", BASELINE)], True, "baseline 'astar' has no shield"),
+        ([NamedPolicy("a", LEARNED, "1"), NamedPolicy("astar", BASELINE)], False, "'astar' is allowed alone"),
+        ([NamedPolicy("a", LEARNED, "1"), NamedPolicy("b", LEARNED, "1")], False, "b has the weights of a"),
+    ],
+)
+def test_other_combinations_are_refused(policies, no_shield, words):
+    with pytest.raises(RunError, match=words):
+        check_together(policies, no_shield)
