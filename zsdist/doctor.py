@@ -38,9 +38,10 @@ def main(options: argparse.Namespace) -> int:
 
 def _print(result: CheckResult, console: Console) -> None:
     colour = COLOURS[result.status]
-    console.print(f"[{colour}]{result.status:4}[/{colour}] {result.check}: {result.found}", highlight=False)
+    line = f"[{colour}]{result.status:4}[/{colour}] {result.check}: {result.found}"
+    console.print(line, highlight=False, soft_wrap=True)
     if result.advice:
-        console.print(f"     {result.advice}", highlight=False)
+        console.print(f"     {result.advice}", highlight=False, soft_wrap=True)
 
 
 if __name__ == "__main__":

@@ -98,7 +98,7 @@ def test_the_map_shows_seen_ground_and_grows(moments):
 
 def test_the_caption_names_the_decision_and_the_outcome(moments):
     first, second = film.caption(moments[0], 1, 3)
-    assert first.startswith("made") and "action 1 of 3" in first
+    assert first.startswith("made") and "action 1 of at most 3" in first
     assert "R_p:  forward" in second and "option:" in second and "shield" in second
     assert film.caption(moments[-1], 3, 3)[1] == "ended: timeout"
 

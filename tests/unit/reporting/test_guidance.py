@@ -10,6 +10,7 @@ from zsdist.evaluation.drivers import LearnedDriver, Observability
 from zsdist.evaluation.episodes import EpisodeRunner
 from zsdist.evaluation.oracle_view import by_camera
 from zsdist.reporting import guidance
+from zsdist.reporting.maps import DrivenPath
 from zsdist.run import program
 from zsdist.sim.scenes.scene import Obstacle, Scene, Start
 from zsdist.types import Level
@@ -75,8 +76,8 @@ def test_directions_are_of_unit_length_where_a_block_is_reachable_and_missing_el
 
 def test_guidance_is_drawn_for_each_drive(tmp_path):
     _, found = of_network(SCENES["open"], None)
-    track = guidance.Track(np.array([[-5.0, 0.0], [5.0, 0.0]]), "success", "made")
-    drives = [guidance.Drive(scene, track, found) for scene in SCENES.values()]
+    path = DrivenPath(np.array([[-5.0, 0.0], [5.0, 0.0]]), "success", "made")
+    drives = [guidance.Drive(scene, path, found) for scene in SCENES.values()]
     assert guidance.draw_guidance(drives, CONFIG, tmp_path) == "fig10-guidance.png"
     drawing = (tmp_path / "fig10-guidance.svg").read_text()
     assert all(f">{name}<" in drawing for name in SCENES)
