@@ -1,9 +1,9 @@
-"""Whether a step costs the same, and a process holds as much memory, after thousands of episodes.
+"""CPU time per step and resident memory over thousands of episodes: neither should grow.
 
 `python benchmarks/endurance.py [--quick] [--episodes N]` prints a table, then one JSON line. Episodes are short: a
-reset, some random actions, a picture after each. Scenes are of several families and never come twice, so that whatever
-is kept of a scene is turned over all the time. The first tenth fills what is kept and does not count; the rest is told
-in tenths, and the ratios are of its last tenth over its first: CPU time of a step (reset included), memory resident.
+reset, some random actions, a picture after each. Scenes come from several families and do not repeat, so that caches of
+scenes are replaced all the time. The first tenth fills the caches and is not counted. The rest is reported in tenths;
+ratios compare its last tenth with its first: CPU time of a step, CPU time of a reset, resident memory.
 """
 
 import argparse
@@ -24,14 +24,14 @@ from zsdist.sim.scenes.families import draw
 FAMILIES = ("singleton", "iid", "street")
 ACTIONS = 5
 PARTS = 10
-DISTINCT = 900  # scenes of each family before they repeat: far more than anything keeps
+DISTINCT = 900  # scenes of each family before they repeat: many more than any cache holds
 
 
 def main() -> None:
-    """Drive, print the table and the JSON line."""
+    """Drive the episodes and print their figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="500 episodes; ends within 50 s on two cores")
-    parser.add_argument("--episodes", type=int, default=10_000, metavar="N")
+    parser.add_argument("--episodes", type=int, default=10_000, metavar="N", help="(default: 10000)")
     options = parser.parse_args()
     episodes = 500 if options.quick else options.episodes
     env = CarNavigation(config=Config(), images=False)
@@ -54,11 +54,11 @@ def main() -> None:
         steps_ms.append(1e3 * (time.process_time() - began) / steps)
         resident.append(_resident_mib())
     counted = np.array_split(np.arange(episodes // PARTS, episodes), PARTS)
-    print(f"{'episodes':>16}{'ms a step':>12}{'ms a reset':>12}{'MiB resident':>14}")
+    print(f"{'episodes':>16}{'ms per step':>12}{'ms per reset':>13}{'MiB resident':>14}")
     rows = []
     for part in counted:
         row = [statistics.median(values[part[0] : part[-1] + 1]) for values in (steps_ms, resets_ms, resident)]
-        print(f"{part[0]:7d} to {part[-1]:5d}{row[0]:12.3f}{row[1]:12.3f}{row[2]:14.1f}")
+        print(f"{part[0]:7d} to {part[-1]:5d}{row[0]:12.3f}{row[1]:13.3f}{row[2]:14.1f}")
         rows.append(row)
     figures = {
         "episodes": float(episodes),

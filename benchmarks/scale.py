@@ -1,12 +1,12 @@
-"""How many actors one replay serves, and what saturates first: synthetic actors without physics, everything else real.
+"""Number of actors that one replay serves, and the part that saturates first.
 
-`python benchmarks/scale.py [--quick]` prints a table, then one JSON line. Actors push low-level trajectories as fast as
-their credit allows, through the real outbox, codec and transport, into the real replay role; a learner that learns
-nothing takes batches of the default size. It starts to count once the actors have used up what is granted ahead of the
-learner. All lives in one process, so that the CPU time of each part can be told: the actors', the replay's and the
-learner's by what the main thread spends in them, zenoh's (router and all clients) as what the other threads spend. A
-part's transitions over its own CPU time are what it could carry with a core to itself; the part with the fewest, actors
-aside (each machine brings its own), saturates first.
+`python benchmarks/scale.py [--quick]` prints a table, then one JSON line. Actors are synthetic, without physics;
+everything else is real. Actors push low-level trajectories as fast as their credit allows, through the outbox, codec
+and transport into the replay role; a learner that does not train takes batches of the default size. Counting starts
+once the actors have used up the credit that is granted ahead of the learner. All parts run in one process, so that the
+CPU time of each can be measured: that of actors, replay and learner in the main thread, that of zenoh (router and all
+clients) in the other threads. Transitions divided by a part's own CPU time are the rate that it could sustain on a core
+of its own. The part with the lowest rate saturates first; actors do not count, because every machine brings its own.
 """
 
 import argparse
@@ -39,7 +39,7 @@ from zsdist.wire.messages import Orders, Push, SampleReply, SampleRequest
 
 RUN = "scale"
 ENDPOINT = "tcp/127.0.0.1:7600"
-CASES = (  # transport, actors, updates an insert
+CASES = (  # transport, actors, updates per insert
     ("memory", 16, 1 / 32),
     ("zenoh", 1, 1 / 32),
     ("zenoh", 4, 1 / 32),
@@ -48,11 +48,11 @@ CASES = (  # transport, actors, updates an insert
     ("zenoh", 256, 1 / 32),
     ("zenoh", 4, Config().low.updates_per_insert),
 )
-TRAJECTORIES = 64  # different ones, of which all actors push
+TRAJECTORIES = 64  # distinct trajectories that the actors push in turn
 
 
 class Actors:
-    """Synthetic actors behind one transport: an outbox each, and always more to offer."""
+    """Synthetic actors on one transport: each has an outbox and always more trajectories to push."""
 
     def __init__(self, transport: Transport, config: Config, count: int) -> None:
         rng, settings = np.random.default_rng(0), config.transport
@@ -75,7 +75,7 @@ class Actors:
         transport.subscribe(keys.ack(RUN, keys.ANY), self._acks)
 
     def step(self, now: float) -> None:
-        """Hears what was acknowledged, and pushes two trajectories an actor where there is credit."""
+        """Process acknowledgements, and push two trajectories per actor where there is credit."""
         for message in self._acks.drain():
             ack = codec.decode(message.payload)
             self.outboxes[ack.actor].on_ack(ack, now)
@@ -90,7 +90,7 @@ class Actors:
 
 
 class Sampler:
-    """A learner that takes batches and learns nothing from them."""
+    """Learner that takes batches and does not train on them."""
 
     def __init__(self, transport: Transport, mailbox_bytes: int) -> None:
         self.batches = 0
@@ -99,7 +99,7 @@ class Sampler:
         self._box = Mailbox(mailbox_bytes)
 
     def step(self) -> None:
-        """Decodes what has come, and asks for more."""
+        """Decode the batches that have arrived, and request more."""
         for message in self._box.drain():
             reply = codec.decode(message.payload)
             self._asked -= BATCHES_AN_ANSWER
@@ -112,13 +112,13 @@ class Sampler:
 
 
 def main() -> None:
-    """Runs the cases and prints their figures."""
+    """Run the cases and print their figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="shorter cases; ends within 50 s on two cores")
     warm_up_s, measured_s = (0.5, 2.5) if parser.parse_args().quick else (2.0, 10.0)
     figures: dict[str, float] = {}
     ratios: dict[str, float] = {}
-    print("transitions a second, and what each part could carry with a core of its own")
+    print("transitions per second, and those that each part could sustain on a core of its own")
     print(f"{'case':34}{'all in one':>11}{'actors':>9}{'replay':>9}{'learner':>9}{'zenoh':>9}  saturates first")
     for kind, actors, updates_per_insert in CASES:
         name = f"{kind}_{actors}_actors_{updates_per_insert:.2g}_updates_an_insert".replace(".", "p")
@@ -140,7 +140,7 @@ PARTS = ("actors", "replay", "learner", "zenoh")
 
 
 def run_case(kind: str, actors: int, updates_per_insert: float, warm_up_s: float, measured_s: float) -> dict:
-    """Transitions stored in `measured_s`, and the CPU seconds that each part took for them."""
+    """Return the transitions stored in `measured_s`, and the CPU seconds that each part took for them."""
     config = parse({"run": {"actors": actors}, "low": {"updates_per_insert": updates_per_insert}})
     folder = tempfile.TemporaryDirectory()
     hub = ZenohHub(ENDPOINT) if kind == "zenoh" else None
@@ -150,10 +150,10 @@ def run_case(kind: str, actors: int, updates_per_insert: float, warm_up_s: float
         replay_side, actor_side, learner_side, scheduler_side = transports
         context = Context(config, RUN, "replay", "0", 1, replay_side, threading.Event())
         replay = Replay(context, {Level.LOW: Shape(LOW_STATE_SIZE, LOW_ACTIONS)}, Path(folder.name))
-        crew = Actors(actor_side, config, actors)
+        synthetic = Actors(actor_side, config, actors)
         sampler = Sampler(learner_side, config.transport.mailbox_bytes)
         orders = {
-            "epochs": {name: outbox.epoch for name, outbox in crew.outboxes.items()},
+            "epochs": {name: outbox.epoch for name, outbox in synthetic.outboxes.items()},
             "buffer_size": config.replay.size_initial,
             "batch_size": config.replay.batch_initial,
             "stop": False,
@@ -161,22 +161,22 @@ def run_case(kind: str, actors: int, updates_per_insert: float, warm_up_s: float
         key = keys.control(RUN, "replay")
         scheduler_side.publish(key, codec.encode(Orders(1, "replay", orders)), retained=True)
         steps: dict[str, Callable[[float], object]] = {
-            "actors": crew.step,
+            "actors": synthetic.step,
             "replay": replay.step,
             "learner": lambda now: sampler.step(),
         }
         level_replay = replay.level_replays[Level.LOW]
-        granted = config.agent.option_max_steps * config.run.cars_per_actor * actors  # ahead of the learner at first
+        granted = config.agent.option_max_steps * config.run.cars_per_actor * actors  # credit ahead of the learner
         while level_replay.stored < granted:
-            _turns(steps, warm_up_s)
+            _step_in_turn(steps, warm_up_s)
         stored, sampled, began_s = level_replay.stored, level_replay.sampled, time.monotonic()
-        cpu_s = _turns(steps, measured_s)
+        cpu_s = _step_in_turn(steps, measured_s)
         if hub is None:
             del cpu_s["zenoh"]
         return {
             "transitions": level_replay.stored - stored,
             "samples_per_insert": (level_replay.sampled - sampled) / (level_replay.stored - stored),
-            "resent_frames": sum(box.statistics()["resent_frames"] for box in crew.outboxes.values()),
+            "resent_frames": sum(box.statistics()["resent_frames"] for box in synthetic.outboxes.values()),
             "wall_s": time.monotonic() - began_s,
             "cpu_s": cpu_s,
         }
@@ -188,8 +188,8 @@ def run_case(kind: str, actors: int, updates_per_insert: float, warm_up_s: float
             hub.close()
 
 
-def _turns(steps: dict[str, Callable[[float], object]], seconds: float) -> dict[str, float]:
-    """Steps all parts in turn for so long; CPU seconds of each, and of all threads but this as `zenoh`."""
+def _step_in_turn(steps: dict[str, Callable[[float], object]], seconds: float) -> dict[str, float]:
+    """Step all parts in turn for a time; return the CPU seconds of each, and of all other threads as `zenoh`."""
     spent_s = dict.fromkeys(steps, 0.0)
     process_s, thread_s = time.process_time(), time.thread_time()
     until_s = time.monotonic() + seconds

@@ -1,8 +1,8 @@
-"""Transitions encoded and decoded a CPU second, and bytes a transition, by state size and frame size.
+"""Transitions encoded and decoded per CPU second, and bytes per transition, by state size and frame size.
 
-`python benchmarks/wire.py [--quick]` prints a table, then one JSON line. The yardstick is pickle of the same frame
-under the same zstd level: what a program without a format of its own would send, with no check of what comes back.
-`float32_pairs` is the plain size of state and next state: a transition of 256 features has 2,048 bytes.
+`python benchmarks/wire.py [--quick]` prints a table, then one JSON line. The reference is pickle of the same frame
+at the same zstd level: what a program without its own format would send, without any check of what it decodes.
+`float32_pairs` is the uncompressed size of state and next state: a transition of 256 features has 2,048 bytes.
 """
 
 import argparse
@@ -24,8 +24,8 @@ from zsdist.wire.codec import decode, encode
 from zsdist.wire.messages import Push
 
 ACTIONS = 5
-LENGTH = 8  # transitions of a trajectory
-CASES = (  # name, state features, transitions in a frame
+LENGTH = 8  # transitions per trajectory
+CASES = (  # name, state features, transitions per frame
     ("low_frame16", LOW_STATE_SIZE, 16),
     ("low_frame64", LOW_STATE_SIZE, 64),
     ("low_frame256", LOW_STATE_SIZE, 256),
@@ -38,7 +38,7 @@ CASES = (  # name, state features, transitions in a frame
 
 
 def main() -> None:
-    """Runs the cases and prints their figures."""
+    """Run the cases and print their figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer repeats, within 50 s on two cores")
     repeats, target_s = (5, 0.1) if parser.parse_args().quick else (15, 0.3)
@@ -71,19 +71,19 @@ def main() -> None:
 
 
 def make_frame(rng: np.random.Generator, state_size: int, transitions: int) -> Push:
-    """A frame of random trajectories whose features move slowly, a third of them being flags."""
+    """Return a frame of random trajectories with slowly changing features, a third of which are flags."""
     trajectories = tuple(make_trajectory(rng, state_size) for _ in range(transitions // LENGTH))
     return Push(Level.LOW, "a0", 1, 0, transitions, False, trajectories)
 
 
 def make_trajectory(rng: np.random.Generator, state_size: int) -> Trajectory:
-    """One trajectory of `LENGTH` transitions."""
+    """Return a random trajectory of `LENGTH` transitions."""
     states = rng.normal(size=state_size) + np.cumsum(rng.normal(size=(LENGTH + 1, state_size)) * 0.05, axis=0)
     flags = state_size // 3
     states[:, :flags] = rng.random((LENGTH + 1, flags)) < 0.2
     actions, guides = rng.integers(0, ACTIONS, LENGTH), rng.integers(NO_GUIDE, ACTIONS, LENGTH)
     masks = rng.random((LENGTH + 1, ACTIONS)) < 0.8
-    masks[np.arange(LENGTH), actions] = masks[np.arange(LENGTH), np.maximum(guides, 0)] = True  # so none is refused
+    masks[np.arange(LENGTH), actions] = masks[np.arange(LENGTH), np.maximum(guides, 0)] = True  # allowed
     masks[LENGTH, 0] = True
     return Trajectory(
         level=Level.LOW,
@@ -100,7 +100,7 @@ def make_trajectory(rng: np.random.Generator, state_size: int) -> Trajectory:
 
 
 def pickle_pairs(frame: Push) -> bytes:
-    """The same transitions the plain way: state and next state of each in float32, pickled, compressed."""
+    """Return the same transitions pickled and compressed: state and next state of each in float32."""
     columns = [
         np.concatenate([getattr(trajectory, name)[cut] for trajectory in frame.trajectories])
         for name, cut in (
@@ -115,12 +115,12 @@ def pickle_pairs(frame: Push) -> bytes:
 
 
 def unpickle(payload: bytes) -> object:
-    """The other way of `pickle_pairs`."""
+    """Return what `pickle_pairs` pickled."""
     return pickle.loads(zstandard.ZstdDecompressor().decompress(payload))
 
 
 def rate(function: Callable[[], object], transitions: int, target_s: float) -> float:
-    """Transitions a CPU second of calls that go on for about `target_s`."""
+    """Return the transitions per CPU second of calls repeated for about `target_s`."""
     calls, started = 0, time.process_time()
     while (passed := time.process_time() - started) < target_s:
         function()

@@ -1,4 +1,4 @@
-"""Run directories and evaluations written by hand, for what reads them."""
+"""Run directories and evaluations written by hand, for tests of their readers."""
 
 import hashlib
 import json
@@ -28,7 +28,7 @@ WEIGHTS_SHA256 = hashlib.sha256(("1" * 64 + "2" * 64).encode()).hexdigest()  # a
 
 
 def make_run(folder, *overrides, episodes=3, summary=None, results=()):
-    """A run directory written by hand."""
+    """Write a run directory and return its folder."""
     folder.mkdir(parents=True)
     (folder / "config.yaml").write_text(config.dump(config.load(overrides=overrides)))
     rows = [{"episode": n, "finished_as": n, "return": 1.0 * n, "steps": 10, "outcome": "success"} for n in

@@ -1,4 +1,4 @@
-"""`python -m zsdist.certs DIR`: makes the certificates of a run that other machines take part in."""
+"""`python -m zsdist.certs DIR`: make the certificates of a run on several machines."""
 
 import argparse
 import socket
@@ -8,38 +8,39 @@ from zsdist.common import cli
 from zsdist.roles import permissions
 from zsdist.transport import certificates
 
-ALWAYS = ("localhost", "127.0.0.1", "::1")
+LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command's options."""
+    parser = cli.Parser(prog="zsdist.certs", description="Make an authority and the certificates of a run's roles.")
+    add = parser.add_argument
+    add("folder", type=Path, metavar="DIR", help="folder of the certificates; existing files stay as they are")
+    host = "name or address of the hub's machine; repeatable"
+    add("--host", action="append", default=[], metavar="NAME", help=host)
+    add("--actors", type=cli.count, default=16, metavar="N", help="number of actors that get a certificate (16)")
+    add("--days", type=cli.count, default=365, metavar="N", help="days for which the certificates are valid (365)")
+    return parser
 
 
 def main(options: argparse.Namespace) -> int:
-    """Makes what is missing in the folder, and says what it made and what goes where."""
-    hosts = dict.fromkeys([*ALWAYS, socket.gethostname(), *options.host])
+    """Make the files that are missing in the folder; print what was made and which machine needs which file."""
+    hosts = dict.fromkeys([*LOCAL_HOSTS, socket.gethostname(), *options.host])
     clients = permissions.client_names(options.actors)
     made = certificates.make(options.folder, permissions.HUB, clients, list(hosts), options.days)
     print(f"made {', '.join(made)}" if made else "nothing was missing", f"in {options.folder}")
     if permissions.HUB in made:
         print(f"the hub's certificate is for {', '.join(hosts)}")
     elif options.host:
-        print("the hub's certificate was there and stays; for another --host delete hub.pem and hub.key first")
+        print("the hub's certificate existed and was not changed; for another --host delete hub.pem and hub.key first")
     print(
-        f"keep {certificates.AUTHORITY}.key away from every machine of the run; give each what it needs:\n"
-        f"  {certificates.AUTHORITY}.pem everywhere, hub and trusted where the run is launched, actor-N where actors\n"
-        f"  drive, monitor where somebody watches; then --set transport.tls={options.folder}"
+        f"keep {certificates.AUTHORITY}.key away from every machine of the run. Files to copy to each machine:\n"
+        f"  every machine: {certificates.AUTHORITY}.pem; where the run is launched: hub and trusted; where actors run: "
+        f"actor-N;\n"
+        f"  where the run is monitored: monitor. Then launch with --set transport.tls={options.folder}"
     )
     return 0
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command's options."""
-    options = cli.Parser(prog="zsdist.certs", description="Make an authority and the certificates of a run's roles.")
-    options.add_argument("folder", type=Path, metavar="DIR", help="where to; what is there already is left as it is")
-    options.add_argument(
-        "--host", action="append", default=[], metavar="NAME", help="name or address of the hub's machine; repeatable"
-    )
-    options.add_argument("--actors", type=cli.count, default=16, metavar="N", help="actors that get a certificate (16)")
-    options.add_argument("--days", type=cli.count, default=365, metavar="N", help="how long they are valid (365)")
-    return options
-
-
 if __name__ == "__main__":
-    cli.execute(main, parser())
+    cli.execute(main, make_parser())

@@ -1,9 +1,10 @@
-"""`python -m zsdist.monitor`: watches a run from outside, as a zenoh subscriber like any other."""
+"""`python -m zsdist.monitor`: watch a run from outside, as an ordinary zenoh subscriber."""
 
 import argparse
 import json
 import time
 from pathlib import Path
+from typing import NoReturn
 
 from rich.console import Console
 
@@ -12,17 +13,30 @@ from zsdist.common import cli
 from zsdist.errors import RunError
 from zsdist.roles import permissions
 from zsdist.run import directory
-from zsdist.telemetry.display import MAILBOX_BYTES, Display
-from zsdist.transport.base import Mailbox
+from zsdist.telemetry import watching
+from zsdist.telemetry.display import Display
+from zsdist.transport.base import Transport
 from zsdist.transport.certificates import Identity
 from zsdist.transport.zenoh import ZenohTransport
-from zsdist.wire import keys
 
-FIRST_WORD_WITHIN_S = 5.0  # every role speaks once a second
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command's options."""
+    parser = cli.Parser(prog="zsdist.monitor", description="Watch a run as a zenoh subscriber.")
+    add = parser.add_argument
+    add("--connect", metavar="ENDPOINT", help="endpoint of the run's hub, such as tcp/127.0.0.1:7447")
+    add("--run", metavar="NAME", help="name of the run, which is that of its folder (default: the hub's only run)")
+    add("--runs", type=Path, default=Path("runs"), help="folder in which the newest run is watched (default: runs)")
+    tls = "folder with ca.pem, monitor.pem and monitor.key, for a hub that asks for certificates"
+    add("--tls", metavar="DIR", help=tls)
+    add("--once", action="store_true", help="print one snapshot, then exit")
+    add("--json", action="store_true", help="with --once: print the snapshot as JSON")
+    add("--plain", action="store_true", help="print lines, also on a terminal")
+    return parser
 
 
 def main(options: argparse.Namespace) -> int:
-    """Shows a run until Ctrl-C, or once."""
+    """Show a run until Ctrl-C, or once."""
     endpoint, run, tls = options.connect, options.run, options.tls
     if endpoint is None:
         folder = _newest_run(options.runs)
@@ -30,29 +44,17 @@ def main(options: argparse.Namespace) -> int:
         if tls is None and endpoint.startswith("tls/"):
             tls = config.load(folder / "config.yaml").transport.tls
     if tls is None and endpoint.startswith("tls/"):
-        raise RunError(f"--tls is needed: the hub at {endpoint} asks for the certificate of a monitor")
+        raise RunError(f"--tls is needed: the hub at {endpoint} asks for a monitor's certificate")
     transport = ZenohTransport(endpoint, Identity.load(tls, permissions.MONITOR) if tls else None)
     try:
-        run = run or _only_run(transport, endpoint)
+        run = run or watching.only_run(transport, endpoint)
         with Display(run, Console(stderr=options.json), prefer_lines=options.once or options.plain) as display:
-            return _once(display, transport, options) if options.once else _live(display, transport)
+            if not options.once:
+                _show_live(display, transport)
+            _show_once(display, transport, as_json=options.json)
+            return 0
     finally:
         transport.close()
-
-
-def parser() -> argparse.ArgumentParser:
-    """The command's options."""
-    options = cli.Parser(prog="zsdist.monitor", description="Watch a run as a zenoh subscriber.")
-    options.add_argument("--connect", metavar="ENDPOINT", help="of the run's hub, such as tcp/127.0.0.1:7447")
-    options.add_argument("--run", metavar="NAME", help="the run's name: that of its folder; default: the only one")
-    options.add_argument("--runs", type=Path, default=Path("runs"), help="where to look for the newest run")
-    options.add_argument(
-        "--tls", metavar="DIR", help="folder with ca.pem, monitor.pem and monitor.key, where the hub asks for them"
-    )
-    options.add_argument("--once", action="store_true", help="one snapshot, then leave")
-    options.add_argument("--json", action="store_true", help="with --once: the snapshot as JSON")
-    options.add_argument("--plain", action="store_true", help="lines, also on a terminal")
-    return options
 
 
 def _newest_run(runs: Path) -> Path:
@@ -62,48 +64,19 @@ def _newest_run(runs: Path) -> Path:
     return found[-1].parent
 
 
-def _only_run(transport: ZenohTransport, endpoint: str) -> str:
-    """The run at a hub, where there is one and no other."""
-    mailbox, names = Mailbox(MAILBOX_BYTES), set()
-    transport.watch_alive(keys.alive(keys.ANY, keys.ANY, keys.ANY), mailbox)
-    deadline_s = time.monotonic() + FIRST_WORD_WITHIN_S
-    while not names and time.monotonic() < deadline_s:
-        time.sleep(0.2)
-        names = {parsed.run for message in mailbox.drain() if (parsed := keys.parse(message.key)) is not None}
-    if len(names) != 1:
-        found = ", ".join(sorted(names)) or "none"
-        raise RunError(f"--run is needed where a hub does not carry exactly one run; at {endpoint} there is {found}")
-    return names.pop()
-
-
-def _live(display: Display, transport: ZenohTransport) -> int:
+def _show_live(display: Display, transport: Transport) -> NoReturn:
     while True:
         display.refresh(transport, time.time())
         time.sleep(0.1)
 
 
-def _once(display: Display, transport: ZenohTransport, options: argparse.Namespace) -> int:
-    """Listens until every living role has spoken."""
-    snapshot, deadline_s = display.snapshot, time.monotonic() + FIRST_WORD_WITHIN_S
-    while time.monotonic() < deadline_s:
-        display.take(transport)
-        if snapshot.alive and snapshot.alive <= set(snapshot.roles):
-            break
-        time.sleep(0.05)
-    if not snapshot.roles:
-        raise RunError(f"nobody spoke for run {display.run!r} within {FIRST_WORD_WITHIN_S:g} s")
-    if options.json:
-        told = {
-            "run": display.run,
-            "alive": sorted("/".join(who) for who in snapshot.alive),
-            "figures": snapshot.row(),
-            "roles": {"/".join(who): fields for who, fields in sorted(snapshot.roles.items())},
-        }
-        print(json.dumps(told, indent=1))
+def _show_once(display: Display, transport: Transport, *, as_json: bool) -> None:
+    snapshot = watching.wait_for_reports(display, transport)
+    if as_json:
+        print(json.dumps(watching.snapshot_fields(display.run, snapshot), indent=1))
     else:
         display.console.print(display.table())
-    return 0
 
 
 if __name__ == "__main__":
-    cli.execute(main, parser())
+    cli.execute(main, make_parser())

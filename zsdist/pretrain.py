@@ -1,9 +1,9 @@
-"""`python -m zsdist.pretrain`: trains the vision of the car (Algorithm 1), or checks one that is trained.
+"""`python -m zsdist.pretrain`: train the vision of the car (Algorithm 1), or check a trained one.
 
-Pictures are rendered and encoded first, then the projection to words, the head and the small student network learn
-from them. What is finished is kept: Ctrl-C (or SIGTERM), and `--resume DIR` goes on. With `--check` the model that
-`vision.weights` names looks at fresh pictures of families that no training has seen, beside yardsticks that know less
-or more.
+Pictures are rendered and encoded first; then the projection to words, the head and the small student network are
+trained on them. Finished parts are kept: after Ctrl-C or SIGTERM, `--resume DIR` resumes. With `--check`, the model of
+`vision.weights` is evaluated on fresh pictures of families that are withheld from training, beside baselines that know
+less or more.
 """
 
 import argparse
@@ -30,35 +30,56 @@ CHECK_IMAGES = 300
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """The command's options."""
+    """Return the parser of the command's options."""
     parser = cli.Parser(prog="zsdist.pretrain", description=__doc__)
     add = parser.add_argument
-    images = f"to train the head on ({IMAGES}), or to check on ({CHECK_IMAGES})"
+    images = f"number of pictures to train the head on ({IMAGES}), or to check on ({CHECK_IMAGES})"
     add("--images", type=cli.count, metavar="N", help=images)
-    add("--epochs", type=cli.count, metavar="N", help="passes over them, in every stage (default: each stage's own)")
-    add("--minutes", type=_minutes, default=math.inf, metavar="M", help="hurry so as to be done by then")
-    add("--out", type=Path, metavar="DIR", help="where weights go (default: runs/visual-act)")
-    add("--resume", type=Path, metavar="DIR", help="go on with the pretraining in DIR")
-    add("--families", metavar="A,B", help=f"of the scenes (default: {','.join(PURPOSE.families)})")
+    add("--epochs", type=cli.count, metavar="N", help="epochs of every stage (default: each stage's own)")
+    add(
+        "--minutes",
+        type=_minutes,
+        default=math.inf,
+        metavar="M",
+        help="time limit; cuts pictures and epochs short",
+    )
+    add("--out", type=Path, metavar="DIR", help="folder of the weights (default: runs/visual-act)")
+    add("--resume", type=Path, metavar="DIR", help="resume the pretraining in DIR")
+    add("--families", metavar="A,B", help=f"scene families of the pictures (default: {','.join(PURPOSE.families)})")
     add("--cityscapes", type=Path, metavar="DIR", help="train on the photographs in DIR instead of on scenes")
-    add("--stages", metavar="A,B", help=f"what to train (default: {','.join(STAGES)})")
-    add("--encoder", metavar="NAME|DIR", help="as vision.encoder: efficientnet-lite0, or a folder with a CLIP model")
-    add("--workers", type=cli.count, default=os.cpu_count() or 1, metavar="N", help="processes (default: one a core)")
-    add("--keep-pictures", action="store_true", help="do not remove the pictures at the end")
+    add("--stages", metavar="A,B", help=f"parts to train (default: {','.join(STAGES)})")
+    add(
+        "--encoder",
+        metavar="NAME|DIR",
+        help="vision.encoder: efficientnet-lite0, or a folder with a CLIP model",
+    )
+    add("--workers", type=cli.count, default=os.cpu_count() or 1, metavar="N", help="processes (default: one per core)")
+    add("--keep-pictures", action="store_true", help="keep the pictures when training has ended")
     add("--check", action="store_true", help="check trained weights instead of training")
-    add("--json", type=Path, metavar="FILE", help="write the figures of the check there")
-    add("--objects", type=cli.natural, default=OBJECTS, metavar="N", help=f"to drive up to in a check ({OBJECTS})")
-    add("--objects-file", type=Path, metavar="FILE", help="where each of them is noted, and from where a check goes on")
-    add("--unseen-kinds", action="store_true", help="check words for kinds that a projection was not trained on, too")
-    add("--seed", type=cli.natural, metavar="S", help="of scenes, places, looks and weights (default: 0)")
-    add("--config", type=Path, metavar="FILE", help="camera and encoder, and weights to check")
-    add("--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change a setting")
-    add("--plain", action="store_true", help="progress as lines, also on a terminal")
+    add("--json", type=Path, metavar="FILE", help="write the figures of the check to FILE")
+    add(
+        "--objects",
+        type=cli.natural,
+        default=OBJECTS,
+        metavar="N",
+        help=f"objects to drive to in a check ({OBJECTS})",
+    )
+    add(
+        "--objects-file",
+        type=Path,
+        metavar="FILE",
+        help="record of each object, from which a check resumes",
+    )
+    add("--unseen-kinds", action="store_true", help="also check words for kinds that the projection was not trained on")
+    add("--seed", type=cli.natural, metavar="S", help="seed of scenes, poses, appearance and weights (default: 0)")
+    add("--config", type=Path, metavar="FILE", help="YAML configuration: camera, encoder, weights to check")
+    add("--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change one setting; repeatable")
+    add("--plain", action="store_true", help="show progress as lines, also on a terminal")
     return parser
 
 
 def main(options: argparse.Namespace) -> int:
-    """Runs the command; returns its exit status."""
+    """Run the command and return its exit status."""
     if options.check:
         check(
             _config(options),
@@ -74,12 +95,12 @@ def main(options: argparse.Namespace) -> int:
 
 
 def pretrain(options: argparse.Namespace) -> int:
-    """Trains, and checks what came of it; 130 where it was interrupted.
+    """Train and then check the result; return 130 where it was interrupted.
 
     Raises:
         ZsdistError: an option, the folder or the encoder cannot be used.
     """
-    from zsdist.pretraining.train import train  # imports torch, which a check does without
+    from zsdist.pretraining.train import train  # imports torch, which a check does not need
 
     folder = options.resume or options.out or Path("runs/visual-act")
     job = _reopened(options) if options.resume else _new(options)
@@ -91,18 +112,18 @@ def pretrain(options: argparse.Namespace) -> int:
         with PretrainingProgress(prefer_lines=options.plain) as watch:
             train(job, folder, encoder, options.minutes, options.workers, options.keep_pictures, watch)
     except KeyboardInterrupt:
-        print(f"interrupted; what is finished is kept, go on with\n  python -m zsdist.pretrain --resume {folder}")
+        print(f"interrupted; finished parts are kept. Resume with\n  python -m zsdist.pretrain --resume {folder}")
         return cli.INTERRUPTED
     if "head" in job.stages:
         vision = job.config.vision.model_copy(update={"weights": str(folder)})
         check(job.config.model_copy(update={"vision": vision}), CHECK_IMAGES, job.seed, options.json, object_count=0)
-    print(f"weights are in {folder}; use them by --set vision.weights={folder.resolve()}")
+    print(f"weights are in {folder}; use them with --set vision.weights={folder.resolve()}")
     return 0
 
 
 def _new(options: argparse.Namespace) -> Job:
     if options.cityscapes and options.families:
-        raise ConfigError("--families cannot go with --cityscapes, which takes photographs instead of scenes")
+        raise ConfigError("--families cannot be combined with --cityscapes, which uses photographs instead of scenes")
     families = () if options.cityscapes else _names(options.families, PURPOSE.families)
     jobs.check_families(families)
     stages = _names(options.stages, STAGES)
@@ -123,7 +144,9 @@ def _reopened(options: argparse.Namespace) -> Job:
     own = ("images", "epochs", "out", "families", "cityscapes", "stages", "encoder", "seed", "config", "set")
     for name in own:
         if getattr(options, name):
-            raise ConfigError(f"--{name} cannot go with --resume: the pretraining in {options.resume} has its own")
+            raise ConfigError(
+                f"--{name} cannot be combined with --resume: the pretraining in {options.resume} has its own"
+            )
     return jobs.reopen(options.resume)
 
 

@@ -1,4 +1,4 @@
-"""`python -m zsdist.report RUN...`: the paper's figures and tables from runs, as a page with pictures; or of vision."""
+"""`python -m zsdist.report RUN...`: write a page with the paper's figures and tables, of runs or of vision."""
 
 import argparse
 from pathlib import Path
@@ -11,7 +11,7 @@ from zsdist.errors import RunError
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """The command's options."""
+    """Return the parser of the command's options."""
     parser = cli.Parser(prog="zsdist.report", description=__doc__)
     parser.add_argument(
         "runs",
@@ -21,29 +21,29 @@ def make_parser() -> argparse.ArgumentParser:
         help="run directories (several of one configuration: its seeds), and files or folders of evaluations",
     )
     parser.add_argument(
-        "--out", type=Path, metavar="DIR", default=Path("runs/report"), help="of the page (default: runs/report)"
+        "--out", type=Path, metavar="DIR", default=Path("runs/report"), help="folder of the page (default: runs/report)"
     )
     vision = parser.add_argument_group("vision, instead of runs")
     vision.add_argument("--vision", action="store_true", help="report on the visual-act model")
-    vision.add_argument("--config", type=Path, metavar="FILE", help="camera, and weights")
-    vision.add_argument("--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change a setting")
+    vision.add_argument("--config", type=Path, metavar="FILE", help="YAML configuration: camera and weights")
+    vision.add_argument("--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change one setting")
     vision.add_argument("--weights", metavar="DIR", help="folder of weights (default: vision.weights)")
-    vision.add_argument("--seed", type=cli.natural, default=0, help="of the pictures (default: 0)")
-    vision.add_argument("--images", type=cli.count, default=200, help="pictures of each set (default: 200)")
+    vision.add_argument("--seed", type=cli.natural, default=0, help="seed of the pictures (default: 0)")
+    vision.add_argument("--images", type=cli.count, default=200, help="number of pictures in each set (default: 200)")
     return parser
 
 
 def main(options: argparse.Namespace) -> int:
-    """Runs the command; returns its exit status."""
+    """Run the command and return its exit status."""
     if bool(options.runs) == options.vision:
-        raise RunError("nothing or both to report on was named; allowed are run directories, or --vision")
-    page = _of_vision(options) if options.vision else _of_runs(options)
-    print(f"the page is {page}")
+        raise RunError("name either run directories or --vision, not both and not neither")
+    page = _write_vision(options) if options.vision else _write_runs(options)
+    print(f"page: {page}")
     return 0
 
 
-def _of_runs(options: argparse.Namespace) -> Path:
-    from zsdist.reporting import page, runs  # import matplotlib and the simulator, which --help does without
+def _write_runs(options: argparse.Namespace) -> Path:
+    from zsdist.reporting import page, runs  # imports matplotlib and the simulator, which --help does not need
 
     material, console = runs.read(options.runs), Console(stderr=True)
     if not console.is_terminal:
@@ -52,7 +52,7 @@ def _of_runs(options: argparse.Namespace) -> Path:
         return page.write(material, options.out, lambda step: status.update(f"report: {step}"))
 
 
-def _of_vision(options: argparse.Namespace) -> Path:
+def _write_vision(options: argparse.Namespace) -> Path:
     from zsdist.pretraining.check import report
 
     overrides = (*options.set, *((f"vision.weights={options.weights}",) if options.weights else ()))

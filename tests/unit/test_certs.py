@@ -8,7 +8,7 @@ from zsdist.transport.certificates import Identity
 
 def run(capsys, *arguments):
     with pytest.raises(SystemExit) as ended:
-        cli.execute(certs.main, certs.parser(), list(map(str, arguments)))
+        cli.execute(certs.main, certs.make_parser(), list(map(str, arguments)))
     return ended.value.code, capsys.readouterr()
 
 
@@ -23,7 +23,7 @@ def test_every_role_of_a_run_finds_its_certificate(capsys, tmp_path):
     assert "10.1.2.3" in printed.out and "ca.key" in printed.out
 
 
-def test_a_second_time_adds_actors_and_says_that_the_hubs_host_stays(capsys, tmp_path):
+def test_a_second_call_adds_actors_and_reports_that_the_hubs_certificate_stays(capsys, tmp_path):
     run(capsys, tmp_path, "--actors", "1")
     status, printed = run(capsys, tmp_path, "--actors", "2", "--host", "10.1.2.3")
     assert status == 0
@@ -31,7 +31,7 @@ def test_a_second_time_adds_actors_and_says_that_the_hubs_host_stays(capsys, tmp
 
 
 @pytest.mark.parametrize(("option", "value"), [("--actors", "0"), ("--days", "9999999")])
-def test_a_count_that_cannot_be_is_refused_in_one_line(capsys, tmp_path, option, value):
+def test_an_impossible_count_is_refused_in_one_line(capsys, tmp_path, option, value):
     status, printed = run(capsys, tmp_path / "made", option, value)
     assert status == cli.REFUSED
     assert value in printed.err and printed.err.count("\n") == 1

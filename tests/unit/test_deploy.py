@@ -35,7 +35,7 @@ def containers() -> list[dict]:
     return [container for group in groups for container in group["template"]["spec"]["containers"]]
 
 
-def test_kuberay_manifest_has_what_the_operator_requires():
+def test_kuberay_manifest_has_the_fields_that_the_operator_requires():
     assert (MANIFEST["apiVersion"], MANIFEST["kind"]) == ("ray.io/v1", "RayCluster")
     head, *_ = containers()
     assert "rayStartParams" in MANIFEST["spec"]["headGroupSpec"]
@@ -49,7 +49,7 @@ def test_kuberay_runs_the_tested_ray_on_our_image():
     assert {container["image"] for container in containers()} == {IMAGE}
 
 
-def test_kuberay_pods_are_no_root_and_have_memory_limits():
+def test_kuberay_pods_do_not_run_as_root_and_have_memory_limits():
     for group in (MANIFEST["spec"]["headGroupSpec"], *MANIFEST["spec"]["workerGroupSpecs"]):
         assert group["template"]["spec"]["securityContext"]["runAsNonRoot"]
     for container in containers():
@@ -57,12 +57,12 @@ def test_kuberay_pods_are_no_root_and_have_memory_limits():
         assert not container["securityContext"]["allowPrivilegeEscalation"]
 
 
-def test_network_policy_lets_only_the_cluster_in():
+def test_network_policy_admits_only_the_cluster():
     assert POLICY["spec"]["podSelector"]["matchLabels"] == {"ray.io/cluster": MANIFEST["metadata"]["name"]}
     assert all("podSelector" in peer for rule in POLICY["spec"]["ingress"] for peer in rule["from"])
 
 
-def test_the_hubs_name_is_that_of_the_head_pod_and_of_nothing_else():
+def test_the_hubs_name_resolves_to_the_head_pod_only():
     spec = MANIFEST["spec"]["headGroupSpec"]["template"]["spec"]
     name = f"{spec['hostname']}.{spec['subdomain']}"
     assert spec["subdomain"] == SERVICE["metadata"]["name"] and SERVICE["spec"]["clusterIP"] == "None"
@@ -71,7 +71,7 @@ def test_the_hubs_name_is_that_of_the_head_pod_and_of_nothing_else():
     assert f"--host {name} " in readme and f"tls/{name}:7447" in readme
 
 
-def test_workers_hold_no_key_but_the_actors():
+def test_workers_hold_only_the_keys_of_actors():
     readme = (DEPLOY / "README.md").read_text()
     secrets = dict(re.findall(r"secret generic (\S+) \$\(files (.*)\)", readme))
     assert secrets["zsdist-tls-actors"].split() == ["tls/ca.pem", "tls/actor-*"]
@@ -92,7 +92,7 @@ def dockerfile() -> list[tuple[str, str]]:
     return [tuple(line.split(maxsplit=1)) for line in lines]
 
 
-def test_dockerfile_is_python_3_11_and_ends_as_a_plain_user():
+def test_dockerfile_is_python_3_11_and_ends_as_an_unprivileged_user():
     instructions = dockerfile()
     assert instructions[0] == ("FROM", "python:3.11-slim")
     assert {name for name, _ in instructions} <= {"FROM", "ARG", "ENV", "RUN", "WORKDIR", "COPY", "USER", "CMD"}
@@ -101,13 +101,13 @@ def test_dockerfile_is_python_3_11_and_ends_as_a_plain_user():
     assert max(i for i, (name, _) in enumerate(instructions) if name == "CMD") > instructions.index(("USER", users[-1]))
 
 
-def test_dockerfile_copies_only_what_exists():
+def test_dockerfile_copies_only_existing_files():
     for name, argument in dockerfile():
         if name == "COPY":
             for source in argument.split()[:-1]:
                 assert (ROOT / source).exists(), source
 
 
-def test_readme_names_only_files_that_exist():
+def test_readme_names_only_existing_files():
     for name in re.findall(r"(?:deploy|configs)/[\w.-]+", (DEPLOY / "README.md").read_text()):
         assert (ROOT / name).exists(), name

@@ -7,10 +7,12 @@ from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist import evaluate
 from zsdist.common import cli
+from zsdist.config import Config
 from zsdist.evaluation import report as reports
 from zsdist.evaluation.baselines import BASELINES
 from zsdist.evaluation.contenders import VARIANTS, Contender
 from zsdist.evaluation.episodes import EpisodeRunner
+from zsdist.evaluation.policies import NamedPolicy
 from zsdist.evaluation.workers import drive_all
 from zsdist.sim.scenes import families, scene
 
@@ -72,14 +74,14 @@ def test_a_folder_is_driven_once_and_the_json_is_the_documented_one(folder, tmp_
         (("astar", "--config", "/nowhere/config.yaml"), "No such file"),
         (("astar", "--variant", "hybrid"), "baseline 'astar' has no variants"),
         (("astar", "--variant", "better"), "--variant is 'better'; allowed are full, hybrid"),
-        (("astar", "--no-shield"), "baseline 'astar' drives one way only"),
-        (("pretrained", "astar", "--no-shield"), "baseline 'astar' drives one way only"),
+        (("astar", "--no-shield"), "baseline 'astar' has no shield"),
+        (("pretrained", "astar", "--no-shield"), "baseline 'astar' has no shield"),
         (("pretrained", "astar"), "baseline 'astar' is allowed alone"),
         (
             ("pretrained", "pretrained"),
-            "pretrained has the weights of pretrained; allowed are different training seeds",
+            "pretrained has the weights of pretrained; allowed are policies of different training seeds",
         ),
-        (("astar", "--resume"), "allowed is with --out FILE.jsonl"),
+        (("astar", "--resume"), "add --out FILE.jsonl"),
         (("astar", "--out", "/nowhere/e.jsonl"), "allowed is a file in a folder that exists"),
         (("--compare", "/nowhere/a.jsonl", "/nowhere/b.jsonl"), "episodes cannot be read from /nowhere/a.jsonl"),
     ],
@@ -90,7 +92,7 @@ def test_what_is_wrong_is_one_line_and_status_2(arguments, words, capsys):
     assert complaint.count("\n") == 1 and words in complaint
 
 
-def test_a_result_that_cannot_be_written_is_said_in_one_line(folder, capsys):
+def test_a_result_that_cannot_be_written_is_reported_in_one_line(folder, capsys):
     assert run("astar", "--scenes", str(folder), "--episodes", "1", "--workers", "1", "--json", "/sys/result.json") == 2
     complaint = capsys.readouterr().err.splitlines()[-1]
     assert "/sys/result.json" in complaint and "cannot be written" in complaint
@@ -103,9 +105,9 @@ def test_a_folder_without_weights_is_refused(tmp_path, capsys):
 
 
 def test_the_shipped_policy_was_trained_for_the_networks_and_the_vision_of_this_package():
-    contender, sha256 = evaluate.find_policy("pretrained")
-    trained = contender.config.scenes.train
-    assert trained == ("iid",) and len(sha256) == 64
+    policy = evaluate.find_policy("pretrained")
+    contender = policy.contender
+    assert contender.config.scenes.train == ("iid",) and len(policy.weights_sha256) == 64
     env = LatticeEnv(config=contender.settings)
     driver = contender.driver(FakeVisualAct())
     record = EpisodeRunner(env, contender.settings, driver, contender.observability, time.monotonic).drive(
@@ -114,25 +116,36 @@ def test_the_shipped_policy_was_trained_for_the_networks_and_the_vision_of_this_
     assert record.outcome == "success"
 
 
-def test_a_baselines_world_may_be_configured(folder, tmp_path):
+def test_a_baselines_world_may_be_configured(tmp_path):
     (tmp_path / "short.yaml").write_text("sim: {max_steps: 2}\n")
-    contender, sha256 = evaluate.find_policy("astar", tmp_path / "short.yaml")
-    assert sha256 is None
+    policy = evaluate.find_policy("astar", tmp_path / "short.yaml")
+    assert policy.weights_sha256 is None
     records = drive_all(
-        contender, scene.read_folder(folder)[:1], seed=0, workers=1, on_record=lambda index, record: None
+        policy.contender,
+        [families.draw("singleton", "test", 0)],
+        seed=0,
+        workers=1,
+        on_record=lambda index, record: None,
     )
     assert records[0].steps == 2 and records[0].outcome == "timeout"
 
 
+def test_a_note_on_the_vision_model_is_printed_once_beside_the_result(folder, capsys, monkeypatch):
+    policy = NamedPolicy("astar", Contender(Config(), baseline="astar"), note="trained with another head")
+    monkeypatch.setattr(evaluate, "find_policy", lambda name, config_file, variant: policy)
+    assert run("astar", "--scenes", str(folder), "--episodes", "1", "--workers", "1") == 0
+    assert capsys.readouterr().err.splitlines().count("trained with another head") == 1
+
+
 def test_progress_without_a_terminal_is_plain_lines(folder, capsys, monkeypatch):
     monkeypatch.setattr(reports, "PLAIN_EVERY_S", -1.0)
-    contender = Contender(evaluate.config.Config(), baseline="astar")
+    contender = Contender(Config(), baseline="astar")
     reports.evaluate(contender, policy="astar", weights_sha256=None, scenes=str(folder), episodes=2, seed=0, workers=1)
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("astar")]
     assert lines[-1] == "astar: 2 of 2: success 2, collision 0, timeout 0"
 
 
-def test_a_file_of_episodes_is_gone_on_with_only_when_asked(folder, tmp_path, capsys):
+def test_a_file_of_episodes_is_resumed_only_when_asked(folder, tmp_path, capsys):
     out, one, two = tmp_path / "episodes.jsonl", tmp_path / "one.json", tmp_path / "two.json"
     asked = ("random", "--scenes", str(folder), "--workers", "1", "--out", str(out))
     assert run(*asked, "--episodes", "2") == 0
@@ -146,7 +159,7 @@ def test_a_file_of_episodes_is_gone_on_with_only_when_asked(folder, tmp_path, ca
 
 
 def test_several_policies_are_taken_together(folder, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(evaluate, "_check_together", lambda found, no_shield: None)  # baselines, which drive quickly
+    monkeypatch.setattr(evaluate, "check_together", lambda policies, no_shield: None)  # baselines, which drive quickly
     file = tmp_path / "result.json"
     asked = ("--scenes", str(folder), "--episodes", "2", "--workers", "1", "--json", str(file))
     assert run("astar", "goal-greedy", *asked) == 0
@@ -177,5 +190,5 @@ def test_films_are_of_the_first_episodes_and_say_how_they_ended(folder, tmp_path
     assert run("astar", *options, "--video", str(tmp_path / "films"), "--video-episodes", "2") == 0
     films = sorted((tmp_path / "films").glob("*.mp4"))
     assert [film.stem.rpartition("-")[2] for film in films] == ["timeout"] * 2
-    told = capsys.readouterr().out
-    assert all(f"film: {film}" in told for film in films)
+    printed = capsys.readouterr().out
+    assert all(f"film: {film}" in printed for film in films)

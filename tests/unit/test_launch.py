@@ -1,20 +1,15 @@
-import io
-import json
-
 import pytest
-from rich.console import Console
 
 from zsdist import config, launch
 from zsdist.common import cli
 from zsdist.errors import RunError
-from zsdist.run import directory
-from zsdist.vision.fingerprint import VisionIdentity
-from zsdist.wire.messages import State
+from zsdist.run import directory, opening, training
+from zsdist.run.program import RunSpec
 
 
 def refusal(capsys, *arguments):
     with pytest.raises(SystemExit) as ended:
-        cli.execute(launch.main, launch.parser(), list(map(str, arguments)))
+        cli.execute(launch.main, launch.make_parser(), list(map(str, arguments)))
     assert ended.value.code == cli.REFUSED
     complaint = capsys.readouterr().err
     assert complaint.count("\n") == 1
@@ -23,9 +18,9 @@ def refusal(capsys, *arguments):
 
 
 def test_an_unknown_key_is_refused_with_the_nearest_known_one(capsys, tmp_path):
-    said = refusal(capsys, "--set", "low.lerning_rate=1", "--run-dir", tmp_path / "run")
-    assert "low.lerning_rate" in said
-    assert "'low.learning_rate'" in said
+    complaint = refusal(capsys, "--set", "low.lerning_rate=1", "--run-dir", tmp_path / "run")
+    assert "low.lerning_rate" in complaint
+    assert "'low.learning_rate'" in complaint
     assert not (tmp_path / "run").exists()
 
 
@@ -77,52 +72,31 @@ def test_an_empty_resume_folder_is_refused_and_left_as_it_is(capsys, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_run_without_a_checkpoint_cannot_be_gone_on_with(capsys, tmp_path):
+def test_a_run_without_a_checkpoint_cannot_be_resumed(capsys, tmp_path):
     folder = directory.create(tmp_path / "run", config.Config())
     before = (folder / "config.yaml").read_bytes()
     assert "no checkpoint" in refusal(capsys, "--resume", folder)
     assert (folder / "config.yaml").read_bytes() == before
 
 
-@pytest.mark.parametrize(("ended", "wanted"), [("complete", 3), ("interrupted", 2), (None, 2)])
-def test_a_run_is_gone_on_with_unless_it_had_all_its_episodes_and_what_follows_them(
-    capsys, tmp_path, monkeypatch, ended, wanted
+def test_ctrl_c_in_the_evaluation_reports_that_the_training_is_saved_and_how_to_evaluate_it(
+    capsys, tmp_path, monkeypatch
 ):
-    folder = directory.create(tmp_path / "run", config.Config())
-    seen = VisionIdentity("clip/b", "a" * 64, "head", "b" * 64)
-    state = State("scheduler", {"finished": [1, 2], "wall_s": 0.0}, {})
-    directory.RunDirectory(folder, seen).checkpoint(2, {"scheduler": state})
-    if ended:
-        (folder / "summary.json").write_text(json.dumps({"ended": ended}))
-    monkeypatch.setattr(launch.program, "check_shards", lambda settings, states: None)
-    monkeypatch.setattr(launch, "_check_parts", lambda settings, console: seen)
-
-    def resumed(episodes):
-        options = launch.parser().parse_args(["--resume", str(folder), "--episodes", str(episodes)])
-        return launch._resume(options, Console(quiet=True)).config.run.episodes
-
-    with pytest.raises(RunError, match="has finished 2 episodes"):
-        resumed(wanted - 1)
-    assert resumed(wanted) == wanted
-
-
-def test_ctrl_c_in_the_evaluation_says_that_the_training_is_saved_and_how_to_have_one(capsys, tmp_path, monkeypatch):
     def interrupted(folder, settings, console):
         raise KeyboardInterrupt
 
-    spec = launch.Setting(config.Config(), "run", tmp_path, {}, None)
-    monkeypatch.setattr(launch, "_start", lambda options, console: spec)
-    monkeypatch.setattr(
-        launch, "_train", lambda *_, **__: {"ended": "complete", "transitions": {}, "learner_updates": {}}
-    )
-    monkeypatch.setattr(launch.closing, "draw_training", lambda folder: None)
-    monkeypatch.setattr(launch.closing, "compare", interrupted)
-    assert launch.main(launch.parser().parse_args([])) == cli.INTERRUPTED
-    said = capsys.readouterr().out
-    assert "training is complete and saved" in said and f"python -m zsdist.evaluate {tmp_path}" in said
+    spec = RunSpec(config.Config(), "run", tmp_path, {}, None)
+    summary = {"ended": "complete", "transitions": {}, "learner_updates": {}}
+    monkeypatch.setattr(opening, "open_new", lambda settings, folder, notify: spec)
+    monkeypatch.setattr(training, "train", lambda spec, interrupted, watch: summary)
+    monkeypatch.setattr(launch.final_evaluation, "draw_training", lambda folder: None)
+    monkeypatch.setattr(launch.final_evaluation, "compare", interrupted)
+    assert launch.main(launch.make_parser().parse_args([])) == cli.INTERRUPTED
+    printed = capsys.readouterr().out
+    assert "training is complete and saved" in printed and f"python -m zsdist.evaluate {tmp_path}" in printed
 
 
-def test_a_folder_that_holds_a_run_is_not_written_over(capsys, tmp_path):
+def test_a_folder_that_holds_a_run_is_not_overwritten(capsys, tmp_path):
     folder = directory.create(tmp_path / "run", config.Config())
     before = (folder / "config.yaml").read_bytes()
     assert "--resume" in refusal(capsys, "--seed", "5", "--run-dir", folder)
@@ -130,7 +104,7 @@ def test_a_folder_that_holds_a_run_is_not_written_over(capsys, tmp_path):
 
 
 @pytest.mark.parametrize("option", [["--seed", "1"], ["--config", "x.yaml"], ["--run-dir", "y"]])
-def test_what_a_resumed_run_has_already_cannot_be_given_again(capsys, tmp_path, option):
+def test_options_that_a_resumed_run_has_already_are_refused(capsys, tmp_path, option):
     assert option[0] in refusal(capsys, "--resume", tmp_path, *option)
 
 
@@ -144,19 +118,10 @@ def test_a_cluster_that_the_roles_could_not_reach_is_refused(capsys, tmp_path, a
     assert not (tmp_path / "run").exists()
 
 
-def test_a_folder_that_cannot_be_is_refused_in_one_line(tmp_path):
+def test_an_impossible_folder_is_refused_in_one_line(tmp_path):
     with pytest.raises(RunError, match="File name too long"):
         directory.create(tmp_path / ("x" * 300), config.Config())
 
 
-def test_a_run_to_go_on_with_whose_name_cannot_be_is_refused_in_one_line(capsys):
+def test_a_run_to_resume_with_an_impossible_name_is_refused_in_one_line(capsys):
     assert "File name too long" in refusal(capsys, "--resume", "x" * 300)
-
-
-def test_a_level_that_never_learned_is_said_at_the_end():
-    console = Console(record=True, file=io.StringIO())
-    settings = config.parse({"low": {"min_size": 21_000}})
-    summary = {"learner_updates": {"high": 7, "low": 0}, "transitions": {"low": {"stored": 900}}}
-    launch._tell_unlearned(summary, settings, console)
-    said = console.export_text()
-    assert "900" in said and "21000 (low.min_size)" in said and "high" not in said

@@ -12,6 +12,7 @@ from zsdist import config, monitor
 from zsdist.common import cli
 from zsdist.roles import permissions
 from zsdist.run.program import RoleSpec, RunSpec
+from zsdist.telemetry import watching
 from zsdist.transport import certificates
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 from zsdist.wire import keys
@@ -27,7 +28,7 @@ def hub():
 
 @contextmanager
 def speaking(transport):
-    """A role of run `demo` that lives and speaks ten times a second."""
+    """A role of run `demo` that is alive and reports ten times a second."""
     over = threading.Event()
     transport.declare_alive(keys.alive("demo", "actor", "0"))
 
@@ -51,18 +52,18 @@ def speaker(hub):
 
 def run(capsys, *arguments):
     with pytest.raises(SystemExit) as ended:
-        cli.execute(monitor.main, monitor.parser(), list(map(str, arguments)))
+        cli.execute(monitor.main, monitor.make_parser(), list(map(str, arguments)))
     return ended.value.code, capsys.readouterr()
 
 
-def test_one_snapshot_is_json_that_names_who_lives_and_what_they_said(capsys, hub, speaker):
+def test_one_snapshot_is_json_that_names_the_living_roles_and_their_statistics(capsys, hub, speaker):
     status, printed = run(capsys, "--connect", hub.endpoint, "--once", "--json")
     assert status == 0
-    told = json.loads(printed.out)
-    assert told["run"] == "demo"
-    assert told["alive"] == ["actor/0"]
-    assert told["roles"]["actor/0"] == STATISTICS
-    assert told["figures"]["actors_env_steps"] == 7
+    snapshot = json.loads(printed.out)
+    assert snapshot["run"] == "demo"
+    assert snapshot["alive"] == ["actor/0"]
+    assert snapshot["roles"]["actor/0"] == STATISTICS
+    assert snapshot["figures"]["actors_env_steps"] == 7
 
 
 def test_the_newest_run_is_found_by_its_endpoint_file(capsys, tmp_path, hub, speaker):
@@ -84,7 +85,7 @@ def test_the_newest_run_is_found_by_its_endpoint_file(capsys, tmp_path, hub, spe
         (["--runs", "no-such-folder", "--once"], "no-such-folder"),
     ],
 )
-def test_where_nobody_is_one_line_says_so(capsys, arguments, telling):
+def test_an_endpoint_without_a_hub_is_reported_in_one_line(capsys, arguments, telling):
     status, printed = run(capsys, *arguments)
     assert status == cli.REFUSED
     assert telling in printed.err
@@ -92,22 +93,22 @@ def test_where_nobody_is_one_line_says_so(capsys, arguments, telling):
 
 
 def test_a_run_that_is_not_there_is_named(capsys, hub, speaker, monkeypatch):
-    monkeypatch.setattr(monitor, "FIRST_WORD_WITHIN_S", 0.3)
+    monkeypatch.setattr(watching, "FIRST_REPORT_WITHIN_S", 0.3)
     status, printed = run(capsys, "--connect", hub.endpoint, "--run", "other", "--once")
     assert status == cli.REFUSED
     assert "'other'" in printed.err
 
 
-def test_a_monitor_finds_its_certificate_in_the_runs_configuration_or_where_it_is_told(capsys, tmp_path):
+def test_a_monitor_finds_its_certificate_in_the_runs_configuration_or_where_an_option_names_it(capsys, tmp_path):
     certificates.make(tmp_path / "tls", permissions.HUB, permissions.client_names(1), ["127.0.0.1"], days=1)
     folder = tmp_path / "runs" / "demo"
     folder.mkdir(parents=True)
     settings = config.load(None, (f"transport.tls={tmp_path / 'tls'}", f"transport.endpoint={free_endpoint('tls')}"))
     (folder / "config.yaml").write_text(config.dump(settings))
-    setting = RunSpec(settings, "demo", folder, {}, SEEN)
-    with setting.open_hub() as hub:
+    spec = RunSpec(settings, "demo", folder, {}, SEEN)
+    with spec.open_hub() as hub:
         (folder / "endpoint").write_text(hub.endpoint)
-        transport = setting.connect(RoleSpec("actor", "0", 1), hub.endpoint)
+        transport = spec.connect(RoleSpec("actor", "0", 1), hub.endpoint)
         with speaking(transport):
             for where in (("--runs", folder.parent), ("--connect", hub.endpoint, "--tls", tmp_path / "tls")):
                 status, printed = run(capsys, *where, "--once", "--json")

@@ -19,7 +19,7 @@ def command(*arguments):
         (("--stages", "student"), "student without head"),
     ],
 )
-def test_families_and_stages_that_cannot_be_are_refused_with_the_reason(wrong, reason, tmp_path):
+def test_impossible_families_and_stages_are_refused_with_the_reason(wrong, reason, tmp_path):
     with pytest.raises(ConfigError, match=reason):
         command("--out", tmp_path / "new", *wrong)
     assert not (tmp_path / "new").exists()
@@ -40,10 +40,10 @@ def test_a_folder_that_holds_a_pretraining_or_weights_is_left_alone(tmp_path):
         command("--images", 16, "--out", tmp_path)
 
 
-def test_what_cannot_be_resumed_is_said(tmp_path):
+def test_what_cannot_be_resumed_is_reported(tmp_path):
     with pytest.raises(RunError, match="holds no pretraining"):
         command("--resume", tmp_path)
-    with pytest.raises(ConfigError, match="--images cannot go with --resume"):
+    with pytest.raises(ConfigError, match="--images cannot be combined with --resume"):
         command("--resume", tmp_path, "--images", 16)
     (tmp_path / job.JOB_FILE).write_text("{}")
     with pytest.raises(RunError, match="is damaged"):

@@ -1,4 +1,4 @@
-"""What the car believes of the ground, as one panel of a film."""
+"""The car's belief map, drawn as one panel of a film."""
 
 import math
 from collections.abc import Sequence
@@ -20,11 +20,11 @@ _SHIFT = 4  # OpenCV draws to a sixteenth of a pixel
 
 
 class BeliefView:
-    """The map of one drive from above, north upwards.
+    """Drawing of the belief map of one drive from above, with north at the top.
 
     Args:
-        scene: driven; its obstacles are outlined, which the car is not told of.
-        grid: frames.
+        scene: that is driven; its true obstacles are outlined, which the car does not know.
+        grid: of the map.
         size_px: side of the panel.
     """
 
@@ -35,13 +35,13 @@ class BeliefView:
     def draw(
         self, thought: Thought | None, pose: Pose, path: Sequence[tuple[float, float]], people: np.ndarray | None
     ) -> np.ndarray:
-        """The panel `(px, px, 3)` uint8.
+        """Return the panel `(px, px, 3)` uint8.
 
         Args:
-            thought: whose map is drawn; None: a driver without one, which leaves the ground unseen.
+            thought: with the map to draw; None: the driver has no map, and all ground is drawn as unseen.
             pose: of the car.
-            path: driven so far, metres.
-            people: `(W, 2)` places of the walking obstacles.
+            path: driven so far, `(x, y)` in metres.
+            people: `(W, 2)` positions of the walking obstacles.
         """
         panel = self._ground(thought)
         self._draw_blocks(panel, thought)
@@ -57,11 +57,11 @@ class BeliefView:
 
     def _ground(self, thought: Thought | None) -> np.ndarray:
         size = self._grid.fine_size
-        squares = np.full((size, size, 3), UNSEEN, np.uint8)
+        cells = np.full((size, size, 3), UNSEEN, np.uint8)
         if thought is not None:
-            squares[thought.situation.seen] = FREE
-            squares[thought.situation.occupied] = OCCUPIED
-        return cv2.resize(squares[::-1], (self._px, self._px), interpolation=cv2.INTER_NEAREST)
+            cells[thought.situation.seen] = FREE
+            cells[thought.situation.occupied] = OCCUPIED
+        return cv2.resize(cells[::-1], (self._px, self._px), interpolation=cv2.INTER_NEAREST)
 
     def _draw_blocks(self, panel: np.ndarray, thought: Thought | None) -> None:
         half, side = self._grid.side_m / 2, self._grid.side_m / self._grid.blocks
@@ -93,49 +93,50 @@ class BeliefView:
         )
         cv2.fillPoly(panel, [self._points([tip, front[1], front[2]])], EDGE, cv2.LINE_AA, _SHIFT)
 
-    def _star(self, panel: np.ndarray, place: tuple[float, float], radius_m: float) -> None:
-        turns = [math.pi / 2 + index * math.pi / 5 for index in range(10)]
-        reach = [radius_m if index % 2 == 0 else 0.42 * radius_m for index in range(10)]
+    def _star(self, panel: np.ndarray, point: tuple[float, float], radius_m: float) -> None:
+        angles = [math.pi / 2 + index * math.pi / 5 for index in range(10)]
+        radii = [radius_m if index % 2 == 0 else 0.42 * radius_m for index in range(10)]
         tips = [
-            (place[0] + far * math.cos(turn), place[1] + far * math.sin(turn))
-            for turn, far in zip(turns, reach, strict=True)
+            (point[0] + radius * math.cos(angle), point[1] + radius * math.sin(angle))
+            for angle, radius in zip(angles, radii, strict=True)
         ]
         cv2.fillPoly(panel, [self._points(tips)], GOAL, cv2.LINE_AA, _SHIFT)
         self._line(panel, tips, EDGE, 1, closed=True)
 
-    def _dot(self, panel: np.ndarray, place: tuple[float, float], radius_m: float, colour: tuple[int, ...]) -> None:
-        cv2.circle(panel, self._fixed(place), self._length(radius_m), colour, -1, cv2.LINE_AA, _SHIFT)
+    def _dot(self, panel: np.ndarray, point: tuple[float, float], radius_m: float, colour: tuple[int, ...]) -> None:
+        cv2.circle(panel, self._fixed(point), self._length(radius_m), colour, -1, cv2.LINE_AA, _SHIFT)
 
-    def _ring(self, panel: np.ndarray, place: tuple[float, float], radius_m: float, colour: tuple[int, ...]) -> None:
-        cv2.circle(panel, self._fixed(place), self._length(radius_m), colour, 2, cv2.LINE_AA, _SHIFT)
+    def _ring(self, panel: np.ndarray, point: tuple[float, float], radius_m: float, colour: tuple[int, ...]) -> None:
+        cv2.circle(panel, self._fixed(point), self._length(radius_m), colour, 2, cv2.LINE_AA, _SHIFT)
 
     def _line(
         self,
         panel: np.ndarray,
-        places: Sequence[tuple[float, float]],
+        points: Sequence[tuple[float, float]],
         colour: tuple[int, ...],
         width_px: int,
         closed: bool = False,
     ) -> None:
-        cv2.polylines(panel, [self._points(places)], closed, colour, width_px, cv2.LINE_AA, _SHIFT)
+        cv2.polylines(panel, [self._points(points)], closed, colour, width_px, cv2.LINE_AA, _SHIFT)
 
-    def _points(self, places: Sequence[tuple[float, float]]) -> np.ndarray:
-        return np.array([self._fixed(place) for place in places], np.int32)
+    def _points(self, points: Sequence[tuple[float, float]]) -> np.ndarray:
+        return np.array([self._fixed(point) for point in points], np.int32)
 
-    def _fixed(self, place: Sequence[float]) -> tuple[int, int]:
-        x, y = self._pixel(place)
+    def _fixed(self, point: Sequence[float]) -> tuple[int, int]:
+        """Return a point in metres as fixed-point pixel coordinates, as OpenCV takes them."""
+        x, y = self._pixel(point)
         return round(x * 2**_SHIFT), round(y * 2**_SHIFT)
 
-    def _pixel(self, place: Sequence[float]) -> tuple[float, float]:
+    def _pixel(self, point: Sequence[float]) -> tuple[float, float]:
         half = self._grid.arena_m / 2
-        return (float(place[0]) + half) * self._scale, (half - float(place[1])) * self._scale
+        return (float(point[0]) + half) * self._scale, (half - float(point[1])) * self._scale
 
     def _length(self, metres: float) -> int:
         return round(metres * self._scale * 2**_SHIFT)
 
 
 def _corners(pose: Pose, length_m: float, width_m: float) -> list[tuple[float, float]]:
-    """Of a box at a pose: rear left, front left, front right, rear right."""
+    """Return the corners of a box at a pose: rear left, front left, front right, rear right."""
     cosine, sine = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
     sides = ((-1, 1), (1, 1), (1, -1), (-1, -1))
     return [

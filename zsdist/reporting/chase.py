@@ -1,4 +1,4 @@
-"""The car seen from behind and above: its scene with the car itself and a mast at the goal, drawn by the ray caster."""
+"""Pictures of the car from behind and above, with a mast at the goal, rendered by the ray caster."""
 
 import math
 from dataclasses import replace
@@ -14,20 +14,20 @@ from zsdist.sim.scenes.scene import Obstacle, Scene
 from zsdist.types import Pose
 
 BEHIND_M, HEIGHT_M, PITCH_DEG, FIELD_OF_VIEW_DEG = 5.6, 6.6, 40.0, 75.0  # above the trees
-WALL_GAP_M = 0.5  # the camera keeps so far inside the arena's walls
-SMOOTHING_PX = 0.8  # the grain of the ground would make half of a film's bytes
-CABINET_M = (2.0, 0.7, 0.8)
+WALL_GAP_M = 0.5  # least distance of the camera from the arena's walls
+SMOOTHING_PX = 0.8  # without smoothing, the grain of the ground is half of a film's bytes
+BODY_M = (2.0, 0.7, 0.8)
 WHEEL_M, WHEELBASE_M = (0.72, 0.16, 0.5), 1.1
 MAST_RADIUS_M = 0.09
 _PAINT, _GLASS, _TYRE, _MAST = (0.10, 0.42, 0.72), (0.06, 0.08, 0.10), (0.07, 0.07, 0.08), (0.88, 0.10, 0.10)
 
 
 class ChaseCamera:
-    """Pictures of one scene with the car in it.
+    """Camera that shows one scene with the car in it.
 
     Args:
-        scene: driven.
-        size_px: side of the pictures.
+        scene: that is driven.
+        size_px: width and height of the pictures.
     """
 
     def __init__(self, scene: Scene, size_px: int) -> None:
@@ -36,25 +36,25 @@ class ChaseCamera:
         self._appearance = of_scene(scene, primitives)
         self._shapes = len(primitives.forms)
         self._pitch_rad = math.radians(PITCH_DEG)
-        self._camera = lifted_camera(HEIGHT_M, self._pitch_rad, FIELD_OF_VIEW_DEG, size_px, self._look)
+        self._camera = lifted_camera(HEIGHT_M, self._pitch_rad, FIELD_OF_VIEW_DEG, size_px, self._appearance_of)
 
     def render(self, pose: Pose, people: np.ndarray | None) -> np.ndarray:
-        """The picture `(px, px, 3)` uint8 of the car at a pose.
+        """Return the picture `(px, px, 3)` uint8 of the car at a pose.
 
         Args:
             pose: of the car.
-            people: `(W, 2)` places of the walking obstacles.
+            people: `(W, 2)` positions of the walking obstacles.
         """
         shown = replace(self._scene, obstacles=(*self._scene.obstacles, *self._mast(), *_car(pose)))
         picture = self._camera.render(shown, _behind(pose), pitch_rad=self._pitch_rad, people=people)
-        self._camera.close()  # this scene is never drawn again
+        self._camera.close()  # frees what it keeps of the scene, which is not rendered again
         return cv2.GaussianBlur(picture, (0, 0), SMOOTHING_PX)
 
     def _mast(self) -> tuple[Obstacle]:
         return (Obstacle("pole", *self._scene.goal, radius_m=MAST_RADIUS_M),)
 
-    def _look(self, scene: Scene, primitives: Primitives) -> Appearance:
-        """The scene's own look, and that of what was added after its shapes."""
+    def _appearance_of(self, scene: Scene, primitives: Primitives) -> Appearance:
+        """Return the scene's own appearance, extended by that of the car and the mast."""
         added = []
         for owner, part in zip(primitives.owners[self._shapes :], primitives.parts[self._shapes :], strict=True):
             kind = scene.obstacles[owner].kind
@@ -64,7 +64,7 @@ class ChaseCamera:
 
 
 def _car(pose: Pose) -> tuple[Obstacle, ...]:
-    """Cabinet and wheels as boxes; the tyres' outsides are the car's width apart."""
+    """Return the car's body and wheels as obstacles; the outer sides of the tyres are the car's width apart."""
     heading_deg = math.degrees(pose.heading_rad)
     cosine, sine = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
     aside = CAR_WIDTH_M / 2 - WHEEL_M[1] / 2
@@ -74,17 +74,17 @@ def _car(pose: Pose) -> tuple[Obstacle, ...]:
         for ahead in (-WHEELBASE_M / 2, WHEELBASE_M / 2)
         for left in (-aside, aside)
     ]  # fmt: skip
-    cabinet = Obstacle("car", pose.x_m, pose.y_m, size_m=(CAR_LENGTH_M, *CABINET_M[1:]), heading_deg=heading_deg)
-    return (*wheels, cabinet)
+    body = Obstacle("car", pose.x_m, pose.y_m, size_m=(CAR_LENGTH_M, *BODY_M[1:]), heading_deg=heading_deg)
+    return (*wheels, body)
 
 
 def _behind(pose: Pose) -> Pose:
-    """Where the camera floats: behind the car, nearer where a wall would be in between."""
+    """Return the camera's pose: behind the car, closer where the arena's wall would be in between."""
     inside = ARENA_HALF_M - WALL_GAP_M
     distance = BEHIND_M
-    for place, direction in ((pose.x_m, math.cos(pose.heading_rad)), (pose.y_m, math.sin(pose.heading_rad))):
+    for coordinate, direction in ((pose.x_m, math.cos(pose.heading_rad)), (pose.y_m, math.sin(pose.heading_rad))):
         if abs(direction) > 1e-9:
-            room = (place + inside) / direction if direction > 0 else (place - inside) / direction
+            room = (coordinate + inside) / direction if direction > 0 else (coordinate - inside) / direction
             distance = min(distance, max(room, 0.0))
     return pose._replace(
         x_m=pose.x_m - distance * math.cos(pose.heading_rad), y_m=pose.y_m - distance * math.sin(pose.heading_rad)

@@ -1,4 +1,4 @@
-"""Every policy beside every other: how often it arrived and how often it hit something, on each kind of scenes."""
+"""Figure that compares all policies: success and collision rates on each kind of scenes."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,38 +16,41 @@ ROW_IN, HEAD_IN = 0.24, 0.75
 
 
 def draw_policies(evaluations: Sequence[Evaluation], folder: Path) -> str:
-    """Success and collisions with their 95% intervals, a panel a kind of scenes, best success on top.
+    """Draw success and collision rates with 95% intervals, one panel per kind of scenes, best success at the top.
 
     Args:
         evaluations: at least one.
         folder: of the figures.
+
+    Returns:
+        The name of the PNG.
     """
     splits = list(dict.fromkeys(evaluation.scenes for evaluation in evaluations))
-    drove = [by_label(evaluations, split) for split in splits]
+    groups = [by_label(evaluations, split) for split in splits]
     columns = min(COLUMNS, len(splits))
-    most = max(len(labels) for labels in drove)
-    height = HEAD_IN + ROW_IN * most
+    rows = max(len(labels) for labels in groups)
+    height = HEAD_IN + ROW_IN * rows
     figure, panels = style.panels(-(-len(splits) // columns), columns, 4.0, height)
-    for axes, split, labels in zip(panels, splits, drove, strict=False):
-        _draw_split(axes, labels, most)
+    for axes, split, labels in zip(panels, splits, groups, strict=False):
+        _draw_split(axes, labels, rows)
         axes.set_title(split)
     style.blank(panels[len(splits) :])
     marks = [
         Line2D([], [], marker=marker, color=style.OUTCOME_COLOURS[Outcome(key)], linestyle="none")
         for key, marker in zip(RATES, style.MARKERS, strict=False)
     ]
-    figure.legend(marks, ["arrived", "hit something"], loc="outside lower center", ncols=2)
+    figure.legend(marks, ["success", "collision"], loc="outside lower center", ncols=2)
     return style.save(figure, folder, "policies")
 
 
-def _draw_split(axes: Axes, drove: dict[str, list[Evaluation]], rows: int) -> None:
-    """One panel; with fewer policies than `rows` its lower part stays empty, so that lines are as far apart in all."""
-    order = sorted(drove, key=lambda label: rate(drove[label], RATES[0]).mean)
+def _draw_split(axes: Axes, groups: dict[str, list[Evaluation]], rows: int) -> None:
+    """Draw one panel; `rows` is the same for all panels, so that their lines are equally far apart."""
+    order = sorted(groups, key=lambda label: rate(groups[label], RATES[0]).mean)
     for row, label in enumerate(order):
-        for key, marker, aside in zip(RATES, style.MARKERS, (0.12, -0.12), strict=False):
-            found, colour = rate(drove[label], key), style.OUTCOME_COLOURS[Outcome(key)]
-            axes.plot([100 * found.low, 100 * found.high], [row + aside] * 2, color=colour, linewidth=1.6, alpha=0.45)
-            axes.plot(100 * found.mean, row + aside, marker, color=colour, markersize=5.5)
+        for key, marker, offset in zip(RATES, style.MARKERS, (0.12, -0.12), strict=False):
+            share, colour = rate(groups[label], key), style.OUTCOME_COLOURS[Outcome(key)]
+            axes.plot([100 * share.low, 100 * share.high], [row + offset] * 2, color=colour, linewidth=1.6, alpha=0.45)
+            axes.plot(100 * share.mean, row + offset, marker, color=colour, markersize=5.5)
     axes.set(xlim=(-3, 103), ylim=(len(order) - rows - 0.6, len(order) - 0.4), xlabel="episodes (%)")
     axes.set_yticks(range(len(order)), order)
     axes.grid(visible=False, axis="y")

@@ -1,16 +1,17 @@
-"""Reward curves over training episodes, and the paper's three metrics of the singleton case (Sec. 4.4) read off them.
+"""Reward curves over training episodes, and the paper's three metrics of the singleton case (Sec. 4.4).
 
-The paper names its metrics without formulas. What is computed here:
+The paper names its metrics without formulas. They are computed here as follows:
 
-* **Efficiency**: "the step costs compared to the shortest possible paths". Fewest possible actions over those taken,
-  mean over the greedy episodes that arrived; 1 is the best. It comes from evaluations, not from here.
+* **Efficiency**: "the step costs compared to the shortest possible paths". The fewest possible actions divided by
+  those taken, averaged over the successful greedy episodes; 1 is the best. Evaluations compute it, not this module.
 * **Final convergence value**: mean of a reward curve over the last tenth of the episodes.
-* **Convergence degree**: the episodes it took to converge, and the fluctuation. Converged is a curve from where it
-  stays within a tenth of its whole range about the final value; where that is only in the last tenth, it has not.
-  Fluctuation is the root mean square of the episodes' returns about their running mean, in the first and the last half.
+* **Convergence degree**: the number of episodes to convergence, and the fluctuation. A curve has converged at the
+  episode from which it stays within a tenth of its whole range of the final value; if that episode is in the last
+  tenth, it has not converged. Fluctuation is the root mean square of the episodes' returns about their running mean,
+  in the first and in the last half.
 
-There are two curves, as the paper has both: the mean return of the last episodes (what its Fig. 9 shows over episodes)
-and the mean reward of all actions so far, its equation 21.
+There are two curves, because the paper has both: the mean return of the last episodes (its Fig. 9 over episodes) and
+the mean reward of all actions so far (its equation 21).
 """
 
 from collections.abc import Sequence
@@ -24,16 +25,16 @@ from zsdist.types import Outcome
 
 LAST_SHARE = 0.1  # of the episodes, over which the final value is taken
 BAND_SHARE = 0.1  # of the curve's range, within which it has converged
-LEAST_EPISODES = 20  # fewer have no tenth worth the name
+LEAST_EPISODES = 20  # with fewer, a tenth is too few to average
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """How a reward curve ended.
+    """Final value and convergence of a reward curve.
 
     Attributes:
-        final: value.
-        episode: from which it had converged, counted from 1; None: it has not.
+        final: final value.
+        episode: at which it converged, counted from 1; None: it has not converged.
     """
 
     final: float
@@ -41,7 +42,7 @@ class Convergence:
 
 
 def running_mean(values: np.ndarray, window: int) -> np.ndarray:
-    """Mean of each value and up to `window - 1` before it, `(n,)`."""
+    """Return the mean of each value and up to `window - 1` values before it, `(n,)`."""
     sums = np.concatenate([[0.0], np.cumsum(values)])
     ends = np.arange(1, len(values) + 1)
     starts = np.maximum(ends - window, 0)
@@ -49,28 +50,29 @@ def running_mean(values: np.ndarray, window: int) -> np.ndarray:
 
 
 def returns(run: Run) -> np.ndarray:
-    """The paper's reward summed over each episode, `(n,)`, in the order in which they finished."""
+    """Return the sum of the paper's reward over each episode, `(n,)`, in the order in which they finished."""
     return np.array([episode["return"] for episode in run.episodes], dtype=float)
 
 
 def per_episode(run: Run) -> np.ndarray:
-    """Mean return of the last `replay.average_episodes` episodes, `(n,)`."""
+    """Return the mean return of the last `replay.average_episodes` episodes, `(n,)`."""
     return running_mean(returns(run), run.settings.replay.average_episodes)
 
 
 def per_action(run: Run) -> np.ndarray:
-    """Mean reward of all actions up to the end of each episode, `(n,)`."""
-    actions = np.cumsum([episode["steps"] for episode in run.episodes])
-    return cumulative_average_reward(np.cumsum(returns(run)), np.maximum(actions, 1))
+    """Return the mean reward of all actions up to the end of each episode, `(n,)`."""
+    actions = np.maximum(np.cumsum([episode["steps"] for episode in run.episodes]), 1)
+    totals = np.cumsum(returns(run))
+    return np.array([cumulative_average_reward(*pair) for pair in zip(totals.tolist(), actions.tolist(), strict=True)])
 
 
 def share(run: Run, outcome: Outcome, window: int) -> np.ndarray:
-    """Share of the last `window` training episodes that ended so, `(n,)`."""
+    """Return the share of the last `window` training episodes with an outcome, `(n,)`."""
     return running_mean(np.array([episode["outcome"] == outcome for episode in run.episodes], dtype=float), window)
 
 
 def converged(curve: np.ndarray) -> Convergence | None:
-    """Final value and convergence of a curve `(n,)`; None where it is too short to tell."""
+    """Return final value and convergence of a curve `(n,)`; None where it is too short."""
     if len(curve) < LEAST_EPISODES:
         return None
     last = int(np.ceil(len(curve) * LAST_SHARE))
@@ -81,7 +83,7 @@ def converged(curve: np.ndarray) -> Convergence | None:
 
 
 def fluctuation(run: Run) -> tuple[float, float] | None:
-    """Root mean square of returns about their running mean, in the first and in the last half of a run."""
+    """Return the root mean square of returns about their running mean, in the first and in the last half of a run."""
     values = returns(run)
     if len(values) < LEAST_EPISODES:
         return None
@@ -90,7 +92,7 @@ def fluctuation(run: Run) -> tuple[float, float] | None:
 
 
 def band(curves: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean, least and greatest of curves over the episodes that all of them have, `(n,)` each."""
+    """Return mean, minimum and maximum of curves over the episodes that all of them have, `(n,)` each."""
     length = min(len(curve) for curve in curves)
     stacked = np.stack([curve[:length] for curve in curves])
     return stacked.mean(0), stacked.min(0), stacked.max(0)

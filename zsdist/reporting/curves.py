@@ -1,6 +1,7 @@
-"""Curves over training: rewards (Fig. 9), how episodes ended, sizes of replay and batch, merges."""
+"""Figures of a training: rewards (Fig. 9), outcomes of episodes, replay and batch sizes, merges."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,12 @@ from zsdist.reporting.runs import Method, Run
 from zsdist.types import Outcome
 
 Curve = Callable[[Run], np.ndarray]
-MANY_EPISODES = 400  # from where the single ones are no longer drawn
+MANY_EPISODES = 400  # with more, single episodes are not drawn
 OUTCOME_WINDOW = 20  # episodes of the running shares
 
 
 def draw_rewards(methods: Sequence[Method], folder: Path) -> str:
-    """Fig. 9: both averages of the paper's reward over episodes, and beside them what the greedy policies score.
+    """Draw Fig. 9: both averages of the paper's reward over episodes, and the scores of the greedy policies.
 
     Args:
         methods: with at least one finished episode a run.
@@ -43,7 +44,7 @@ def draw_rewards(methods: Sequence[Method], folder: Path) -> str:
 
 
 def draw_outcomes(methods: Sequence[Method], folder: Path) -> str:
-    """Collisions and arrivals during training, exploration included.
+    """Draw collisions and successes during training, exploration included.
 
     Args:
         methods: with at least one finished episode a run.
@@ -51,13 +52,13 @@ def draw_outcomes(methods: Sequence[Method], folder: Path) -> str:
     """
     figure, axes = style.panels(1, 2, 4.2, 3.0)
     for one, outcome, title in zip(
-        axes, (Outcome.COLLISION, Outcome.SUCCESS), ("a   collisions", "b   arrivals"), strict=True
+        axes, (Outcome.COLLISION, Outcome.SUCCESS), ("a   collisions", "b   successes"), strict=True
     ):
         for colour, method in zip(_cycled(style.CYCLE, methods), methods, strict=True):
             draw_band(
                 one,
                 method.runs,
-                lambda run, outcome=outcome: share(run, outcome, OUTCOME_WINDOW),
+                partial(share, outcome=outcome, window=OUTCOME_WINDOW),
                 colour,
                 _name(method),
             )
@@ -69,7 +70,7 @@ def draw_outcomes(methods: Sequence[Method], folder: Path) -> str:
 
 
 def draw_sizes(runs: Sequence[Run], folder: Path) -> str:
-    """Sizes of the replay buffer and of the batch over training, against what the mean return says they should follow.
+    """Draw the sizes of the replay buffer and of the batch over training, and the mean return that they follow.
 
     Args:
         runs: with metrics.
@@ -95,7 +96,7 @@ def draw_sizes(runs: Sequence[Run], folder: Path) -> str:
         for limit in limits:
             one.axhline(limit, color=style.GREY, linewidth=0.8, linestyle=(0, (1, 3)))
     axes[2].axhline(settings.target_return, color=style.GREY, linewidth=0.8, linestyle="--")
-    titles = ("a   replay buffer", "b   batch", "c   what they follow")
+    titles = ("a   replay buffer", "b   batch", "c   mean return, which sets both")
     labels = ("transitions of a level", "transitions", "mean return of the last episodes")
     for one, title, label in zip(axes, titles, labels, strict=True):
         one.set(title=title, ylabel=label, xlabel="finished training episodes")
@@ -107,7 +108,7 @@ def draw_sizes(runs: Sequence[Run], folder: Path) -> str:
 
 
 def draw_merges(runs: Sequence[Run], folder: Path) -> str:
-    """Scores of every candidate of every merge, and which was promoted.
+    """Draw the scores of every candidate of every merge, and mark the promoted one.
 
     Args:
         runs: with at least one merge.
@@ -116,17 +117,17 @@ def draw_merges(runs: Sequence[Run], folder: Path) -> str:
     columns = min(3, len(runs))
     rows = -(-len(runs) // columns)
     figure, axes = style.panels(rows, columns, 4.2, 2.9)
-    names = list(dict.fromkeys(name for run in runs for merge in run.summary["merges"] for name in merge["candidates"]))
+    names = list(dict.fromkeys(name for run in runs for merge in run.merges for name in merge["candidates"]))
     for one, run in zip(axes, runs, strict=False):
-        merges = run.summary["merges"]
+        merges = run.merges
         for index, name in enumerate(names):
             points = [(merge["episode"], merge["scores"][name]) for merge in merges if name in merge["scores"]]
             if points:
                 marker, colour = style.MARKERS[index % len(style.MARKERS)], style.CYCLE[index % len(style.CYCLE)]
                 one.plot(*zip(*points, strict=True), marker=marker, color=colour, linewidth=1, label=name, markersize=6)
         chosen = [(merge["episode"], merge["scores"][merge["chosen"]]) for merge in merges]
-        ring = {"marker": "o", "markersize": 13, "markerfacecolor": "none", "markeredgecolor": style.BLACK}
-        one.plot(*zip(*chosen, strict=True), linestyle="none", label="promoted", **ring)
+        (ring,) = one.plot(*zip(*chosen, strict=True), "o", linestyle="none", label="promoted", markersize=13)
+        ring.set(markerfacecolor="none", markeredgecolor=style.BLACK)
         one.set(title=f"{run.method}, seed {run.settings.seed}", xlabel="finished training episodes")
         one.set(ylim=(-1.15, 1.15))
         one.set_ylabel("success − collision, greedy")
@@ -138,7 +139,7 @@ def draw_merges(runs: Sequence[Run], folder: Path) -> str:
 
 
 def draw_band(axes: Axes, runs: Sequence[Run], curve: Curve, colour: str, label: str) -> None:
-    """Mean of a curve over runs, and from least to greatest as a band where there are several."""
+    """Draw the mean of a curve over runs, and where there are several a band from minimum to maximum."""
     mean, low, high = band([curve(run) for run in runs])
     numbers = np.arange(1, len(mean) + 1)
     if len(runs) > 1:
@@ -147,11 +148,10 @@ def draw_band(axes: Axes, runs: Sequence[Run], curve: Curve, colour: str, label:
 
 
 def _draw_greedy(axes: Axes, methods: Sequence[Method]) -> None:
-    """What the promoted policies scored on the validation scenes at each merge."""
+    """Draw the scores of the promoted policies on the validation scenes at each merge."""
     for colour, method in zip(_cycled(style.CYCLE, methods), methods, strict=True):
         for run in method.runs:
-            merges = run.summary["merges"] if run.summary else []
-            points = [(merge["episode"], merge["scores"][merge["chosen"]]) for merge in merges]
+            points = [(merge["episode"], merge["scores"][merge["chosen"]]) for merge in run.merges]
             if points:
                 axes.plot(*zip(*points, strict=True), "o-", color=colour, linewidth=1, markersize=5, alpha=0.8)
     axes.set(title="c   greedy, at each merge", ylabel="success − collision, validation scenes", ylim=(-1.15, 1.15))

@@ -1,4 +1,4 @@
-"""Films of driven episodes: the car from behind, its camera with where it looks, and the map that it believes."""
+"""Films of driven episodes: the car from behind, its camera picture with attention, and its belief map."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -30,16 +30,22 @@ from zsdist.types import Action, Pose
 from zsdist.vision.labels import DIRECTIONS
 
 PANEL_PX, GAP_PX, CAPTION_PX = 480, 6, 78
-FRAMES_AN_ACTION = 5
-FRAMES_A_SECOND = 10  # an action takes 0.45 to 1 s in the simulation, half a second here
-TURN_SHARE = 0.4  # of an action that turns and then moves
+FRAMES_PER_ACTION = 5
+FRAMES_PER_SECOND = 10  # an action takes 0.45 to 1 s in the simulation, half a second here
+TURN_SHARE = 0.4  # share of frames for the turn, in an action that turns and then moves
 LAST_FRAMES = 15
 STILL_QUALITY = 88
-_LOOKS = {Action.FORWARD: 0, Action.LEFT_45: 1, Action.TURN_LEFT_90: 1, Action.RIGHT_45: 2, Action.TURN_RIGHT_90: 2}
+_DIRECTION_OF = {  # index into `DIRECTIONS`; there is one attention map for each
+    Action.FORWARD: 0,
+    Action.LEFT_45: 1,
+    Action.TURN_LEFT_90: 1,
+    Action.RIGHT_45: 2,
+    Action.TURN_RIGHT_90: 2,
+}
 _TITLES = (
-    "from behind (the car does not see this)",
-    "its camera, and where it looks for this action",
-    "the map it believes; thin outlines: what is there",
+    "view from behind (not seen by the car)",
+    "camera picture, attention for this action",
+    "belief map; thin outlines: true obstacles",
 )
 
 
@@ -51,21 +57,22 @@ def film(
     on_film: Callable[[Path], None],
     simulation: Simulation | None = None,
 ) -> list[Path]:
-    """Drives scenes once more, as the evaluation with this seed does, and films each as an MP4.
+    """Drive scenes again, as the evaluation with this seed does, and film each as an MP4.
 
-    Between decisions the poses are interpolated: first the turn, then the way. The camera's picture there is of a level
-    car. Attention is that of the action being taken; networks without one, and drivers without a camera, show none.
+    Between decisions the poses are interpolated: first the turn, then the movement. The camera's picture there is
+    that of a level car. The attention is that of the current action; networks without attention and drivers without a
+    camera show none.
 
     Args:
-        contender: who drives.
+        contender: policy that drives.
         scenes: in the order of the evaluation.
         seed: of the evaluation.
-        folder: of the films; made if it is not there.
-        on_film: told of each file when it is whole.
-        simulation: in which; None: physics and the camera.
+        folder: of the films; made if it does not exist.
+        on_film: called with each file when it is complete.
+        simulation: in which to drive; None: physics and the camera.
 
     Returns:
-        The films, named by number, scene and outcome; beside each lies the picture of its middle, a JPEG.
+        The films, named by number, scene and outcome; next to each film is a JPEG of its middle.
 
     Raises:
         RunError: the folder or a film cannot be written.
@@ -82,7 +89,7 @@ def film(
         moments: list[Moment] = []
         record = runner.drive(scene, np.random.default_rng([seed, index]), moments.append)
         file = folder / f"{index:02d}-{scene.name}-{record.outcome}.mp4"
-        middle = (len(moments) - 1) // 2 * FRAMES_AN_ACTION
+        middle = (len(moments) - 1) // 2 * FRAMES_PER_ACTION
         write(frames(moments, contender.config, visual_act), file, middle)
         files.append(file)
         on_film(file)
@@ -90,14 +97,14 @@ def film(
 
 
 def frames(moments: Sequence[Moment], config: Config, visual_act: Any) -> Iterator[np.ndarray]:
-    """Pictures `(height, width, 3)` uint8 of an episode.
+    """Yield the frames `(height, width, 3)` uint8 of an episode.
 
     Args:
-        moments: of a whole episode.
-        config: of who drove.
-        visual_act: may `look`; None: no attention is shown.
+        moments: of a whole episode that was driven with pictures.
+        config: of the driver.
+        visual_act: vision model, whose `look` gives the attention; None: no attention is shown.
     """
-    scene, camera, look = moments[0].scene, make_camera(config.camera), _look_of(visual_act)
+    scene, camera, camera_panel = moments[0].scene, make_camera(config.camera), _camera_panel(visual_act)
     chase = ChaseCamera(scene, PANEL_PX)
     belief = BeliefView(scene, Grid.from_config(config.grid), PANEL_PX)
     path: list[tuple[float, float]] = []
@@ -105,32 +112,32 @@ def frames(moments: Sequence[Moment], config: Config, visual_act: Any) -> Iterat
     def picture(moment: Moment, pose: Pose, people: np.ndarray | None, image: np.ndarray, step: int) -> np.ndarray:
         panels = (
             chase.render(pose, people),
-            look(image, moment.action),
+            camera_panel(image, moment.action),
             belief.draw(moment.thought, pose, path, people),
         )
-        return _frame(panels, words(moment, step, config.sim.max_steps))
+        return _frame(panels, caption(moment, step, config.sim.max_steps))
 
     for step, (moment, after) in enumerate(pairwise(moments), start=1):
         path.append(moment.observed.pose[:2])
-        for share in np.arange(FRAMES_AN_ACTION) / FRAMES_AN_ACTION:
-            pose = between(moment.observed.pose, after.observed.pose, Action(moment.action), share)
+        for share in np.arange(FRAMES_PER_ACTION) / FRAMES_PER_ACTION:
+            pose = between(moment.observed.pose, after.observed.pose, _action_of(moment), share)
             people = _people_between(moment.people, after.people, share)
-            image = moment.observed.image if share == 0 else camera.render(scene, pose, people=people)
+            image = _image_of(moment) if share == 0 else camera.render(scene, pose, people=people)
             yield picture(moment, pose, people, image, step)
     last = moments[-1]
-    end = picture(last, last.observed.pose, last.people, last.observed.image, len(moments) - 1)
+    end = picture(last, last.observed.pose, last.people, _image_of(last), len(moments) - 1)
     for _ in range(LAST_FRAMES):
         yield end
     camera.close()
 
 
 def write(pictures: Iterable[np.ndarray], file: Path, still: int) -> None:
-    """Writes frames of one size as an MP4, and one of them as a JPEG of the same name.
+    """Write frames of one size as an MP4, and one of them as a JPEG of the same name.
 
     Args:
-        pictures: `(height, width, 3)` uint8, sides even.
+        pictures: frames `(height, width, 3)` uint8, with even width and height.
         file: MP4 to write.
-        still: number of the frame that is a picture as well, from 0.
+        still: number of the frame to write as a JPEG, from 0.
 
     Raises:
         RunError: it cannot be written.
@@ -139,9 +146,9 @@ def write(pictures: Iterable[np.ndarray], file: Path, still: int) -> None:
     for number, picture in enumerate(pictures):
         if writer is None:
             size = (picture.shape[1], picture.shape[0])
-            writer = cv2.VideoWriter(str(file), cv2.VideoWriter_fourcc(*"mp4v"), FRAMES_A_SECOND, size)
+            writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"mp4v"), FRAMES_PER_SECOND, size)
             if not writer.isOpened():
-                raise RunError(f"film {file} cannot be written by OpenCV as mp4v")
+                raise RunError(f"film {file} cannot be written: OpenCV cannot open it as mp4v")
         writer.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
         if number == still:
             Image.fromarray(picture).save(file.with_suffix(".jpg"), quality=STILL_QUALITY)
@@ -150,7 +157,7 @@ def write(pictures: Iterable[np.ndarray], file: Path, still: int) -> None:
 
 
 def between(before: Pose, after: Pose, action: Action, share: float) -> Pose:
-    """The pose at a share of an action, which turns and then moves."""
+    """Return the pose at a share of an action, which first turns and then moves."""
     turn = math.remainder(after.heading_rad - before.heading_rad, math.tau)
     turning = TURN_SHARE if ADVANCES[action] and abs(turn) > 0.2 else 0.0
     turned = 1.0 if not turn else min(share / turning, 1.0) if turning else share
@@ -162,25 +169,25 @@ def between(before: Pose, after: Pose, action: Action, share: float) -> Pose:
     )
 
 
-def words(moment: Moment, step: int, max_steps: int) -> tuple[str, str]:
-    """The two lines under a frame: what is done, and what was known and decided.
+def caption(moment: Moment, step: int, max_steps: int) -> tuple[str, str]:
+    """Return the two lines under a frame: the action, and the observation and decision behind it.
 
     Args:
-        moment: shown.
-        step: counts actions from 1.
-        max_steps: of an episode.
+        moment: that is shown.
+        step: number of the action, from 1.
+        max_steps: limit of actions per episode.
     """
-    about = f"{moment.scene.name}     action {step} of {max_steps} at most"
+    about = f"{moment.scene.name}     action {step} of at most {max_steps}"
     if moment.outcome is not None:
         return about, f"ended: {moment.outcome}"
-    first = f"{about}     {Action(moment.action).name.lower().replace('_', ' ')}"
+    first = f"{about}     {_action_of(moment).name.lower().replace('_', ' ')}"
     if moment.thought is None:
-        return first, "a driver without a map to show"
+        return first, "this driver has no map"
     situation, decision = moment.thought.situation, moment.thought.decision
     advice = "   ".join(f"{name} {value:+.2f}" for name, value in zip(DIRECTIONS, situation.advice, strict=True))
     east, north = situation.grid.block_of(*situation.grid.cell_at(*decision.subgoal))
     option = "the goal" if decision.subgoal == situation.goal else f"block {east + 1} east, {north + 1} north"
-    shield = "the shield changed the action" if decision.shield_changed else "the shield agrees"
+    shield = "the shield changed the action" if decision.shield_changed else "the shield kept the action"
     return first, f"R_p:  {advice}     option: {option}     {shield}"
 
 
@@ -188,15 +195,15 @@ def _frame(panels: Sequence[np.ndarray], lines: Sequence[str]) -> np.ndarray:
     width = len(panels) * (PANEL_PX + GAP_PX) - GAP_PX
     picture = np.full((PANEL_PX + CAPTION_PX, width, 3), 255, np.uint8)
     for index, panel in enumerate(panels):
-        left = index * (PANEL_PX + GAP_PX)
-        picture[:PANEL_PX, left : left + PANEL_PX] = panel
+        offset = index * (PANEL_PX + GAP_PX)
+        picture[:PANEL_PX, offset : offset + PANEL_PX] = panel
     image = Image.fromarray(picture)
     pen = ImageDraw.Draw(image)
     for index, title in enumerate(_TITLES):
-        place = (index * (PANEL_PX + GAP_PX) + 8, 7)
-        left, top, right, bottom = pen.textbbox(place, title, font=_font(15))
+        corner = (index * (PANEL_PX + GAP_PX) + 8, 7)
+        left, top, right, bottom = pen.textbbox(corner, title, font=_font(15))
         pen.rectangle((left - 5, top - 4, right + 5, bottom + 4), fill="white")
-        pen.text(place, title, font=_font(15), fill=style.BLACK)
+        pen.text(corner, title, font=_font(15), fill=style.BLACK)
     for index, line in enumerate(lines):
         pen.text((10, PANEL_PX + 10 + 32 * index), line, font=_font(18), fill=style.BLACK)
     return np.asarray(image)
@@ -207,19 +214,29 @@ def _font(size_px: int) -> ImageFont.FreeTypeFont:
     return ImageFont.truetype(font_manager.findfont(style.FONT), size_px)
 
 
-def _look_of(visual_act: Any) -> Callable[[np.ndarray, int | None], np.ndarray]:
-    """What makes the panel of the camera of an image and an action."""
+def _action_of(moment: Moment) -> Action:
+    assert moment.action is not None, "only the last moment of an episode has no action"
+    return Action(moment.action)
+
+
+def _image_of(moment: Moment) -> np.ndarray:
+    assert moment.observed.image is not None, "filmed episodes are driven with pictures"
+    return moment.observed.image
+
+
+def _camera_panel(visual_act: Any) -> Callable[[np.ndarray, int | None], np.ndarray]:
+    """Return the function that draws the camera panel from an image and the action taken."""
 
     def plain(image: np.ndarray, action: int | None) -> np.ndarray:
         return cv2.resize(image, (PANEL_PX, PANEL_PX), interpolation=cv2.INTER_LINEAR)
 
-    def looking(image: np.ndarray, action: int | None) -> np.ndarray:
-        shown = plain(image, action)
+    def with_attention(image: np.ndarray, action: int | None) -> np.ndarray:
+        panel = plain(image, action)
         if action is None:
-            return shown
-        weights = visual_act.look(image[None]).attention[0, _LOOKS[Action(action)]]
+            return panel
+        weights = visual_act.look(image[None]).attention[0, _DIRECTION_OF[Action(action)]]
         side = round(len(weights) ** 0.5)
-        return attended(shown, weights.reshape(side, side))
+        return attended(panel, weights.reshape(side, side))
 
     if not hasattr(visual_act, "look"):
         return plain
@@ -227,7 +244,7 @@ def _look_of(visual_act: Any) -> Callable[[np.ndarray, int | None], np.ndarray]:
         visual_act.look(np.zeros((1, 64, 64, 3), np.uint8))
     except WeightsError:
         return plain
-    return looking
+    return with_attention
 
 
 def _people_between(before: np.ndarray | None, after: np.ndarray | None, share: float) -> np.ndarray | None:

@@ -1,4 +1,4 @@
-"""Fig. 10: what the high level's network makes of each block, and the path that was driven."""
+"""Fig. 10: values of the high level's network over the blocks, and the driven path."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.image import AxesImage
 from matplotlib.patheffects import withStroke
 
 from zsdist.agent import features
@@ -19,25 +20,25 @@ from zsdist.evaluation.drivers import VisualAct
 from zsdist.planning import forward_search
 from zsdist.planning.grid import HEADINGS, STEPS
 from zsdist.reporting import style
-from zsdist.reporting.maps import DrivenPath, draw_ends, draw_scene, draw_track, square
+from zsdist.reporting.maps import DrivenPath, draw_ends, draw_path, draw_scene, square
 from zsdist.sim.scenes.scene import Scene
 from zsdist.types import LatticeState, Parameters, Pose
 from zsdist.vision.ray_ablation import limited
 
 COLOURS = "viridis"
-ARROW_SHARE = 0.36  # of a block's side
+ARROW_SHARE = 0.36  # half the length of an arrow, as a share of a block's side
 ARROW = {"arrowstyle": "-|>,head_width=0.3,head_length=0.55", "linewidth": 2.0, "color": style.BLACK}
 ARROW |= {"shrinkA": 0, "shrinkB": 0}
 
 
 @dataclass(frozen=True)
 class Guidance:
-    """The high level's values over the blocks.
+    """Values of the high level over the blocks.
 
     Attributes:
-        pull: `(blocks, blocks)` `[by, bx]`: by how much the most valued choice exceeds the mean of those that can be
-            made; NaN where no known way leads.
-        towards: `(blocks, blocks, 2)` unit vector to the most valued choice; NaN as above.
+        pull: `(blocks, blocks)` `[by, bx]`: difference of the best choice's value to the mean of all allowed choices;
+            NaN where a block is not known to be reachable.
+        towards: `(blocks, blocks, 2)` unit vector to the best choice; NaN as above.
     """
 
     pull: np.ndarray
@@ -46,10 +47,10 @@ class Guidance:
 
 @dataclass(frozen=True)
 class Drive:
-    """A driven scene with the guidance on the map as it was known at the end."""
+    """A driven scene, with the guidance on the map that was known at the end of the drive."""
 
     scene: Scene
-    track: DrivenPath
+    path: DrivenPath
     guidance: Guidance
 
 
@@ -60,19 +61,19 @@ def guidance_of(
     picture: Callable[[Pose], np.ndarray],
     visual_act: VisualAct,
 ) -> Guidance:
-    """What the network would value if the car began anew in each block, with the map it has.
+    """Return the values of the network for a car that starts in each block with the known map.
 
-    The car is put on the cell next to the block's middle to which a free way is believed to lead, in each of the eight
-    headings, with the true picture from there and no memory of visits. From each the values of its choices are asked.
-    Shown is how much one choice is better than the others, not the values themselves: the level learns from progress,
-    of which more is to be made from afar, so its values fall towards the goal.
+    The car is placed on the cell nearest to the block's middle that is believed to be reachable, in each of the eight
+    headings, with the true picture from there and without any visits. The values of its choices are computed for each.
+    The result is the advantage of one choice over the others, not the values themselves: the level is rewarded for
+    progress, and more progress remains far from the goal, so the values themselves fall towards the goal.
 
     Args:
         config: of the run.
         parameters: of the high level's network.
-        known: the last situation of a drive.
-        picture: what the camera of a car at a pose shows.
-        visual_act: reads the pictures.
+        known: last situation of a drive.
+        picture: returns the camera's picture for a car at a pose.
+        visual_act: vision model.
     """
     grid = known.grid
     shape = (grid.blocks, grid.blocks)
@@ -88,25 +89,25 @@ def guidance_of(
             bearings, distances = zip(*(pose.towards(*known.goal) for pose in poses), strict=True)
             views = visual_act(images, np.array(bearings), np.array(distances))
             advices = [limited(view, config.vision.rays).advice for view in views]
-            asked = [_anew(known, state, advice) for state, advice in zip(states, advices, strict=True)]
-            pull[by, bx], towards[by, bx] = _judge(asked, parameters)
+            situations = [_started_at(known, state, advice) for state, advice in zip(states, advices, strict=True)]
+            pull[by, bx], towards[by, bx] = _best_choice(situations, parameters)
     return Guidance(pull, towards)
 
 
 def draw_guidance(drives: Sequence[Drive], config: Config, folder: Path) -> str:
-    """Values and directions over the blocks, and beside them the path; a row a scene."""
+    """Draw values and directions over the blocks, and next to them the path; one row per scene."""
     figure, panels = style.panels(len(drives), 2, 3.9, 3.6)
     for (left, right), drive in zip(zip(panels[::2], panels[1::2], strict=True), drives, strict=True):
         mesh = _draw_values(left, drive, config)
-        figure.colorbar(mesh, ax=left, label="best choice over the mean of all (Q)", shrink=0.85, pad=0.02)
+        figure.colorbar(mesh, ax=left, label="Q of the best choice minus mean Q", shrink=0.85, pad=0.02)
         draw_scene(right, drive.scene, config.grid.arena_m)
         _draw_blocks(right, config)
-        draw_track(right, drive.track)
+        draw_path(right, drive.path)
         right.legend(loc="lower right", frameon=True, framealpha=0.85, edgecolor="none", fontsize=7)
     return style.save(figure, folder, "fig10-guidance")
 
 
-def _draw_values(axes: Axes, drive: Drive, config: Config) -> object:
+def _draw_values(axes: Axes, drive: Drive, config: Config) -> AxesImage:
     guidance, half = drive.guidance, config.grid.cells * config.grid.cell_size_m / 2
     side = 2 * half / config.grid.blocks
     values = np.ma.masked_invalid(guidance.pull)
@@ -119,6 +120,7 @@ def _draw_values(axes: Axes, drive: Drive, config: Config) -> object:
         step = guidance.towards[by, bx] * side * ARROW_SHARE
         ends = (middle[0] - step[0], middle[1] - step[1]), (middle[0] + step[0], middle[1] + step[1])
         arrow = axes.annotate("", ends[1], ends[0], arrowprops=ARROW, zorder=5)
+        assert arrow.arrow_patch is not None, "an annotation with `arrowprops` has an arrow"
         arrow.arrow_patch.set_path_effects([withStroke(linewidth=4.5, foreground="white")])
     draw_ends(axes, drive.scene)
     square(axes, 2 * half)
@@ -134,7 +136,7 @@ def _draw_blocks(axes: Axes, config: Config) -> None:
 
 
 def _cell_of(known: Situation, bx: int, by: int) -> tuple[int, int] | None:
-    """The cell next to a block's middle that can be reached as far as is known."""
+    """Return the cell nearest to a block's middle that is believed to be reachable; None where there is none."""
     grid = known.grid
     rows, columns = grid.block_cells(bx, by)
     ys, xs = np.nonzero(known.reachable[rows, columns])
@@ -145,8 +147,8 @@ def _cell_of(known: Situation, bx: int, by: int) -> tuple[int, int] | None:
     return int(columns.start + xs[nearest]), int(rows.start + ys[nearest])
 
 
-def _anew(known: Situation, state: LatticeState, advice: np.ndarray) -> Situation:
-    """The same map with the car elsewhere and nothing visited yet."""
+def _started_at(known: Situation, state: LatticeState, advice: np.ndarray) -> Situation:
+    """Return the situation of a car that starts in `state` with the same map and no visits."""
     return replace(
         known,
         state=state,
@@ -159,11 +161,11 @@ def _anew(known: Situation, state: LatticeState, advice: np.ndarray) -> Situatio
     )
 
 
-def _judge(situations: Sequence[Situation], parameters: Parameters) -> tuple[float, np.ndarray]:
-    """By how much the choice that is valued most on average exceeds the mean of all, and its direction.
+def _best_choice(situations: Sequence[Situation], parameters: Parameters) -> tuple[float, np.ndarray]:
+    """Return the advantage of the choice with the highest mean value over the mean of all choices, and its direction.
 
-    Choices are told apart by where they lead in the world: the eight neighbours, and the goal. Only those that can be
-    made count.
+    Choices are identified by their target in the world: the eight neighbouring blocks, and the goal. Only allowed
+    choices count.
     """
     offered = [choices(situation) for situation in situations]
     states = np.stack(

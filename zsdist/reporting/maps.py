@@ -1,4 +1,4 @@
-"""Scenes from above: as grid maps (Figs. 8 and 11), and with the paths driven in them (Fig. 12)."""
+"""Scenes from above: as grid maps (Figs. 8 and 11), and with driven paths (Fig. 12)."""
 
 import math
 from collections.abc import Sequence
@@ -21,8 +21,8 @@ from zsdist.types import Outcome, Pose
 
 COLUMNS = 3
 BIRD_PX, BIRD_HEIGHT_M, BIRD_AWAY_M, BIRD_PITCH_DEG = 640, 17.0, 20.5, 42.0
-CELL_SHARE = 0.4  # of a cell's squares that an obstacle touches, from where the cell is its
-# The paper's colours where it has any: yellow sand, green trees, black people.
+CELL_SHARE = 0.4  # a cell belongs to an obstacle that touches at least this share of its fine cells
+# The paper's colours where it has them: yellow sand, green trees, black people.
 KIND_COLOURS = {
     "tree": "#2e7d32",
     "person": "#111111",
@@ -41,10 +41,10 @@ class DrivenPath:
     """One driven path.
 
     Attributes:
-        points: `(n, 2)` metres.
-        outcome: how it ended.
-        label: whose it is.
-        reference: drawn thin and grey, for others to be held against.
+        points: `(n, 2)` in metres.
+        outcome: of the episode.
+        label: name of the driver.
+        reference: whether it is drawn as a thin dashed line, for comparison.
     """
 
     points: np.ndarray
@@ -54,10 +54,10 @@ class DrivenPath:
 
 
 def draw_paths(panels: Sequence[tuple[Scene, Sequence[DrivenPath]]], arena_m: float, folder: Path, name: str) -> str:
-    """Scenes from above with the paths driven in them; a path's colour is its outcome.
+    """Draw scenes from above with the paths driven in them; a path's colour shows its outcome.
 
     Args:
-        panels: a scene and its tracks each, at least one.
+        panels: each a scene and its paths; at least one.
         arena_m: side of the arena.
         folder: of the figures.
         name: of the figure.
@@ -65,33 +65,33 @@ def draw_paths(panels: Sequence[tuple[Scene, Sequence[DrivenPath]]], arena_m: fl
     rows = -(-len(panels) // COLUMNS)
     columns = min(COLUMNS, len(panels))
     figure, grid = style.panels(rows, columns, 3.3, 3.5)
-    for axes, (scene, tracks) in zip(grid, panels, strict=False):
+    for axes, (scene, paths) in zip(grid, panels, strict=False):
         draw_scene(axes, scene, arena_m)
-        for track in tracks:
-            draw_track(axes, track)
+        for path in paths:
+            draw_path(axes, path)
     style.blank(grid[len(panels) :])
     labelled = [pair for axes in grid[: len(panels)] for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
-    handles = {label: handle for handle, label in labelled}  # one of each: panels share most of theirs
+    handles = {label: handle for handle, label in labelled}  # one of each: panels share most of their labels
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=len(handles))
     return style.save(figure, folder, name)
 
 
-def draw_track(axes: Axes, track: DrivenPath) -> None:
-    """A path over a scene, outlined so that it shows on any ground."""
-    points = np.asarray(track.points)
-    label = f"{track.label}: {track.outcome}" if track.label else str(track.outcome)
-    if track.reference:
+def draw_path(axes: Axes, path: DrivenPath) -> None:
+    """Draw a path over a scene, with an outline so that it is visible on any ground."""
+    points = np.asarray(path.points)
+    label = f"{path.label}: {path.outcome}" if path.label else str(path.outcome)
+    if path.reference:
         axes.plot(*points.T, linestyle=(0, (3, 2)), color=style.BLACK, linewidth=1.1, label=label, zorder=3.5)
         return
-    colour = style.OUTCOME_COLOURS[track.outcome]
+    colour = style.OUTCOME_COLOURS[path.outcome]
     axes.plot(*points.T, color="white", linewidth=3.4, alpha=0.9, zorder=4)
     axes.plot(*points.T, color=colour, linewidth=1.9, label=label, zorder=5)
-    if track.outcome is Outcome.COLLISION:
+    if path.outcome is Outcome.COLLISION:
         axes.plot(*points[-1], "X", color=colour, markeredgecolor="white", markersize=9, zorder=6)
 
 
 def draw_scene(axes: Axes, scene: Scene, arena_m: float) -> None:
-    """A scene as it is: obstacles in their kinds' colours, walking people with their paths."""
+    """Draw a scene with its obstacles in the colours of their kinds, and walking people with their paths."""
     axes.set_facecolor((*GROUNDS[scene.ground].base_colour, 0.28))
     for obstacle in scene.obstacles:
         colour = KIND_COLOURS[obstacle.kind]
@@ -99,7 +99,7 @@ def draw_scene(axes: Axes, scene: Scene, arena_m: float) -> None:
             axes.add_patch(Circle((obstacle.x_m, obstacle.y_m), obstacle.radius_m, color=colour, linewidth=0))
             if obstacle.walks:
                 axes.plot(*np.array(obstacle.path).T, ":", color=colour, linewidth=1.2)
-        else:
+        elif obstacle.size_m is not None:
             length, width, _ = obstacle.size_m
             turn = Affine2D().rotate_deg(obstacle.heading_deg).translate(obstacle.x_m, obstacle.y_m)
             body = Rectangle((-length / 2, -width / 2), length, width, color=colour, linewidth=0)
@@ -111,7 +111,7 @@ def draw_scene(axes: Axes, scene: Scene, arena_m: float) -> None:
 
 
 def draw_ends(axes: Axes, scene: Scene) -> None:
-    """The paper's marks: a green circle where the car starts, with a tick for its heading, and a red star to reach."""
+    """Draw the paper's marks: a green circle at the start, with a tick for the heading, and a red star at the goal."""
     x, y, heading = scene.start.pose
     tip = (x + 1.3 * math.cos(heading), y + 1.3 * math.sin(heading))
     axes.plot(*zip((x, y), tip, strict=True), color=START_COLOUR, linewidth=2, zorder=6)
@@ -120,10 +120,10 @@ def draw_ends(axes: Axes, scene: Scene) -> None:
 
 
 def cells_by_kind(scene: Scene, grid: Grid) -> np.ndarray:
-    """Which kind of obstacle each cell belongs to, `(cells, cells)` `[iy, ix]`: index into `KINDS`, -1 where free.
+    """Return the kind of obstacle in each cell, `(cells, cells)` `[iy, ix]`: index into `KINDS`, -1 where free.
 
-    A cell is an obstacle's from where it covers `CELL_SHARE` of the cell, or stands in it. People stand at the place
-    they begin at.
+    A cell belongs to an obstacle that covers at least `CELL_SHARE` of it or has its centre in it. People are at the
+    position at which they start.
     """
     found = np.full((grid.cells, grid.cells), -1)
     covered = np.full((grid.cells, grid.cells), CELL_SHARE)
@@ -141,7 +141,7 @@ def cells_by_kind(scene: Scene, grid: Grid) -> np.ndarray:
 
 
 def draw_grid_map(axes: Axes, scene: Scene, grid: Grid) -> None:
-    """A scene in grid form, with the high-level blocks: the paper's way to show one."""
+    """Draw a scene as a grid map with the high-level blocks, as the paper does."""
     kinds = cells_by_kind(scene, grid)
     colours = np.array([to_rgb("white"), *(to_rgb(KIND_COLOURS[name]) for name in KINDS)])
     half = grid.side_m / 2
@@ -158,14 +158,14 @@ def draw_grid_map(axes: Axes, scene: Scene, grid: Grid) -> None:
 
 
 def draw_grid_maps(scenes: Sequence[Scene], grid: Grid, folder: Path, name: str, picture: bool = False) -> str:
-    """Grid maps beside each other, with a legend of what is in them; first, if asked, a picture of the first scene.
+    """Draw grid maps next to each other with a legend, and on request a picture of the first scene.
 
     Args:
         scenes: at least one.
         grid: of the cells.
         folder: of the figures.
         name: of the figure.
-        picture: whether to show the first scene as it looks as well.
+        picture: whether to add a rendered picture of the first scene.
     """
     count = len(scenes) + picture
     columns = min(COLUMNS, count)
@@ -176,7 +176,7 @@ def draw_grid_maps(scenes: Sequence[Scene], grid: Grid, folder: Path, name: str,
         axes = panels[len(scenes)]
         axes.imshow(bird_view(scenes[0]))
         axes.set_axis_off()
-        axes.set_title(f"{scenes[0].name}, as it looks")
+        axes.set_title(f"{scenes[0].name}, rendered")
     style.blank(panels[count:])
     used = [kind for kind in KINDS if any(obstacle.kind == kind for scene in scenes for obstacle in scene.obstacles)]
     marks = [
@@ -190,14 +190,14 @@ def draw_grid_maps(scenes: Sequence[Scene], grid: Grid, folder: Path, name: str,
 
 
 def bird_view(scene: Scene) -> np.ndarray:
-    """The whole scene seen from above its southern side, `(px, px, 3)` uint8."""
+    """Return a picture of the whole scene from above its southern side, `(px, px, 3)` uint8."""
     pitch = math.radians(BIRD_PITCH_DEG)
     camera = lifted_camera(BIRD_HEIGHT_M, pitch, 60.0, BIRD_PX)
     return camera.render(scene, Pose(0.0, -BIRD_AWAY_M, math.pi / 2), pitch_rad=pitch)
 
 
 def square(axes: Axes, side_m: float) -> None:
-    """Axes over a square of ground about the arena's centre."""
+    """Set axes to a square of ground around the arena's centre."""
     half = side_m / 2
     axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", xlabel="east (m)", ylabel="north (m)")
     ticks = np.arange(-10, 11, 5)

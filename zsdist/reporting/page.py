@@ -1,4 +1,4 @@
-"""The report of runs: the paper's figures and tables from ours, as one page of Markdown with pictures."""
+"""Report of runs: the paper's figures and tables from our data, as one Markdown page with pictures."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,19 +13,19 @@ from zsdist.run.checkpoint import Policy, load_policy
 
 PAGE = "report.md"
 INTERVALS = (
-    "Intervals are 95%: Wilson's for rates, the bootstrap's for means. Over several training seeds rates are the "
-    "interquartile mean with a bootstrap over seeds and scenes, other figures the mean with the least and the greatest."
+    "Intervals are 95%: Wilson for rates, bootstrap for means. Over several training seeds, rates are the "
+    "interquartile mean with a bootstrap over seeds and scenes; other figures are the mean with minimum and maximum."
 )
 
 
 def write(material: Material, out: Path, on_step: Callable[[str], None], simulation: Simulation | None = None) -> Path:
-    """Draws and writes everything that the material allows, and says what it does not.
+    """Draw and write all figures and tables that the material allows, and list those that it does not.
 
     Args:
         material: runs and evaluations.
-        out: folder of the page and its figures; made if it is not there.
-        on_step: told what is being done.
-        simulation: that the paths are driven in; None: physics and the camera.
+        out: folder of the page and its figures; made if it does not exist.
+        on_step: called with the name of each step.
+        simulation: in which the paths are driven; None: physics and the camera.
 
     Returns:
         The page's path.
@@ -60,7 +60,7 @@ def _lines(material: Material, out: Path, on_step: Callable[[str], None], simula
         "",
         *_outcomes(trained, out),
     ]
-    lines += _driven(material, out, on_step, simulation)
+    lines += _draw_drives(material, out, on_step, simulation)
     on_step("tables")
     reference = material.methods[0].name if material.methods else None
     lines += [
@@ -71,7 +71,7 @@ def _lines(material: Material, out: Path, on_step: Callable[[str], None], simula
         "",
         "## Baselines and ablations",
         "",
-        *_policies(material.evaluations, reference, out),
+        *_compare_policies(material.evaluations, reference, out),
         "## What limits the policy: oracles",
         "",
         *tables.oracles(material.evaluations, reference),
@@ -85,19 +85,19 @@ def _lines(material: Material, out: Path, on_step: Callable[[str], None], simula
     return lines
 
 
-def _policies(evaluations: Sequence[Evaluation], reference: str | None, out: Path) -> list[str]:
+def _compare_policies(evaluations: Sequence[Evaluation], reference: str | None, out: Path) -> list[str]:
     compared = tables.every_policy(evaluations, reference)
     if len({evaluation.label for evaluation in evaluations}) < 2:
         return compared
     caption = (
-        "Every policy on each kind of scenes: share of episodes that arrived and that hit something, with 95% "
-        "intervals; numbers of episodes are in the tables."
+        "Every policy on each kind of scenes: rates of success and collision with 95% intervals. The tables give the "
+        "numbers of episodes."
     )
     lines = figure(comparison.draw_policies(evaluations, out), caption)
     if reference is not None:
         lines += [
-            f"`{reference}`, the first method given, is what the others are held against: the last column is success "
-            f"less that of `{reference}` on the scenes that both drove, with a bootstrap over scenes.",
+            f"`{reference}`, the first method given, is the reference: the last column is the difference of success to "
+            f"`{reference}` on the scenes that both drove, with a bootstrap over scenes.",
             "",
         ]
     return lines + compared
@@ -118,7 +118,7 @@ def _made_from(material: Material) -> list[str]:
         for run in material.runs
     ]
     lines = table(("run", "method", "seed", "trained on", "episodes", "env steps", "minutes", "ended"), rows)
-    lines += ["Figs. 5 to 7 and Table 3 are of vision: `python -m zsdist.report --vision` writes them.", ""]
+    lines += ["Figs. 5 to 7 and Table 3 concern vision: `python -m zsdist.report --vision` writes them.", ""]
     for method in material.methods:
         if method.differing:
             lines += [f"**The runs of {method.name} differ in more than the seed:** {', '.join(method.differing)}.", ""]
@@ -128,23 +128,23 @@ def _made_from(material: Material) -> list[str]:
 def _rewards(methods: Sequence[Method], out: Path) -> list[str]:
     if not methods:
         return missing("no run with a finished episode was given")
-    blind = [method.name for method in methods if not _observability(method.runs[0])]
-    seeing = [method.name for method in methods if _observability(method.runs[0])]
+    blind = [method.name for method in methods if not _has_vision(method.runs[0])]
+    seeing = [method.name for method in methods if _has_vision(method.runs[0])]
     seeds = ", ".join(f"{method.name} {len(method.runs)}" for method in methods)
     caption = (
         "Cumulative average of the paper's reward over training, exploration included. "
-        "a: mean return of the last episodes; b: mean reward of all actions so far, as in Eq. 21; c: what the promoted "
-        f"networks score when they drive greedily. Runs: {seeds}. Where there are several seeds the line is their mean "
-        "and the band reaches from the least to the greatest, over the episodes that all of them have."
+        "a: mean return of the last episodes; b: mean reward of all actions so far, as in Eq. 21; c: score of the "
+        f"promoted networks when they drive greedily. Runs: {seeds}. For several seeds, the line is their mean and the "
+        "band extends from minimum to maximum, over the episodes that all seeds have."
     )
     lines = figure(curves.draw_rewards(methods, out), caption)
     if blind and seeing:
         return [*lines, f"With vision: {', '.join(seeing)}. Without: {', '.join(blind)}.", ""]
-    what = "without vision" if seeing else "with vision"
-    return [*lines, *missing(f"the comparison with and without vision, as no run {what} was given")]
+    other = "without vision" if seeing else "with vision"
+    return [*lines, *missing(f"the comparison with and without vision, as no run {other} was given")]
 
 
-def _observability(run: Run) -> bool:
+def _has_vision(run: Run) -> bool:
     return run.settings.vision.rays != "none"
 
 
@@ -153,11 +153,11 @@ def _singleton(methods: Sequence[Method], material: Material) -> list[str]:
         return missing("no run with a finished episode was given")
     share, tenth = f"{convergence.BAND_SHARE:.0%}", f"{convergence.LAST_SHARE:.0%}"
     lines = [
-        f"Final value: mean of the curve over the last {tenth} of the episodes. Converged: from where the curve stays "
-        f"within {share} of its range about the final value. Fluctuation: root mean square of returns about their "
-        "running mean. Efficiency: fewest possible actions over those taken, greedy episodes that arrived. The paper "
-        "gives one cumulative average reward without saying over what; it stands in one column and is of its own "
-        "scenes and its own simulator.",
+        f"Final value: mean of the curve over the last {tenth} of the episodes. Converged: the episode from which the "
+        f"curve stays within {share} of its range of the final value. Fluctuation: root mean square of returns about "
+        "their running mean. Efficiency: fewest possible actions divided by those taken, over successful greedy "
+        "episodes. The paper gives one cumulative average reward and does not define what it averages over; it is "
+        "listed in one column, and was measured on its own scenes in its own simulator.",
         "",
         *tables.singleton(methods, material.evaluations),
     ]
@@ -180,25 +180,27 @@ def _outcomes(methods: Sequence[Method], out: Path) -> list[str]:
     if not methods:
         return missing("no run with a finished episode was given")
     caption = (
-        f"How training episodes ended, as shares of the last {curves.OUTCOME_WINDOW}. Exploration is included, and a "
+        f"Outcomes of training episodes, as shares of the last {curves.OUTCOME_WINDOW}. Exploration is included, and a "
         "share of the episodes is driven without the shield."
     )
     return [*figure(curves.draw_outcomes(methods, out), caption), *tables.training_outcomes(methods)]
 
 
-def _driven(material: Material, out: Path, on_step: Callable[[str], None], simulation: Simulation | None) -> list[str]:
-    """Figs. 8 and 10 to 12, by the first policy that can be loaded."""
+def _draw_drives(
+    material: Material, out: Path, on_step: Callable[[str], None], simulation: Simulation | None
+) -> list[str]:
+    """Draw Figs. 8 and 10 to 12 with the first policy that can be loaded."""
     headings = (
         "## Environment (Fig. 8)",
         "## High-level guidance and path (Fig. 10)",
         "## Unseen environments (Fig. 11)",
         "## Paths in unseen environments (Fig. 12)",
     )
-    found, reason = _policy(material.runs)
+    found, reason = _load_first_policy(material.runs)
     if found is not None:
         try:
             captions, files = _drives_of(*found, out, on_step, simulation)
-        except (SceneError, WeightsError) as error:  # scenes of its configuration, or what it sees by
+        except (SceneError, WeightsError) as error:  # scenes or vision weights of its configuration are missing
             found, reason = None, str(error)
     if found is None:
         return [line for heading in headings for line in (heading, "", *missing(reason))]
@@ -208,20 +210,20 @@ def _driven(material: Material, out: Path, on_step: Callable[[str], None], simul
 
 def _drives_of(
     run: Run, policy: Policy, out: Path, on_step: Callable[[str], None], simulation: Simulation | None
-) -> tuple[tuple[str, ...], tuple[Path, ...]]:
-    """Captions and files of the figures of a policy's drives, in their order."""
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return captions and files of the figures of a policy's drives, in the order of the headings."""
     label = f"{run.method}, seed {run.settings.seed}"
     driven = drives.drive(policy, run.method, lambda name: on_step(f"driving {name}"), simulation)
     grid, arena_m = Grid.from_config(policy.config.grid), policy.config.grid.arena_m
     home, unseen = drives.home_scene(policy), drives.unseen_scenes(policy)
     captions = (
-        f"A training scene of {label}, in grid form with the 4 x 4 blocks, and as it looks. Obstacles are in their "
+        f"A training scene of {label}, as a grid map with the 4 x 4 blocks, and rendered. Obstacles are assigned to "
         "cells by area.",
-        f"What the high-level network of {label} makes of each block, and the path driven greedily, in a training "
-        "scene and in an unseen one. An arrow points to the choice that it values most, the colour is by how much it "
-        "exceeds the mean of all choices, over eight headings, on the map as it was known at the end of the drive. "
-        "Grey: no way there was known. One episode each.",
-        f"Scenes that no policy was trained on, in grid form: {', '.join(policy.config.scenes.test)} in turn.",
+        f"Values of the high-level network of {label} for each block, and the path driven greedily, in a training "
+        "scene and in an unseen one. An arrow points to the choice with the highest value; the colour is the "
+        "difference of that value to the mean of all choices, over eight headings, on the map known at the end of the "
+        "drive. Grey: not known to be reachable. One episode each.",
+        f"Scenes that no policy was trained on, as grid maps: families {', '.join(policy.config.scenes.test)} in turn.",
         f"Greedy paths of {label} in these scenes, one episode each, at most {policy.config.sim.max_steps} actions. "
         "Dashed: A* over position and heading on the whole true map.",
     )
@@ -234,7 +236,7 @@ def _drives_of(
     return captions, files
 
 
-def _policy(runs: Sequence[Run]) -> tuple[tuple[Run, Policy] | None, str]:
+def _load_first_policy(runs: Sequence[Run]) -> tuple[tuple[Run, Policy] | None, str]:
     reason = "no run directory was given"
     for run in runs:
         try:
@@ -249,19 +251,19 @@ def _sizes(runs: Sequence[Run], out: Path) -> list[str]:
     if not shown:
         return missing("no run with figures of its replay was given")
     caption = (
-        "Size of the replay buffer and of the batch over training. a: what the buffer may hold (solid) and holds "
-        "(dotted, low level); b: the batch; c: the mean return that both follow, with its target (dashed). Dotted "
-        "grey: the least and greatest allowed."
+        "Size of the replay buffer and of the batch over training. a: capacity of the buffer (solid) and transitions "
+        "in it (dotted), low level; b: batch size; c: the mean return that sets both, with its target (dashed). Dotted "
+        "grey: minimum and maximum allowed."
     )
     return figure(curves.draw_sizes(shown, out), caption)
 
 
 def _merges(runs: Sequence[Run], out: Path) -> list[str]:
-    merged = [run for run in runs if run.summary and run.summary["merges"]]
+    merged = [run for run in runs if run.merges]
     if not merged:
         return missing("no run with a merge was given")
     caption = (
         "Merges: each candidate pair drives the same validation scenes greedily, and the best is promoted to the "
-        "target network. A candidate clearly behind is driven on fewer scenes."
+        "target network. A candidate that is clearly worse drives fewer scenes."
     )
     return [*figure(curves.draw_merges(merged, out), caption), *tables.merges(merged)]

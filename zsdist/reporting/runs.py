@@ -1,4 +1,4 @@
-"""What a report is made from: run directories and the evaluations found in them, read and grouped into methods."""
+"""Material of a report: run directories and evaluations, read and grouped into methods."""
 
 import hashlib
 import json
@@ -21,21 +21,22 @@ Row = dict[str, Any]
 _EVALUATED = {"policy", "weights_sha256", "scenes", "episodes", "success", "collision", "timeout", "confidence_95"}
 _FINISHED = {"finished_as", "outcome", "return", "steps"}
 _SUMMARY = {"ended", "env_steps", "merges", "wall_s", "weights"}
-_NOT_EVALUATIONS = {"checkpoints", "tensorboard", "logs", "figures"}  # folders that are not searched
-_OF_THE_RUN = {"summary.json", "metrics.jsonl", "episodes.jsonl"}
-_ASKED = ("policy", "variant", "shielded", "scenes", "seed", "weights_sha256")  # what makes episodes one evaluation
+_NOT_SEARCHED = {"checkpoints", "tensorboard", "logs", "figures"}  # folders without evaluations
+_RUN_FILES = {"summary.json", "metrics.jsonl", "episodes.jsonl"}
+# Episodes that agree in these fields belong to one evaluation.
+_EVALUATION_KEY = ("policy", "variant", "shielded", "scenes", "seed", "weights_sha256")
 NO_SHIELD = "no shield"
 _OF_ONE_RUN = ("seed", "run.", "placement", "transport.")  # settings that may differ between the runs of a method
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """One evaluation's JSON, and whose it is.
+    """Result of one evaluation, with the method that it belongs to.
 
     Attributes:
         result: as `zsdist.evaluate --json` writes it.
-        label: who drove, as tables name it: a method, with its variant where it is one, or a baseline.
-        method: whose networks drove; None of a baseline, and of a policy whose run is not among those given.
+        label: name of the driver in tables: a method, with its variant if any, or a baseline.
+        method: whose networks drove; None for a baseline, and for a policy whose run is not among those given.
         seed: of their training; None as above.
     """
 
@@ -46,12 +47,12 @@ class Evaluation:
 
     @property
     def scenes(self) -> str:
-        """What was driven."""
+        """Scenes that were driven."""
         return str(self.result["scenes"])
 
     @property
     def variant(self) -> str:
-        """What was replaced in a learned policy: by the name of `zsdist.evaluate --variant`, or the shield."""
+        """Part replaced in a learned policy: a name of `zsdist.evaluate --variant`, or the shield."""
         variant = str(self.result.get("variant", FULL))
         if self.result.get("shielded", True):
             return variant
@@ -60,14 +61,14 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class Run:
-    """One training.
+    """One training run.
 
     Attributes:
         folder: of the run.
         settings: its configuration.
         episodes: lines of `episodes.jsonl`, in the order in which they finished.
         metrics: lines of `metrics.jsonl`.
-        summary: `summary.json`; None while it goes on, or where it ended badly.
+        summary: `summary.json`; None while the run continues, or where it failed.
     """
 
     folder: Path
@@ -78,11 +79,16 @@ class Run:
 
     @property
     def weights_sha256(self) -> str | None:
-        """Of both networks at its end, as evaluations name them; None before that."""
+        """Hash of both networks at its end, as in evaluations; None before the end."""
         if self.summary is None:
             return None
-        of_level = self.summary["weights"]["sha256"]
-        return hashlib.sha256("".join(of_level[level] for level in Level).encode()).hexdigest()
+        hashes = self.summary["weights"]["sha256"]
+        return hashlib.sha256("".join(hashes[level] for level in Level).encode()).hexdigest()
+
+    @property
+    def merges(self) -> Sequence[Row]:
+        """Merges of the run, by its summary."""
+        return self.summary["merges"] if self.summary else []
 
     @property
     def method(self) -> str:
@@ -97,7 +103,7 @@ class Method:
     Attributes:
         name: of the configuration.
         runs: at least one, by seed.
-        differing: settings, seed and machine apart, in which the runs differ all the same.
+        differing: settings in which the runs differ, other than the seed and the settings of the machine.
     """
 
     name: str
@@ -107,26 +113,26 @@ class Method:
 
 @dataclass(frozen=True)
 class Material:
-    """Everything a report is made from."""
+    """All runs, by method, and all evaluations of a report."""
 
     methods: Sequence[Method]
     evaluations: Sequence[Evaluation]
 
     @property
     def runs(self) -> list[Run]:
-        """Of all methods."""
+        """Runs of all methods."""
         return [run for method in self.methods for run in method.runs]
 
 
 def read(places: Sequence[Path]) -> Material:
-    """Reads run directories, and folders or files with nothing but evaluations.
+    """Read run directories, and files or folders of evaluations.
 
     Raises:
-        RunError: a place is not there, holds neither, or a file in it is damaged.
+        RunError: a path does not exist or holds neither, or a file in it is damaged.
     """
     runs: list[Run] = []
     found: list[tuple[Row, Run | None]] = []
-    for place in dict.fromkeys(place.resolve() for place in places):
+    for place in dict.fromkeys(path.resolve() for path in places):
         home = read_run(place) if (place / "config.yaml").is_file() else None
         results = list(_results(place)) if place.exists() else []
         if home is not None:
@@ -141,17 +147,17 @@ def read(places: Sequence[Path]) -> Material:
 
 
 def read_run(folder: Path) -> Run:
-    """One run directory; raises `RunError` where it is damaged."""
+    """Return the run in a run directory; raise `RunError` where it is damaged."""
     try:
         settings = config.load(folder / "config.yaml")
     except ConfigError as error:
         raise RunError(f"run directory {folder}: {error}") from error
     episodes = _lines(folder / "episodes.jsonl")
     if any(not set(episode) >= _FINISHED for episode in episodes):
-        raise RunError(f"{folder / 'episodes.jsonl'} has a line without one of {', '.join(sorted(_FINISHED))}")
+        raise RunError(f"{folder / 'episodes.jsonl'} has a line that lacks one of {', '.join(sorted(_FINISHED))}")
     summary = _json(folder / "summary.json") if (folder / "summary.json").exists() else None
     if summary is not None and not (isinstance(summary, dict) and set(summary) >= _SUMMARY):
-        raise RunError(f"{folder / 'summary.json'} is no summary of a run, with {', '.join(sorted(_SUMMARY))}")
+        raise RunError(f"{folder / 'summary.json'} is no summary of a run: it needs {', '.join(sorted(_SUMMARY))}")
     in_order = sorted(episodes, key=lambda episode: episode["finished_as"])
     return Run(folder, settings, in_order, _lines(folder / "metrics.jsonl"), summary)
 
@@ -159,56 +165,58 @@ def read_run(folder: Path) -> Run:
 def _methods(runs: Sequence[Run]) -> list[Method]:
     methods = []
     for name in dict.fromkeys(run.method for run in runs):
-        of_it = sorted((run for run in runs if run.method == name), key=lambda run: run.settings.seed)
-        trees = [_flat(run.settings.model_dump(mode="json")) for run in of_it]
+        seeds = sorted((run for run in runs if run.method == name), key=lambda run: run.settings.seed)
+        trees = [_flat(run.settings.model_dump(mode="json")) for run in seeds]
         differing = [
             key
             for key in trees[0]
             if not key.startswith(_OF_ONE_RUN) and any(tree.get(key) != trees[0][key] for tree in trees)
         ]
-        methods.append(Method(name, of_it, differing))
+        methods.append(Method(name, seeds, differing))
     return methods
 
 
 def _flat(tree: Row, prefix: str = "") -> Row:
-    flat = {}
+    flat: Row = {}
     for key, value in tree.items():
         flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
     return flat
 
 
 def _evaluation(result: Row, home: Run | None, runs: Sequence[Run]) -> Evaluation:
-    """An evaluation with its owner: the run that ended with these weights, else the one in whose folder it lies."""
+    """Return an evaluation with its owner: the run that ended with its weights, else the one whose folder holds it."""
     sha256, name = result["weights_sha256"], Path(str(result.get("run", result["policy"]))).name
     if sha256 is None:
         return Evaluation(result, name)
     owner = next((run for run in runs if run.weights_sha256 == sha256), None)
-    if owner is None and home is None:
-        evaluation = Evaluation(result, name)
+    if owner is not None:
+        evaluation = Evaluation(result, owner.method, owner.method, owner.settings.seed)
+    elif home is not None:
+        evaluation = Evaluation(result, f"{home.method}, {name}", home.method, home.settings.seed)
     else:
-        of = owner or home
-        evaluation = Evaluation(result, of.method if owner else f"{of.method}, {name}", of.method, of.settings.seed)
+        evaluation = Evaluation(result, name)
     if evaluation.variant == FULL:
         return evaluation
     return replace(evaluation, label=f"{evaluation.label}, {evaluation.variant}")
 
 
 def _results(place: Path) -> Iterator[Row]:
-    """Results of evaluations in a file or under a folder, each JSON of several runs taken apart."""
+    """Yield the results of evaluations in a file or under a folder; a JSON of several runs yields one for each run."""
     files = [place] if place.is_file() else sorted([*place.rglob("*.json"), *place.rglob("*.jsonl")])
     for file in files:
         inside = file.relative_to(place).parts
-        if _NOT_EVALUATIONS & set(inside) or (len(inside) == 1 and file.name in _OF_THE_RUN):
+        if _NOT_SEARCHED & set(inside) or (len(inside) == 1 and file.name in _RUN_FILES):
             continue
-        told = _json(file) if file.suffix == ".json" else _summed_up(file)
-        for one in told if isinstance(told, list) else [told]:
+        content = _json(file) if file.suffix == ".json" else _summarise_episodes(file)
+        for one in content if isinstance(content, list) else [content]:
             several = one.get("runs", [one]) if isinstance(one, dict) else []
             for result in several if isinstance(several, list) else []:
                 if isinstance(result, dict) and set(result) >= _EVALUATED:
-                    yield from _with_and_without_shield(result)
+                    yield from _split_by_shield(result)
 
 
-def _with_and_without_shield(result: Row) -> Iterator[Row]:
+def _split_by_shield(result: Row) -> Iterator[Row]:
+    """Yield a result, and where it has figures without the shield, these as a result of their own."""
     yield result
     if bare := result.get("without_shield"):
         kept = {key: result[key] for key in ("policy", "weights_sha256", "scenes", "episodes", "seed")}
@@ -216,24 +224,24 @@ def _with_and_without_shield(result: Row) -> Iterator[Row]:
         yield kept | about | bare | {"shielded": False, "confidence_95": {"success": bare["success_95"]}}
 
 
-def _summed_up(file: Path) -> list[Row]:
-    """What the episodes in a file of `zsdist.evaluate --out` come to, those of the newest code of each evaluation."""
+def _summarise_episodes(file: Path) -> list[Row]:
+    """Return the results of the evaluations in a file of `zsdist.evaluate --out`, of the newest code of each."""
     if not any('"scene_hash"' in line for line in _text(file).splitlines()[:1]):
         return []
     lines = episode_store.read(file)
-    groups: dict[tuple, dict[int, episode_store.Line]] = {}
+    groups: dict[tuple[Any, ...], dict[int, episode_store.Line]] = {}
     for line in lines:
-        asked = tuple(line.about[key] for key in _ASKED)
-        groups.setdefault(asked, {})
-        if any(other.about["code"] != line.about["code"] for other in groups[asked].values()):
-            groups[asked] = {}
-        groups[asked][line.about["index"]] = line
+        key = tuple(line.about[name] for name in _EVALUATION_KEY)
+        groups.setdefault(key, {})
+        if any(other.about["code"] != line.about["code"] for other in groups[key].values()):
+            groups[key] = {}
+        groups[key][line.about["index"]] = line
     results = []
-    for asked, of_it in groups.items():
-        about = dict(zip(_ASKED, asked, strict=True))
-        records = [of_it[index].record for index in sorted(of_it)]
-        summed = summarise(records, np.random.default_rng(about["seed"]))
-        results.append(about | {"run": about["policy"], "episodes": len(records)} | summed)
+    for key, by_index in groups.items():
+        about = dict(zip(_EVALUATION_KEY, key, strict=True))
+        records = [by_index[index].record for index in sorted(by_index)]
+        summary = summarise(records, np.random.default_rng(about["seed"]))
+        results.append(about | {"run": about["policy"], "episodes": len(records)} | summary)
     return results
 
 
@@ -252,7 +260,7 @@ def _json(file: Path) -> Any:
 
 
 def _lines(file: Path) -> list[Row]:
-    """Objects of a JSON Lines file; a last line that was not finished is left out, any other is an error."""
+    """Return the objects of a JSON Lines file; an unfinished last line is left out, any other bad line is an error."""
     if not file.exists():
         return []
     text = _text(file)

@@ -1,9 +1,11 @@
-"""How every figure looks: fonts, colours that the colour-blind can tell apart (Okabe and Ito's), how it is saved."""
+"""Style of every figure: fonts, colours safe for colour-blind readers (Okabe and Ito), and file formats."""
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import matplotlib
+import matplotlib.style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -21,7 +23,7 @@ OUTCOME_COLOURS = {Outcome.SUCCESS: GREEN, Outcome.COLLISION: VERMILION, Outcome
 FONT = "DejaVu Sans"
 DPI = 160
 
-_RC = {
+_RC: dict[str, Any] = {
     "font.family": FONT,
     "font.size": 9,
     "axes.titlesize": 10,
@@ -47,30 +49,30 @@ _RC = {
     "legend.fontsize": 8,
     "legend.frameon": False,
     "svg.fonttype": "none",  # text stays text
-    "svg.hashsalt": "zsdist",  # the same figure is the same file
+    "svg.hashsalt": "zsdist",  # equal figures give equal files
 }
-matplotlib.rcParams.update(_RC)
+matplotlib.style.use(_RC)
 
 
 def panels(rows: int, columns: int, width_in: float, height_in: float) -> tuple[Figure, list[Axes]]:
-    """A figure of `rows` by `columns` axes, row by row; sizes are those of one of them, in inches."""
+    """Return a figure and its `rows` by `columns` axes, row by row; the sizes are of one of them, in inches."""
     figure = Figure(figsize=(columns * width_in, rows * height_in), layout="constrained")
     return figure, list(figure.subplots(rows, columns, squeeze=False).ravel())
 
 
 def whole_numbers(axes: Axes) -> None:
-    """Ticks of a count along x: whole numbers, few of them."""
+    """Set few, whole-numbered ticks along x, for a count."""
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
 
 
 def blank(axes: Iterable[Axes]) -> None:
-    """Panels that nothing is drawn in."""
-    for one in axes:
-        one.set_axis_off()
+    """Hide panels in which nothing is drawn."""
+    for panel in axes:
+        panel.set_axis_off()
 
 
 def save(figure: Figure, folder: Path, name: str) -> str:
-    """Writes `name.png` and `name.svg`; returns the name of the PNG."""
+    """Write `name.png` and `name.svg`; return the name of the PNG."""
     figure.savefig(folder / f"{name}.png", dpi=DPI, bbox_inches="tight", pad_inches=0.08)
     figure.savefig(folder / f"{name}.svg", bbox_inches="tight", pad_inches=0.08, metadata={"Date": None})
     return f"{name}.png"

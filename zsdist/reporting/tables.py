@@ -1,4 +1,4 @@
-"""Tables of evaluations: the paper's Table 4 beside ours, baselines and ablations, the singleton case, merges."""
+"""Tables of evaluations: the paper's Table 4 and ours, baselines and ablations, the singleton case, merges."""
 
 import statistics
 from collections import Counter
@@ -15,10 +15,10 @@ from zsdist.reporting.runs import Evaluation, Method, Run
 from zsdist.types import Outcome
 
 NOT_THE_SAME_TEST = (
-    "The paper's figures were measured by its authors on a grid map, ours by driving a car in physics through scenes "
-    "of our own of the same three kinds. They stand beside each other and are not the same test."
+    "The paper's authors measured its figures on a grid map; ours are measured by driving a car in a physics "
+    "simulation through our own scenes of the same three kinds. They are listed together, but are not the same test."
 )
-# Table 4: name there, then success and collision (%) of the traditional method and of the proposed one.
+# Table 4: name in the paper, then success and collision (%) of the traditional method and of the proposed one.
 TABLE_4 = {
     "ood-start-goal": ("(a) starts and goals", "9.25", "8.53", "21.62", "2.64"),
     "ood-layout": ("(b) layout", "3.31", "14.72", "11.91", "3.12"),
@@ -30,13 +30,20 @@ PAPER_CONVERGENCE = (  # Sec. 4.4: method, final value, episodes to converge
     ("paper: proposed", "297", "480"),
 )
 RATES = ("success", "collision")
-DRIVEN = (FULL, HYBRID)  # variants that would be deployed
+DEPLOYABLE = (FULL, HYBRID)  # variants meant for deployment
 ORACLE = "oracle-"
 
 
 @dataclass(frozen=True)
 class Rate:
-    """A share of episodes with its 95% interval; `note` says what the interval is over where that is not episodes."""
+    """Share of episodes with its 95% interval.
+
+    Attributes:
+        mean: the share.
+        low: lower end of the interval.
+        high: upper end of the interval.
+        note: what the interval is over, where that is not episodes.
+    """
 
     mean: float
     low: float
@@ -48,17 +55,17 @@ class Rate:
 
 
 def table_4(evaluations: Sequence[Evaluation]) -> list[str]:
-    """The paper's Table 4 beside ours, a row for each kind of scene and each trained policy that drove it."""
+    """Return the paper's Table 4 with ours, one row for each kind of scene and each trained policy that drove it."""
     trained = [
-        evaluation for evaluation in evaluations if evaluation.variant in DRIVEN and not _is_baseline(evaluation)
+        evaluation for evaluation in evaluations if evaluation.variant in DEPLOYABLE and not _is_baseline(evaluation)
     ]
     rows = []
     for split, (name, *paper) in TABLE_4.items():
         rows.append([name, "paper: traditional HRL", f"{paper[0]}%", f"{paper[1]}%", "-", "-"])
         rows.append([name, "paper: proposed", f"{paper[2]}%", f"{paper[3]}%", "-", "-"])
-        for label, of_it in by_label(trained, split).items():
+        for label, seeds in by_label(trained, split).items():
             rows.append(
-                [f"`{split}`", label, *(str(rate(of_it, key)) for key in RATES), _mean(of_it, "spl"), _n(of_it)]
+                [f"`{split}`", label, *(str(rate(seeds, key)) for key in RATES), _mean(seeds, "spl"), _n(seeds)]
             )
     lines = [*table(("scenes", "policy", "success", "collision", "SPL", "n"), rows), NOT_THE_SAME_TEST, ""]
     if not _of(trained, *TABLE_4):
@@ -67,26 +74,26 @@ def table_4(evaluations: Sequence[Evaluation]) -> list[str]:
 
 
 def every_policy(evaluations: Sequence[Evaluation], reference: str | None) -> list[str]:
-    """Success, collision and SPL of every policy on every kind of scenes that any of them drove, best first.
+    """Return success, collision and SPL of every policy on each kind of scenes that was driven, best first.
 
     Args:
         evaluations: of policies, baselines, ablations and variants.
-        reference: label of the policy that the others are compared with, scene by scene; None: none is.
+        reference: label of the policy that the others are compared with, scene by scene; None: no comparison.
     """
     compared = [evaluation for evaluation in evaluations if not evaluation.variant.startswith(ORACLE)]
     if len({evaluation.label for evaluation in compared}) < 2:
         return missing("the comparison, as evaluations of fewer than two policies were given")
     lines = []
     for split in dict.fromkeys(evaluation.scenes for evaluation in compared):
-        lines += [f"### `{split}`", "", *_compared(by_label(compared, split), reference)]
+        lines += [f"### `{split}`", "", *_compare(by_label(compared, split), reference)]
     return lines
 
 
 def oracles(evaluations: Sequence[Evaluation], reference: str | None) -> list[str]:
-    """What limits a policy: the same with one part replaced by its oracle; `hybrid` has that of the low level."""
+    """Return tables of a policy with one part replaced by an oracle; `hybrid` replaces the low level."""
     splits = dict.fromkeys(evaluation.scenes for evaluation in evaluations if evaluation.variant.startswith(ORACLE))
     if not splits:
-        return missing("oracles, as no evaluation with an --variant oracle-... was given")
+        return missing("oracles, as no evaluation with --variant oracle-... was given")
     lines = []
     for split in splits:
         shown = [
@@ -94,14 +101,15 @@ def oracles(evaluations: Sequence[Evaluation], reference: str | None) -> list[st
             for evaluation in _of(evaluations, split)
             if evaluation.variant.startswith(ORACLE) or evaluation.variant == HYBRID or evaluation.label == reference
         ]
-        lines += [f"### `{split}`", "", *_compared(by_label(shown, split), reference)]
+        lines += [f"### `{split}`", "", *_compare(by_label(shown, split), reference)]
     return lines
 
 
 def paired_success(ours: Sequence[Evaluation], theirs: Sequence[Evaluation]) -> tuple[float, float, float, int] | None:
-    """Difference of success on the scenes that both drove, the ends of its 95% interval, and their number.
+    """Return the difference of success on the scenes that both drove, its 95% interval (two values), and their number.
 
-    Several seeds count with their mean in each scene; the interval is a bootstrap over scenes. None without any.
+    Several seeds count with their mean in each scene; the interval is a bootstrap over scenes. None where they have no
+    scene in common.
     """
     first, second = _successes(ours), _successes(theirs)
     differences = np.array([first[scene] - second[scene] for scene in first if scene in second])
@@ -112,7 +120,7 @@ def paired_success(ours: Sequence[Evaluation], theirs: Sequence[Evaluation]) -> 
 
 
 def singleton(methods: Sequence[Method], evaluations: Sequence[Evaluation]) -> list[str]:
-    """The paper's three metrics of the singleton case, a row a run, with the paper's own."""
+    """Return the paper's three metrics of the singleton case, one row per run, with the paper's values."""
     rows = [[name, "-", value, "-", episodes, "-", "-", "-"] for name, value, episodes in PAPER_CONVERGENCE]
     rows += [
         [f"{run.method}, seed {run.settings.seed}", *_convergence(run), *_efficiency(run, evaluations)]
@@ -133,7 +141,7 @@ def singleton(methods: Sequence[Method], evaluations: Sequence[Evaluation]) -> l
 
 
 def training_outcomes(methods: Sequence[Method]) -> list[str]:
-    """How the training episodes of each method ended, with the share of collisions and its interval."""
+    """Return the outcomes of each method's training episodes, with the share of collisions and its interval."""
     rows = []
     for method in methods:
         outcomes = [episode["outcome"] for run in method.runs for episode in run.episodes]
@@ -152,16 +160,16 @@ def training_outcomes(methods: Sequence[Method]) -> list[str]:
 
 
 def merges(runs: Sequence[Run]) -> list[str]:
-    """Every merge: its candidates with score and scenes driven, the promoted one in bold."""
+    """Return every merge: its candidates with score and scenes driven, the promoted one in bold."""
     rows = []
     for run in runs:
-        for merge in run.summary["merges"]:
-            told = []
+        for merge in run.merges:
+            candidates = []
             for name in merge["candidates"]:
                 driven = merge.get("scenes_driven", {}).get(name)
                 text = f"{name} {merge['scores'][name]:+.2f}" + (f" on {driven}" if driven is not None else "")
-                told.append(f"**{text}**" if name == merge["chosen"] else text)
-            rows.append([f"{run.method}, seed {run.settings.seed}", str(merge["episode"]), ", ".join(told)])
+                candidates.append(f"**{text}**" if name == merge["chosen"] else text)
+            rows.append([f"{run.method}, seed {run.settings.seed}", str(merge["episode"]), ", ".join(candidates)])
     return table(("run", "after episodes", "candidates: success − collision, scenes driven"), rows)
 
 
@@ -175,28 +183,28 @@ def _convergence(run: Run) -> list[str]:
 
 def _efficiency(run: Run, evaluations: Sequence[Evaluation]) -> list[str]:
     by_method = by_label(evaluations, SINGLETON).get(run.method, ())
-    of_it = [evaluation for evaluation in by_method if evaluation.seed == run.settings.seed]
-    if not of_it:
+    evaluated = [evaluation for evaluation in by_method if evaluation.seed == run.settings.seed]
+    if not evaluated:
         return ["not evaluated"]
-    return [_mean(of_it, "step_efficiency")]
+    return [_mean(evaluated, "step_efficiency")]
 
 
-def _compared(drove: dict[str, list[Evaluation]], reference: str | None) -> list[str]:
+def _compare(groups: dict[str, list[Evaluation]], reference: str | None) -> list[str]:
     head = ["policy", "success", "collision", "timeout", "SPL", "shield changed", "n"]
-    against = drove.get(reference) if reference else None
+    against = groups.get(reference) if reference else None
     rows = []
-    for label, of_it in drove.items():
-        rates = (str(rate(of_it, key)) for key in (*RATES, "timeout"))
-        row = [label, *rates, _mean(of_it, "spl"), _share(of_it), _n(of_it)]
-        rows.append([*row, _paired(of_it, against)] if against else row)
+    for label, seeds in groups.items():
+        rates = (str(rate(seeds, key)) for key in (*RATES, "timeout"))
+        row = [label, *rates, _mean(seeds, "spl"), _shield_share(seeds), _n(seeds)]
+        rows.append([*row, _paired(seeds, against)] if against else row)
     rows.sort(key=lambda row: -float(row[1].split("%")[0]))
     return table([*head, f"success − {reference}, paired (scenes)"] if against else head, rows)
 
 
-def _paired(of_it: Sequence[Evaluation], against: Sequence[Evaluation]) -> str:
-    if of_it is against:
+def _paired(seeds: Sequence[Evaluation], against: Sequence[Evaluation]) -> str:
+    if seeds is against:
         return "-"
-    found = paired_success(of_it, against)
+    found = paired_success(seeds, against)
     if found is None:
         return "no scene in common"
     difference, low, high, scenes = (100 * value for value in found)
@@ -204,7 +212,7 @@ def _paired(of_it: Sequence[Evaluation], against: Sequence[Evaluation]) -> str:
 
 
 def _successes(evaluations: Sequence[Evaluation]) -> dict[tuple[str, int], float]:
-    """Mean success by scene; of a scene that is driven more than once, each time apart."""
+    """Return mean success by scene and repetition; a scene that is driven several times has one entry for each time."""
     found: dict[tuple[str, int], list[bool]] = {}
     for evaluation in evaluations:
         times: Counter[str] = Counter()
@@ -224,10 +232,10 @@ def _of(evaluations: Sequence[Evaluation], *splits: str) -> list[Evaluation]:
 
 
 def rate(evaluations: Sequence[Evaluation], key: str) -> Rate:
-    """How often episodes ended so, with its 95% interval.
+    """Return the share of episodes with an outcome, with its 95% interval.
 
-    Over seeds it is the interquartile mean with a bootstrap over seeds and scenes, or, where they did not all drive the
-    same scenes, the mean with the least and the greatest of them.
+    Over several seeds it is the interquartile mean with a bootstrap over seeds and scenes. Where the seeds did not
+    drive the same scenes, it is the mean with minimum and maximum.
     """
     first = evaluations[0].result
     values = [evaluation.result[key] for evaluation in evaluations]
@@ -243,7 +251,7 @@ def rate(evaluations: Sequence[Evaluation], key: str) -> Rate:
 
 
 def by_label(evaluations: Sequence[Evaluation], split: str) -> dict[str, list[Evaluation]]:
-    """Evaluations on a split by who drove, one a training seed: that of most episodes."""
+    """Return evaluations on a split by label, for each training seed the one with the most episodes."""
     found: dict[str, dict[int | None, Evaluation]] = {}
     for evaluation in _of(evaluations, split):
         of_label = found.setdefault(evaluation.label, {})
@@ -253,15 +261,15 @@ def by_label(evaluations: Sequence[Evaluation], split: str) -> dict[str, list[Ev
     return {label: list(of_label.values()) for label, of_label in found.items()}
 
 
-def _share(evaluations: Sequence[Evaluation]) -> str:
-    """Share of actions that the shield changed."""
+def _shield_share(evaluations: Sequence[Evaluation]) -> str:
+    """Return the share of actions that the shield changed."""
     values = [evaluation.result["shield_changed_share"] for evaluation in evaluations
               if "shield_changed_share" in evaluation.result]  # fmt: skip
     return f"{100 * statistics.fmean(values):.1f}%" if values else "-"
 
 
 def _mean(evaluations: Sequence[Evaluation], key: str) -> str:
-    """A mean: with its 95% interval, or over seeds with the least and greatest of them."""
+    """Return a mean with its 95% interval, or over several seeds with minimum and maximum."""
     values = [evaluation.result[key] for evaluation in evaluations if evaluation.result.get(key) is not None]
     if not values:
         return "-"

@@ -1,4 +1,4 @@
-"""The ray caster's pictures from anywhere, not only from the car."""
+"""Cameras of the ray caster at viewpoints other than the car's."""
 
 import math
 
@@ -9,16 +9,16 @@ from zsdist.sim.camera.caster import CasterCamera, Look
 def lifted_camera(
     height_m: float, pitch_rad: float, field_of_view_deg: float, size_px: int, look: Look | None = None
 ) -> CasterCamera:
-    """A camera that floats `height_m` above the place it is rendered from, if rendered with this pitch.
+    """Return a camera that is `height_m` above the pose it is rendered from, if rendered with this pitch.
 
     Args:
         height_m: above the ground.
-        pitch_rad: downwards; give the same to `render`.
-        field_of_view_deg: of the picture's side.
-        size_px: of the picture's side.
-        look: of the scenes; None: their own.
+        pitch_rad: downwards; pass the same to `render`.
+        field_of_view_deg: across the picture's width.
+        size_px: width and height of the picture.
+        look: returns the appearance of a scene; None: the scene's own.
     """
-    # The mount turns with the body, so the place straight above is given along the body's tilted axes.
+    # The mount tilts with the body, so the point straight above is given along the body's tilted axes.
     config = CameraConfig(
         size_px=size_px,
         field_of_view_deg=field_of_view_deg,

@@ -11,4 +11,4 @@ def test_every_policy_and_every_kind_of_scenes_is_in_the_figure(tmp_path):
     ]
     assert comparison.draw_policies(drove, tmp_path) == "policies.png"
     drawing = (tmp_path / "policies.svg").read_text()
-    assert all(f">{words}<" in drawing for words in ("full", "astar", "iid", "ood-all", "arrived", "hit something"))
+    assert all(f">{words}<" in drawing for words in ("full", "astar", "iid", "ood-all", "success", "collision"))

@@ -27,7 +27,7 @@ def test_the_curve_of_actions_is_all_reward_over_all_actions():
     np.testing.assert_allclose(convergence.per_action(run_of([10.0, -30.0], [10, 30])), [1.0, -0.5])
 
 
-def test_shares_count_the_outcome_that_is_asked_for():
+def test_shares_count_the_given_outcome():
     run = run_of([0.0] * 4, outcomes=["collision", "success", "collision", "timeout"])
     np.testing.assert_allclose(convergence.share(run, "collision", 2), [1.0, 0.5, 0.5, 0.5])
 
@@ -53,7 +53,7 @@ def test_a_flat_curve_has_converged_from_the_first_episode():
     assert convergence.converged(np.full(30, 5.0)) == convergence.Convergence(5.0, 1)
 
 
-def test_too_few_episodes_tell_nothing():
+def test_too_few_episodes_give_no_result():
     assert convergence.converged(np.zeros(19)) is None and convergence.fluctuation(run_of([1.0] * 19)) is None
 
 

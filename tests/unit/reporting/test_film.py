@@ -29,7 +29,7 @@ SCENE = Scene(
 
 
 class Looking(FakeVisualAct):
-    """Looks at the upper left for forward, the lower left for left, the lower right for right."""
+    """Vision model with attention at the upper left for forward, the lower left for left, the lower right for right."""
 
     def look(self, images):
         attention = np.zeros((len(images), 3, 196), np.float32)
@@ -52,12 +52,12 @@ def panel(picture, index):
     return picture[: film.PANEL_PX, left : left + film.PANEL_PX].astype(int)
 
 
-def test_every_action_has_its_frames_and_the_end_stays_a_while(moments):
+def test_every_action_has_its_frames_and_the_end_is_held(moments):
     pictures = list(film.frames(moments, CONFIG, None))
-    assert len(pictures) == 3 * film.FRAMES_AN_ACTION + film.LAST_FRAMES
+    assert len(pictures) == 3 * film.FRAMES_PER_ACTION + film.LAST_FRAMES
     assert len({picture.shape for picture in pictures}) == 1
     assert (pictures[-1] == pictures[-film.LAST_FRAMES]).all()
-    assert all(side % 2 == 0 for side in pictures[0].shape[:2])  # the codec takes even sides only
+    assert all(side % 2 == 0 for side in pictures[0].shape[:2])  # the codec needs even sides
 
 
 def test_a_film_read_back_shows_what_was_written(moments, tmp_path):
@@ -73,14 +73,20 @@ def test_a_film_read_back_shows_what_was_written(moments, tmp_path):
     assert np.abs(still.astype(int) - pictures[7]).mean() < 3
 
 
-def test_attention_lies_where_the_network_looks_for_the_action_taken(moments):
+def test_attention_is_shown_where_the_network_attends_for_the_action_taken(moments):
     bare, looked = (next(iter(film.frames(moments, CONFIG, eye))) for eye in (None, Looking()))
     changed = np.abs(panel(bare, 1) - panel(looked, 1)).sum(-1)[40:]
     row, column = np.unravel_index(changed.argmax(), changed.shape)
     half = film.PANEL_PX / 2
     corners = {0: (True, True), 1: (False, True), 2: (False, False)}  # upper?, left?
-    looks = {Action.FORWARD: 0, Action.LEFT_45: 1, Action.TURN_LEFT_90: 1, Action.RIGHT_45: 2, Action.TURN_RIGHT_90: 2}
-    assert (row + 40 < half, column < half) == corners[looks[Action(moments[0].action)]]
+    directions = {
+        Action.FORWARD: 0,
+        Action.LEFT_45: 1,
+        Action.TURN_LEFT_90: 1,
+        Action.RIGHT_45: 2,
+        Action.TURN_RIGHT_90: 2,
+    }
+    assert (row + 40 < half, column < half) == corners[directions[Action(moments[0].action)]]
     assert (panel(bare, 0) == panel(looked, 0)).all() and (panel(bare, 2) == panel(looked, 2)).all()
 
 
@@ -90,11 +96,11 @@ def test_the_map_shows_seen_ground_and_grows(moments):
     assert 0 < white[0] <= white[1]
 
 
-def test_words_say_what_was_decided_and_how_it_ended(moments):
-    first, second = film.words(moments[0], 1, 3)
-    assert first.startswith("made") and "action 1 of 3" in first
+def test_the_caption_names_the_decision_and_the_outcome(moments):
+    first, second = film.caption(moments[0], 1, 3)
+    assert first.startswith("made") and "action 1 of at most 3" in first
     assert "R_p:  forward" in second and "option:" in second and "shield" in second
-    assert film.words(moments[-1], 3, 3)[1] == "ended: timeout"
+    assert film.caption(moments[-1], 3, 3)[1] == "ended: timeout"
 
 
 @pytest.mark.parametrize(
@@ -119,11 +125,11 @@ def test_a_folder_that_cannot_be_made_is_refused_in_one_line(tmp_path):
 
 def test_each_scene_becomes_a_film_and_a_still_named_by_its_outcome(tmp_path):
     simulation = Simulation(lambda config, **_: LatticeEnv(config=config), lambda config: FakeVisualAct())
-    told = []
+    films = []
     files = film.film(
-        Contender(CONFIG, baseline="random"), [SCENE, SCENE], 0, tmp_path / "films", told.append, simulation
+        Contender(CONFIG, baseline="random"), [SCENE, SCENE], 0, tmp_path / "films", films.append, simulation
     )
-    assert told == files and all(file.stat().st_size > 1000 for file in files)
+    assert films == files and all(file.stat().st_size > 1000 for file in files)
     names = [file.stem.rpartition("-") for file in files]
     assert [name[0] for name in names] == ["00-made", "01-made"]
     assert {name[2] for name in names} <= {"timeout", "collision", "success"}

@@ -10,6 +10,7 @@ from zsdist.evaluation.drivers import LearnedDriver, Observability
 from zsdist.evaluation.episodes import EpisodeRunner
 from zsdist.evaluation.oracle_view import by_camera
 from zsdist.reporting import guidance
+from zsdist.reporting.maps import DrivenPath
 from zsdist.run import program
 from zsdist.sim.scenes.scene import Obstacle, Scene, Start
 from zsdist.types import Level
@@ -42,7 +43,7 @@ def of_network(scene, parameters):
 
 
 def always(choice, value):
-    """A network that values one choice, whatever it sees."""
+    """A network that values one choice, for any input."""
     parameters = network.initial_parameters(HIGH_STATE_SIZE, GOAL_CHOICE + 1, (8,), 0)
     parameters["output.weight"][:] = 0.0
     parameters["output.bias"][choice] = value
@@ -61,12 +62,12 @@ def test_a_network_that_values_only_the_goal_points_to_it_from_everywhere():
             assert found.towards[by, bx] @ away / np.hypot(*away) > 0.8
 
 
-def test_a_network_without_preference_pulls_nowhere():
+def test_a_network_without_preference_has_no_pull():
     _, found = of_network(SCENES["open"], always(GOAL_CHOICE, 0.0))
     assert found.pull[np.isfinite(found.pull)] == pytest.approx(0.0)
 
 
-def test_directions_are_of_unit_length_where_there_is_a_way_and_missing_where_none_is_known():
+def test_directions_are_of_unit_length_where_a_block_is_reachable_and_missing_elsewhere():
     _, found = of_network(SCENES["walled"], None)
     known = np.isfinite(found.pull)
     np.testing.assert_allclose(np.hypot(*found.towards[known].T), 1.0)
@@ -75,8 +76,8 @@ def test_directions_are_of_unit_length_where_there_is_a_way_and_missing_where_no
 
 def test_guidance_is_drawn_for_each_drive(tmp_path):
     _, found = of_network(SCENES["open"], None)
-    track = guidance.Track(np.array([[-5.0, 0.0], [5.0, 0.0]]), "success", "made")
-    drives = [guidance.Drive(scene, track, found) for scene in SCENES.values()]
+    path = DrivenPath(np.array([[-5.0, 0.0], [5.0, 0.0]]), "success", "made")
+    drives = [guidance.Drive(scene, path, found) for scene in SCENES.values()]
     assert guidance.draw_guidance(drives, CONFIG, tmp_path) == "fig10-guidance.png"
     drawing = (tmp_path / "fig10-guidance.svg").read_text()
     assert all(f">{name}<" in drawing for name in SCENES)

@@ -32,7 +32,7 @@ def test_paths_are_drawn_over_any_number_of_scenes(tmp_path, count):
     assert "one: success" in (tmp_path / "paths.svg").read_text()
 
 
-def test_a_paths_colour_tells_how_it_ended(tmp_path):
+def test_a_paths_colour_shows_its_outcome(tmp_path):
     scene = families.draw("singleton", "test", 0)
     points = np.linspace((-10, 10), (10, 10), 50)
     pictures = []
@@ -65,22 +65,22 @@ def test_an_obstacle_smaller_than_a_cell_still_has_one():
     assert kinds[16, 16] == NAMES.index("pole") and (kinds >= 0).sum() == 1
 
 
-def test_of_two_obstacles_in_a_cell_the_one_that_covers_more_has_it():
+def test_a_cell_belongs_to_the_obstacle_that_covers_more_of_it():
     wide, narrow = Obstacle("rock", 0.31, 0.31, radius_m=0.6), Obstacle("bush", 0.31, 1.1, radius_m=0.5)
     for order in ((wide, narrow), (narrow, wide)):
         kinds = maps.cells_by_kind(scene_of(*order), GRID)
         assert kinds[16, 16] == NAMES.index("rock") and (kinds == NAMES.index("bush")).any()
 
 
-def test_walking_people_are_shown_where_they_begin():
+def test_walking_people_are_shown_at_their_start():
     person = Obstacle("person", 0.31, 0.31, radius_m=0.3, path=((0.31, 0.31), (5.0, 0.31)), speed_mps=1.0)
     kinds = maps.cells_by_kind(scene_of(person), GRID)
     assert kinds[16, 16] == NAMES.index("person") and not (kinds[:, 24:] >= 0).any()
 
 
-def test_grid_maps_name_what_is_in_them_and_show_how_it_looks(tmp_path):
+def test_grid_maps_name_their_obstacles_and_show_a_rendered_picture(tmp_path):
     scene = scene_of(Obstacle("rock", 0.0, 0.0, radius_m=1.0))
     maps.draw_grid_maps([scene], GRID, tmp_path, "grid", picture=True)
     drawing = (tmp_path / "grid.svg").read_text()
-    assert ">rock<" in drawing and ">tree<" not in drawing and "as it looks" in drawing
+    assert ">rock<" in drawing and ">tree<" not in drawing and "rendered" in drawing
     assert maps.bird_view(scene).std() > 10

@@ -48,7 +48,7 @@ def test_each_picture_of_a_page_lies_beside_it(tmp_path):
     assert shown == {file.name for file in (tmp_path / "page").iterdir()} - {"report.md"} and shown
 
 
-def test_what_a_run_does_not_give_is_said_and_not_filled_in(tmp_path):
+def test_missing_material_is_named_and_not_filled_in(tmp_path):
     folder = make_run(tmp_path / "run")
     found = sections(written([folder], tmp_path / "page")[0])
     assert "no run without vision was given" in found["Reward during training (Fig. 9)"]
@@ -60,7 +60,7 @@ def test_what_a_run_does_not_give_is_said_and_not_filled_in(tmp_path):
     assert "fewer than 20 episodes" in found["The singleton case (Sec. 4.4)"]
 
 
-def test_scenes_that_are_gone_cost_the_page_no_more_than_what_is_driven_in_them(tmp_path):
+def test_missing_scenes_leave_out_only_the_figures_that_are_driven_in_them(tmp_path):
     (tmp_path / "scenes").mkdir()
     scene.write(families.draw("iid", "test", 0), tmp_path / "scenes" / "one.yaml")
     rehearse(start(tmp_path / "run", f"scenes.train=[{tmp_path / 'scenes'}]"))
@@ -71,7 +71,7 @@ def test_scenes_that_are_gone_cost_the_page_no_more_than_what_is_driven_in_them(
     assert "(training-outcomes.png)" in text and "(merges.png)" in text
 
 
-def test_runs_with_and_without_vision_are_told_apart(tmp_path):
+def test_runs_with_and_without_vision_are_distinguished(tmp_path):
     places = [
         make_run(tmp_path / "a", "run.name=full"),
         make_run(tmp_path / "b", "run.name=blind", "vision.rays=none"),

@@ -24,7 +24,7 @@ def test_runs_of_one_configuration_are_the_seeds_of_a_method(tmp_path):
     assert all(not method.differing for method in material.methods)
 
 
-def test_runs_of_one_name_that_are_not_one_configuration_are_told_apart(tmp_path):
+def test_runs_of_one_name_with_different_configurations_are_reported(tmp_path):
     places = [make_run(tmp_path / "a", "agent.trail=0.8"), make_run(tmp_path / "b", "seed=1", "run.episodes=7")]
     assert runs.read(places).methods[0].differing == ["agent.trail"]
 
@@ -65,7 +65,7 @@ def test_a_damaged_file_of_a_run_is_refused_with_its_place(tmp_path, file, conte
 
 
 @pytest.mark.parametrize("content", ['{"runs": 5}', '{"runs": [5]}', "[[1]]"])
-def test_other_json_beside_evaluations_is_none_of_them(tmp_path, content):
+def test_other_json_files_beside_evaluations_are_ignored(tmp_path, content):
     (tmp_path / "other.json").write_text(content)
     (tmp_path / "one.json").write_text(json.dumps(RESULT))
     assert len(runs.read([tmp_path]).evaluations) == 1
@@ -77,7 +77,7 @@ def test_a_file_beside_evaluations_that_is_no_text_is_refused_by_name(tmp_path):
         runs.read([tmp_path])
 
 
-def test_evaluations_in_a_runs_folder_bear_the_name_of_its_method(tmp_path):
+def test_evaluations_in_a_runs_folder_are_named_after_its_method(tmp_path):
     own = RESULT | {"weights_sha256": WEIGHTS_SHA256}
     earlier = RESULT | {"policy": "checkpoints/00000050"}
     baseline = RESULT | {"policy": "random", "weights_sha256": None}
@@ -94,7 +94,7 @@ def test_evaluations_that_lie_elsewhere_find_their_run_by_its_weights(tmp_path):
     assert (evaluation.label, evaluation.method, evaluation.seed) == ("mine", "mine", 0)
 
 
-def test_evaluations_lie_in_files_and_folders_of_their_own_as_well(tmp_path):
+def test_evaluations_are_also_read_from_files_and_folders_outside_runs(tmp_path):
     (tmp_path / "many").mkdir()
     (tmp_path / "many" / "a.json").write_text(json.dumps(RESULT | {"policy": "runs/mine"}))
     (tmp_path / "many" / "notes.json").write_text("[1, 2]")
@@ -111,7 +111,7 @@ def test_a_variant_is_named_after_its_method(tmp_path):
     assert (evaluation.label, evaluation.variant) == ("full, hybrid", "hybrid")
 
 
-def test_what_drove_without_the_shield_is_a_policy_of_its_own(tmp_path):
+def test_figures_without_the_shield_are_an_evaluation_of_their_own(tmp_path):
     bare = {"success": 0.5, "collision": 0.5, "timeout": 0.0, "spl": 0.3, "success_95": [0.2, 0.8]}
     result = RESULT | {"weights_sha256": WEIGHTS_SHA256, "without_shield": bare}
     folder = make_run(tmp_path / "a", "run.name=mine", summary={}, results=[result])
@@ -120,13 +120,13 @@ def test_what_drove_without_the_shield_is_a_policy_of_its_own(tmp_path):
     assert (without.label, without.result["success"]) == ("mine, no shield", 0.5)
 
 
-def test_several_runs_in_one_file_are_taken_apart(tmp_path):
+def test_several_runs_in_one_file_are_separate_evaluations(tmp_path):
     together = {"policies": ["a", "b"], "runs": [RESULT | {"policy": "a"}, RESULT | {"policy": "b"}]}
     (tmp_path / "both.json").write_text(json.dumps(together))
     assert [evaluation.label for evaluation in runs.read([tmp_path / "both.json"]).evaluations] == ["a", "b"]
 
 
-def test_episodes_on_file_are_summed_up_by_who_drove_what_and_older_code_is_left_out(tmp_path):
+def test_episodes_in_a_file_are_summarised_by_driver_and_scenes_without_older_code(tmp_path):
     scenes = [families.draw("iid", "test", index) for index in range(3)]
     file, contender = tmp_path / "episodes.jsonl", Contender(Config(), baseline="random")
     record = EpisodeRecord("made", Outcome.SUCCESS, 10, 8, 6.0, 5.0, 0.0, 0.4, True, (1.0,) * 10, 0, ())
@@ -142,7 +142,7 @@ def test_episodes_on_file_are_summed_up_by_who_drove_what_and_older_code_is_left
 
 
 @pytest.mark.parametrize("place", ["nowhere", "empty"])
-def test_a_place_with_nothing_to_report_on_is_refused_by_name(tmp_path, place):
+def test_a_path_with_nothing_to_report_on_is_refused_by_name(tmp_path, place):
     (tmp_path / "empty").mkdir()
     with pytest.raises(RunError, match=f"{place} holds neither a run nor an evaluation"):
         runs.read([tmp_path / place])

@@ -21,7 +21,7 @@ def rows_of(lines):
     ]
 
 
-def test_table_4_holds_the_papers_figures_beside_ours_and_says_that_they_are_not_the_same_test():
+def test_table_4_holds_the_papers_figures_beside_ours_and_states_that_they_are_not_the_same_test():
     lines = tables.table_4([evaluation("ood-layout"), evaluation("iid")])
     rows = rows_of(lines)
     assert ["(b) layout", "paper: proposed", "11.91%", "3.12%", "-", "-"] in rows
@@ -30,7 +30,7 @@ def test_table_4_holds_the_papers_figures_beside_ours_and_says_that_they_are_not
     assert any("not the same test" in line for line in lines)
 
 
-def test_table_4_without_evaluations_says_so_and_invents_none():
+def test_table_4_without_evaluations_reports_that_they_are_missing():
     lines = tables.table_4([evaluation("iid")])
     assert len(rows_of(lines)) == 1 + 6 and any(line.startswith("Left out: our figures") for line in lines)
 
@@ -44,7 +44,7 @@ def test_several_seeds_are_their_interquartile_mean_with_an_interval_over_seeds_
     assert row[2].startswith("83.3% (2 seeds 33.3-100.0)") and row[-1] == "10 + 10"
 
 
-def test_seeds_that_drove_different_scenes_are_their_mean_with_the_least_and_the_greatest():
+def test_seeds_that_drove_different_scenes_are_their_mean_with_minimum_and_maximum():
     several = [
         evaluation("ood-layout", seed=seed, success=rate, per_scene=outcomes(*[1] * (seed + 1)))
         for seed, rate in enumerate((0.8, 0.9, 1.0))
@@ -53,14 +53,14 @@ def test_seeds_that_drove_different_scenes_are_their_mean_with_the_least_and_the
     assert row[2] == "90.0% (seeds 80.0-100.0)"
 
 
-def test_of_two_evaluations_of_one_policy_the_longer_one_counts():
+def test_the_longer_of_two_evaluations_of_one_policy_counts():
     twice = [evaluation("ood-layout", episodes=5, success=0.2), evaluation("ood-layout", episodes=50, success=0.5)]
     for order in (twice, twice[::-1]):
         (row,) = [row for row in rows_of(tables.table_4(order)) if row[1] == "full"]
         assert row[2].startswith("50.0%") and row[-1] == "50"
 
 
-def test_table_4_is_of_trained_policies_and_leaves_variants_and_baselines_to_other_tables():
+def test_table_4_lists_trained_policies_without_variants_and_baselines():
     drove = [
         evaluation("ood-layout", "full, hybrid", variant="hybrid"),
         evaluation("ood-layout", "full, oracle-depth", variant="oracle-depth"),
@@ -80,14 +80,14 @@ def test_one_policy_alone_is_no_comparison():
     assert tables.every_policy([evaluation("iid")], None)[0].startswith("Left out: the comparison")
 
 
-def test_policies_are_held_against_the_reference_on_the_scenes_that_both_drove():
+def test_policies_are_compared_with_the_reference_on_the_scenes_that_both_drove():
     ours = evaluation("iid", per_scene=outcomes(1, 1, 1, 0))
     theirs = evaluation("iid", "other", per_scene=outcomes(1, 0, 0, 0)[:3])
     rows = {row[0]: row[-1] for row in rows_of(tables.every_policy([ours, theirs], "full"))}
     assert rows["full"] == "-" and rows["other"].startswith("-66.7 (") and rows["other"].endswith("; 3)")
 
 
-def test_a_paired_difference_of_equals_is_nothing_and_its_interval_has_no_width():
+def test_a_paired_difference_of_equal_evaluations_is_zero_with_an_interval_of_zero_width():
     same = [evaluation("iid", per_scene=outcomes(1, 0, 1))]
     assert tables.paired_success(same, same) == (0.0, 0.0, 0.0, 3)
 
@@ -104,7 +104,7 @@ def test_seeds_count_with_their_mean_in_each_scene():
     assert tables.paired_success(two, [evaluation("iid", per_scene=outcomes(0, 0))])[0] == 0.75
 
 
-def test_oracles_stand_beside_the_policy_that_they_are_of_and_nowhere_else():
+def test_oracles_are_listed_with_their_policy_only_in_their_own_table():
     drove = [
         evaluation("iid"),
         evaluation("iid", "full, oracle-depth", variant="oracle-depth"),

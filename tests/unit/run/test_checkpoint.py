@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 from rehearsal import SEEN, kinematic
 
-from zsdist import config, evaluate, launch
-from zsdist.common import cli
+from zsdist import config
 from zsdist.errors import WeightsError
-from zsdist.run import directory, program
+from zsdist.run import directory, opening, program
+from zsdist.run.checkpoint import check_vision, load_policy
 from zsdist.run.directory import RunDirectory
 from zsdist.run.program import RoleSpec, RunSpec
 from zsdist.types import Level
@@ -40,44 +40,42 @@ def trained(tmp_path):
     return write
 
 
-def evaluated(folder, capsys):
-    with pytest.raises(SystemExit) as exit_:
-        cli.execute(lambda _: evaluate.find_policy(str(folder)) and 0, evaluate.make_parser(), [str(folder)])
-    return exit_.value.code, capsys.readouterr().err
+def note_on(folder):
+    return check_vision(load_policy(folder))
 
 
-def test_a_policy_is_evaluated_on_its_own_encoder_without_a_word(trained, here, capsys):
-    assert evaluated(trained(here), capsys) == (0, "")
+def test_a_policy_with_its_own_vision_model_is_loaded_without_a_note(trained, here):
+    assert note_on(trained(here)) is None
 
 
 @pytest.mark.parametrize("change", [{"encoder": "clip/b"}, {"encoder_sha256": "0" * 64}])
-def test_a_policy_is_not_evaluated_on_another_encoder_and_one_line_says_why(trained, here, capsys, change):
-    code, complaint = evaluated(trained(replace(here, **change)), capsys)
-    assert code == 2 and complaint.count("\n") == 1
-    assert "was trained on encoder" in complaint and here.encoder in complaint
+def test_a_policy_of_another_encoder_is_refused_in_one_line(trained, here, change):
+    with pytest.raises(WeightsError, match="was trained on encoder") as refused:
+        note_on(trained(replace(here, **change)))
+    assert here.encoder in str(refused.value) and "\n" not in str(refused.value)
 
 
-def test_another_head_is_said_in_one_line_and_the_policy_is_evaluated(trained, here, capsys):
-    code, note = evaluated(trained(replace(here, weights_sha256="0" * 64)), capsys)
-    assert code == 0 and note.count("\n") == 1 and "trained with head 0000000000000000" in note
+def test_another_head_is_reported_in_one_line(trained, here):
+    note = note_on(trained(replace(here, weights_sha256="0" * 64)))
+    assert "\n" not in note and "trained with head 0000000000000000" in note
 
 
-def resumed(folder, monkeypatch, seen):
+def resumed(folder, monkeypatch, seen, notify=lambda line: None):
     monkeypatch.setattr(program, "warm_up", lambda settings: seen)
-    return launch._resume(launch.parser().parse_args(["--resume", str(folder)]), launch.Console())
+    return opening.open_resumed(folder, (), notify)
 
 
-def test_a_run_is_not_gone_on_with_on_another_encoder(trained, monkeypatch):
+def test_a_run_is_not_resumed_on_another_encoder(trained, monkeypatch):
     folder = trained(SEEN)
     with pytest.raises(WeightsError, match="trained on encoder 'fake'"):
         resumed(folder, monkeypatch, replace(SEEN, encoder_sha256="0" * 64))
     assert resumed(folder, monkeypatch, SEEN).vision == SEEN
 
 
-def test_going_on_with_another_head_is_said(trained, monkeypatch, capsys):
-    seen = replace(SEEN, weights_sha256="d" * 64)
-    assert resumed(trained(SEEN), monkeypatch, seen).vision == seen
-    assert "sees by head dddd" in capsys.readouterr().out
+def test_resuming_with_another_head_is_reported(trained, monkeypatch):
+    seen, lines = replace(SEEN, weights_sha256="d" * 64), []
+    assert resumed(trained(SEEN), monkeypatch, seen, lines.append).vision == seen
+    assert "sees by head dddd" in lines[-1]
 
 
 def test_an_actor_that_sees_by_something_else_than_its_run_is_refused(tmp_path):

@@ -1,0 +1,33 @@
+from zsdist.diagnostics.certificates import check_certificates
+from zsdist.diagnostics.result import CheckStatus
+from zsdist.roles import permissions
+from zsdist.transport import certificates
+
+
+def statuses(folder, endpoint=None):
+    return {result.check: result.status for result in check_certificates(folder, endpoint)}
+
+
+def test_certificates_are_looked_at_one_by_one_and_tried_out(tmp_path):
+    certificates.make(tmp_path, permissions.HUB, permissions.client_names(1), ["127.0.0.1"], days=90)
+    well = statuses(tmp_path)
+    names = {f"certificate {name}" for name in ("hub", "trusted", "monitor", "actor-0")}
+    assert set(well) == names | {"certificate of the hub's host", "zenoh over TLS"}
+    assert set(well.values()) == {CheckStatus.OK}
+    assert statuses(tmp_path, "tls/10.0.0.10:7447")["certificate of the hub's host"] is CheckStatus.FAIL
+    (tmp_path / "actor-0.key").chmod(0o644)
+    (tmp_path / "monitor.key").unlink()
+    for file in ("hub.pem", "hub.key"):
+        (tmp_path / file).unlink()
+    worse = statuses(tmp_path)
+    assert worse == {
+        "certificate actor-0": CheckStatus.WARN,
+        "certificate monitor": CheckStatus.FAIL,
+        "certificate trusted": CheckStatus.OK,
+    }
+
+
+def test_certificates_that_end_soon_are_a_warning_and_none_at_all_a_failure(tmp_path):
+    assert list(statuses(tmp_path).values()) == [CheckStatus.FAIL]
+    certificates.make(tmp_path, permissions.HUB, [], ["127.0.0.1"], days=5)
+    assert statuses(tmp_path) == {"certificate hub": CheckStatus.WARN}

@@ -1,0 +1,65 @@
+"""Checks of a cluster's addresses: Ray's, and the endpoint of the hub."""
+
+import os
+import socket
+import tempfile
+from pathlib import Path
+
+from zsdist.diagnostics.result import CheckResult, CheckStatus
+
+CONNECT_TIMEOUT_S = 3.0
+RAY_PORT, RAY_CLIENT_PORT = 6379, 10001
+
+
+def check_address(address: str) -> CheckResult:
+    """Check that something listens at a Ray address.
+
+    Args:
+        address: `HOST[:PORT]`, `ray://HOST[:PORT]` or `auto`.
+    """
+    check = f"cluster {address}"
+    target = _current_cluster() if address == "auto" else address
+    if target is None:
+        advice = "Start one: ray start --head."
+        return CheckResult(check, CheckStatus.FAIL, "no Ray cluster runs on this machine", advice)
+    port = RAY_CLIENT_PORT if target.startswith("ray://") else RAY_PORT
+    host, _, digits = target.removeprefix("ray://").rpartition(":")
+    if not digits.isdecimal():
+        host, digits = digits, str(port)
+    try:
+        socket.create_connection((host, int(digits)), timeout=CONNECT_TIMEOUT_S).close()
+    except (OSError, OverflowError) as error:
+        advice = "Check that the head node runs, and that this port is open between this machine and the head node."
+        return CheckResult(check, CheckStatus.FAIL, f"{host}:{digits} does not answer: {error}", advice)
+    return CheckResult(check, CheckStatus.OK, f"{host}:{digits} answers")
+
+
+def check_endpoint(endpoint: str) -> CheckResult:
+    """Check that the roles of a cluster can reach the hub's endpoint, and that it asks for certificates."""
+    check, advice = f"endpoint {endpoint}", "Set transport.endpoint to this machine's address: tls/HOST:7447."
+    host = host_of(endpoint)
+    if not host:
+        return CheckResult(check, CheckStatus.FAIL, "it is not of the form PROTOCOL/HOST:PORT", advice)
+    try:
+        addresses = {str(item[4][0]) for item in socket.getaddrinfo(host, None)}
+    except OSError as error:
+        return CheckResult(check, CheckStatus.FAIL, f"{host} has no address: {error}", advice)
+    if any(address.startswith("127.") or address in ("::1", "0.0.0.0", "::") for address in addresses):
+        return CheckResult(check, CheckStatus.FAIL, "other machines cannot reach it", advice)
+    if not endpoint.startswith("tls/"):
+        found = "it does not ask for certificates, so a run refuses it"
+        return CheckResult(check, CheckStatus.FAIL, found, advice)
+    return CheckResult(check, CheckStatus.OK, f"{', '.join(sorted(addresses))}; other machines can reach it")
+
+
+def host_of(endpoint: str) -> str:
+    """Return the host of `PROTOCOL/HOST:PORT`; empty where the endpoint is not of that form."""
+    return endpoint.partition("/")[2].rpartition(":")[0].strip("[]")
+
+
+def _current_cluster() -> str | None:
+    """Return the address that `auto` means: `RAY_ADDRESS`, else that of the cluster started last on this machine."""
+    if address := os.environ.get("RAY_ADDRESS"):
+        return address
+    note = Path(tempfile.gettempdir()) / "ray" / "ray_current_cluster"
+    return note.read_text().strip() or None if note.is_file() else None

@@ -1,0 +1,70 @@
+"""Checks of the interpreter, the installed packages, and the machine's cores, memory and disk."""
+
+import importlib.metadata
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
+
+from zsdist.diagnostics.result import CheckResult, CheckStatus
+
+CORES, MEMORY_GIB, DISK_GIB = 2, 4.0, 2.0  # with less, the default run is slow or fails
+
+
+def check_python(version: tuple[int, ...] = sys.version_info[:3]) -> CheckResult:
+    """Compare the interpreter's version with the one that the package requires."""
+    text = ".".join(str(part) for part in version)
+    try:
+        required = importlib.metadata.metadata("zsdist")["Requires-Python"]
+    except importlib.metadata.PackageNotFoundError:
+        return CheckResult("python", CheckStatus.FAIL, f"{text}; zsdist itself is not installed", "Run make install.")
+    if not SpecifierSet(required).contains(text):
+        return CheckResult("python", CheckStatus.FAIL, f"{text}; allowed is {required}", "Install with Python 3.11.")
+    return CheckResult("python", CheckStatus.OK, f"{text} at {sys.executable}")
+
+
+def check_packages(requirements: list[str] | None = None) -> Iterator[CheckResult]:
+    """Compare every required package with its allowed range; one result for all where none is wrong.
+
+    Args:
+        requirements: such as `numpy>=2`; None: those of the installed zsdist.
+    """
+    if requirements is None:
+        try:
+            requirements = importlib.metadata.requires("zsdist") or []
+        except importlib.metadata.PackageNotFoundError:
+            return  # `check_python` reports it
+    needed = [requirement for text in requirements if (requirement := Requirement(text)).marker is None]
+    all_in_range = True
+    for requirement in needed:
+        try:
+            version = importlib.metadata.version(requirement.name)
+        except importlib.metadata.PackageNotFoundError:
+            version = "missing"
+        if version == "missing" or not requirement.specifier.contains(version):
+            all_in_range = False
+            found = f"{version}; allowed is {requirement.specifier}"
+            yield CheckResult(f"package {requirement.name}", CheckStatus.FAIL, found, "Run make install.")
+    if all_in_range:
+        yield CheckResult("packages", CheckStatus.OK, f"{len(needed)} packages within their ranges")
+
+
+def check_resources() -> Iterator[CheckResult]:
+    """Compare cores, memory and free disk space with what the default run needs."""
+    cores = os.cpu_count() or 1
+    yield compare_amount("cores", cores, CORES, "", "Expect the default run to take longer.")
+    memory_gib = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    yield compare_amount("memory", memory_gib, MEMORY_GIB, " GiB", "Use fewer actors: --actors 1.")
+    free_gib = shutil.disk_usage(Path.cwd()).free / 2**30
+    yield compare_amount("disk", free_gib, DISK_GIB, " GiB free here", "Make room, or set --run-dir to another disk.")
+
+
+def compare_amount(check: str, found: float, recommended: float, unit: str, advice: str) -> CheckResult:
+    """Return a warning with `advice` where less was found than is recommended."""
+    if found >= recommended:
+        return CheckResult(check, CheckStatus.OK, f"{found:.3g}{unit}")
+    return CheckResult(check, CheckStatus.WARN, f"{found:.3g}{unit}; {recommended:g} are recommended", advice)

@@ -1,0 +1,27 @@
+"""Learned policies by name: those that the package ships, run directories and checkpoints."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import zsdist
+from zsdist.errors import WeightsError
+from zsdist.run.checkpoint import Policy, load_policy
+
+SHIPPED = {"pretrained": Path(zsdist.__file__).parent / "policies" / "pretrained"}
+
+
+def load_by_name(name: str, other_names: Iterable[str]) -> Policy:
+    """Return the policy of a name.
+
+    Args:
+        name: of a shipped policy, or path of a run directory or a checkpoint.
+        other_names: further allowed names, for the error.
+
+    Raises:
+        WeightsError: it is neither, or its weights are missing or damaged.
+    """
+    folder = SHIPPED.get(name, Path(name))
+    if not folder.exists():
+        known = ", ".join((*SHIPPED, *other_names))
+        raise WeightsError(f"policy {name!r} is no folder; allowed are a run directory, a checkpoint and {known}")
+    return load_policy(folder)

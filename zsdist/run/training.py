@@ -1,0 +1,77 @@
+"""Training of an opened run, and the checks of its summary."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
+
+from zsdist.config import Config
+from zsdist.errors import RunError
+from zsdist.run import directory, program
+from zsdist.run.program import RunSpec, Watch
+
+Summary = Mapping[str, Any]  # `summary.json`
+
+
+class _Run(Protocol):
+    def __call__(
+        self, spec: RunSpec, epochs: Sequence[int], *, interrupted: Callable[[], bool], watch: Watch
+    ) -> None: ...
+
+
+def train(spec: RunSpec, interrupted: Callable[[], bool], watch: Watch) -> Summary:
+    """Run all roles until the training has ended.
+
+    Args:
+        spec: of the run.
+        interrupted: returns whether to stop early.
+        watch: called once a round with the runner's transport and the clock.
+
+    Returns:
+        The run's summary.
+
+    Raises:
+        RunError: a role failed for good.
+    """
+    run = _runner(spec.config.placement)
+    epochs = directory.issue_epochs(spec.folder, program.epoch_count(spec.config))
+    (spec.folder / "summary.json").unlink(missing_ok=True)
+    try:
+        run(spec, epochs, interrupted=interrupted, watch=watch)
+    except RunError as error:
+        if not any(spec.folder.glob("checkpoints/*/manifest.json")):
+            raise
+        raise RunError(f"{error}; resume from the last checkpoint with --resume {spec.folder}") from error
+    return json.loads((spec.folder / "summary.json").read_text())
+
+
+def check_accounts(summary: Summary) -> None:
+    """Check that every transition that was produced was either stored or rejected; raise `RunError` if not."""
+    for level, counts in summary["transitions"].items():
+        if counts["produced"] != counts["stored"] + counts["rejected"]:
+            raise RunError(
+                f"the transition counts of level {level} do not balance: {counts['produced']} produced, "
+                f"{counts['stored']} stored, {counts['rejected']} rejected"
+            )
+
+
+def describe_untrained_levels(summary: Summary, settings: Config) -> list[str]:
+    """Return a line for each level whose learner made no update, with the reason."""
+    lines = []
+    for level, updates in summary["learner_updates"].items():
+        if not updates:
+            stored, least = summary["transitions"][level]["stored"], getattr(settings, level).min_size
+            lines.append(
+                f"the {level} level was not trained: {stored} transitions were stored, and training starts at "
+                f"{least} ({level}.min_size)"
+            )
+    return lines
+
+
+def _runner(placement: str) -> _Run:
+    if placement == "ray":  # each takes a second or two to import, and a run needs only one of them
+        from zsdist.run import ray
+
+        return ray.run
+    from zsdist.run import inline
+
+    return inline.run
