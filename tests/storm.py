@@ -9,6 +9,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from faulty import Faults, FaultyTransport
 
 from zsdist.config import parse
 from zsdist.protocol.outbox import Outbox
@@ -16,7 +17,6 @@ from zsdist.roles.base import Context
 from zsdist.roles.replay.level_replay import Shape
 from zsdist.roles.replay.role import Replay
 from zsdist.transport.base import Mailbox
-from zsdist.transport.faulty import Faults, FaultyTransport
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import NO_GUIDE, Level, Trajectory
 from zsdist.wire import codec, keys
@@ -82,7 +82,7 @@ class Driver:
             self.outbox.offer([trajectory(self.index, self.epoch, len(self.offered), length)])
             self.offered.append((len(self.offered), length))
             if len(self.offered) == TRAJECTORIES:
-                self.outbox.close(now)
+                self.outbox.close()
         for frame in self.outbox.poll(now):
             self.transport.publish(keys.push(RUN, Level.LOW, self.name, self.epoch), codec.encode(frame))
 

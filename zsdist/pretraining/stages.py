@@ -18,7 +18,7 @@ import safetensors.torch
 import torch
 from torch import nn
 
-from zsdist.common import atomic_files
+from zsdist.common import atomic_files, json_lines
 from zsdist.errors import RunError
 from zsdist.pretraining.calibrating import calibrate
 from zsdist.pretraining.job import Job
@@ -151,7 +151,8 @@ class Stages:
         if stands.exists():
             trainer.restore(stands.read_bytes())
             self._watch.say(f"{stage}: going on after epoch {trainer.epoch}")
-        prune(self._history, stage, trainer.epoch)
+        last_saved = trainer.epoch  # later epochs were interrupted before their state was saved
+        json_lines.prune(self._history, lambda line: line["stage"] == stage and line["epoch"] > last_saved)
         try:
             for figures in trainer:
                 with self._history.open("a") as file:
@@ -163,15 +164,6 @@ class Stages:
         finish()
         atomic_files.replace(ended, safetensors.torch.save(network.state_dict()))
         stands.unlink(missing_ok=True)
-
-
-def prune(history: Path, stage: str, epoch: int) -> None:
-    """Leaves out of a history the epochs of a stage after `epoch`: they were broken off before they were saved."""
-    if not history.exists():
-        return
-    lines = [json.loads(line) for line in history.read_text().splitlines() if line.endswith("}")]
-    kept = [line for line in lines if line["stage"] != stage or line["epoch"] <= epoch]
-    atomic_files.replace(history, "".join(json.dumps(line) + "\n" for line in kept).encode())
 
 
 def best_epochs(history: Path) -> dict[str, dict[str, float]]:

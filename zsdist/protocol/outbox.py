@@ -83,7 +83,6 @@ class Outbox:
         self._waiting: deque[Item] = deque()
         self._waiting_count = 0
         self._waiting_since_s: float | None = None
-        self._flush = False
         self._flight: deque[_Flight] = deque()
         self._sequence = 0  # of the next frame
         self._taken = 0  # reserved, waiting or produced
@@ -141,12 +140,8 @@ class Outbox:
         self._waiting.extend(items)
         self._waiting_count += count
 
-    def flush(self) -> None:
-        """Has what waits now sent without waiting for company."""
-        self._flush = bool(self._waiting)
-
-    def close(self, now: float) -> None:
-        """Has everything sent, and a last frame that closes the epoch."""
+    def close(self) -> None:
+        """Send everything without waiting for more, and end the epoch with a closing frame."""
         self._closing = True
 
     def poll(self, now: float) -> list[Frame]:
@@ -236,7 +231,7 @@ class Outbox:
         """Whether a frame should be numbered now."""
         if self._closed:
             return False
-        if self._closing or self._flush or self._waiting_count >= self._combine:
+        if self._closing or self._waiting_count >= self._combine:
             return True
         return self._waiting_since_s is not None and now >= self._waiting_since_s + LINGER_S
 
@@ -255,8 +250,6 @@ class Outbox:
         )
         if not self._flight:
             self._stalled_since_s = now
-        if not self._waiting:
-            self._flush = False
         self._waiting_since_s = now if self._waiting else None
         self._sequence += 1
         self._flight.append(_Flight(frame, now, 1))

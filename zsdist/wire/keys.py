@@ -86,7 +86,7 @@ def evaluation(run: str, actor: str) -> str:
 
 
 def control(run: str, role: str) -> str:
-    """Orders of the scheduler to one role, which is a role's name or `{role}.{id}` where there are several."""
+    """Return the key of orders to `role`: a kind of role, such as `actor`, or a single one, such as `learner-low`."""
     return _join(run, "control", role)
 
 

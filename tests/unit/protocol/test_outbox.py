@@ -66,15 +66,6 @@ def test_small_trajectories_travel_together_and_wait_for_company_only_so_long() 
     assert (frame.sequence, frame.produced, frame.count) == (1, 19, 3)
 
 
-def test_flush_sends_what_waits_at_once() -> None:
-    outbox = pushes()
-    give(outbox, 1)
-    outbox.flush()
-    assert [frame.count for frame in outbox.poll(0.0)] == [1]
-    give(outbox, 1)
-    assert outbox.poll(0.0) == []
-
-
 def test_records_travel_at_once_and_need_no_credit() -> None:
     outbox = Outbox(
         EPISODES, "a0", 0, window_frames=4, resend_after_s=RESEND_S, give_up_after_s=GIVE_UP_S, make_frame=Records
@@ -194,7 +185,7 @@ def test_acks_that_overtake_each_other_leave_the_credit_of_the_latest() -> None:
 def test_closing_sends_everything_and_marks_the_last_frame() -> None:
     outbox = pushes(window_frames=2)
     give(outbox, *[200] * 3, 1)
-    outbox.close(0.0)
+    outbox.close()
     assert [(frame.count, frame.closes) for frame in outbox.poll(0.0)] == [(200, False), (200, False)]
     outbox.on_ack(ack(2), 0.0)
     assert [(frame.count, frame.closes) for frame in outbox.poll(0.0)] == [(201, True)]
@@ -208,7 +199,7 @@ def test_closing_sends_everything_and_marks_the_last_frame() -> None:
 
 def test_closing_with_nothing_left_sends_an_empty_frame() -> None:
     outbox = pushes()
-    outbox.close(0.0)
+    outbox.close()
     assert outbox.next_wake(0.0) == 0.0
     (frame,) = outbox.poll(0.0)
     assert (frame.count, frame.closes, frame.sequence) == (0, True, 0)

@@ -12,11 +12,11 @@ from collections.abc import Callable, Iterator
 
 import pytest
 import zenoh
+from faulty import FaultyTransport
 from sockets import PATIENCE_S, Inbox, free_endpoint
 
 from zsdist.errors import TransportError
 from zsdist.transport.base import Mailbox, Message, Transport
-from zsdist.transport.faulty import FaultyTransport
 from zsdist.transport.memory import MemoryBroker, MemoryTransport, matches
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 

@@ -1,7 +1,8 @@
 """Faults come as ordered, by seed, and by the time that `tick` tells."""
 
+from faulty import Faults, FaultyTransport
+
 from zsdist.transport.base import Mailbox
-from zsdist.transport.faulty import Faults, FaultyTransport
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 
 
