@@ -77,7 +77,7 @@ def test_a_closed_generator_ends_its_processes():
 
 def test_workers_end_with_a_parent_that_was_killed():
     code = (
-        "import os, test_workers as t; from zsdist.common.process_pool import each\n"
+        "import os, test_process_pool as t; from zsdist.common.process_pool import each\n"
         "if __name__ == '__main__':\n"
         "    for made in each(t.work, list(range(10**6)), 2, t.begin, (1,)):\n"
         "        print(made[1], flush=True); os.kill(os.getpid(), 9)"
