@@ -14,6 +14,7 @@ from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
 from zsdist.evaluation import episode_store
 from zsdist.evaluation.contenders import FULL
+from zsdist.evaluation.fingerprint import equivalent
 from zsdist.evaluation.metrics import summarise
 from zsdist.types import Level
 
@@ -225,7 +226,8 @@ def _summed_up(file: Path) -> list[Row]:
     for line in lines:
         asked = tuple(line.about[key] for key in _ASKED)
         groups.setdefault(asked, {})
-        if any(other.about["code"] != line.about["code"] for other in groups[asked].values()):
+        codes = equivalent(line.about["code"])
+        if any(other.about["code"] not in codes for other in groups[asked].values()):
             groups[asked] = {}
         groups[asked][line.about["index"]] = line
     results = []
