@@ -20,7 +20,6 @@ from torch import nn
 
 from zsdist.common import atomic_files, json_lines
 from zsdist.errors import RunError
-from zsdist.pretraining.calibrating import calibrate
 from zsdist.pretraining.job import Job
 from zsdist.pretraining.pictures import Pictures
 from zsdist.pretraining.progress import PretrainingProgress
@@ -29,6 +28,7 @@ from zsdist.vision.folder import HEAD_FILE, HISTORY_FILE, PROJECTION_FILE, STUDE
 from zsdist.vision.training import head as of_head
 from zsdist.vision.training import projection as of_words
 from zsdist.vision.training import student as of_student
+from zsdist.vision.training.calibration import calibrate
 from zsdist.vision.training.contrast import Contrast
 from zsdist.vision.training.trainer import Recipe, Trainer
 from zsdist.vision.words.vocabulary import Vocabulary, shipped_words
