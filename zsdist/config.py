@@ -167,7 +167,7 @@ class ReplayConfig(Section):
     adjust_every_episodes: Count = 10
     average_episodes: Count = 50  # latest episodes whose mean return decides
     target_return: float = 710.0  # R_target: mean paper return of A* on 60 training scenes of `iid`
-    max_bytes: Count = 256 * 2**20  # allowed for the buffers of a replay process; a run that needs more is refused
+    max_bytes: Count = 256 * 2**20  # that the buffers of both levels may take; a run that needs more is refused
 
 
 class MergeConfig(Section):
@@ -221,9 +221,7 @@ class RunConfig(Section):
     cpus_per_role: Annotated[float, Field(gt=0)] = 0.1  # CPUs that each role requests from Ray
     standby: bool = True  # keep a spare process ready that takes over from one that dies
     address: str | None = None  # of a Ray cluster; None: start Ray on this machine
-    final_evaluation_episodes: Annotated[int, Field(ge=0)] = (
-        30  # greedy drives of each policy after training; 0: no evaluation
-    )
+    final_evaluation_episodes: Annotated[int, Field(ge=0)] = 30  # of each policy after training; 0: no evaluation
 
 
 class Config(Section):
