@@ -1,12 +1,12 @@
-"""Every error zsdist raises on purpose, under one root.
+"""Errors that zsdist raises on purpose, under one root.
 
-A message names the thing, the value found and what is allowed, in one line: the commands print it as it is and
-exit with status 2.
+A message names in one line what is wrong, the value found and what is allowed. The commands print it unchanged and exit
+with status 2.
 """
 
 
 class ZsdistError(Exception):
-    """Root of all errors that are the caller's or the environment's to mend, never a defect of zsdist."""
+    """Root of all errors that the caller or the environment has to correct; never a defect of zsdist."""
 
 
 class ConfigError(ZsdistError):
@@ -18,7 +18,11 @@ class SceneError(ZsdistError):
 
 
 class DecodeError(ZsdistError):
-    """Bytes that are not a message of ours. `reason` is a short word that statistics count by."""
+    """Received bytes are not a valid message.
+
+    Attributes:
+        reason: short word by which statistics count the error.
+    """
 
     def __init__(self, reason: str, detail: str = "") -> None:
         super().__init__(f"{reason}: {detail}" if detail else reason)
@@ -26,7 +30,7 @@ class DecodeError(ZsdistError):
 
 
 class ProtocolError(ZsdistError):
-    """A local caller broke the push protocol (never raised for what a peer sent)."""
+    """A local caller violated the push protocol; never raised for what a peer sent."""
 
 
 class TransportError(ZsdistError):
@@ -38,12 +42,12 @@ class WeightsError(ZsdistError):
 
 
 class RunError(ZsdistError):
-    """A run cannot start, go on or be resumed; or its books do not balance."""
+    """A run cannot be started, continued or resumed, or its counts of transitions do not agree."""
 
 
 class DataError(ZsdistError):
-    """A data set's folder or file is missing, damaged, or not in the layout that is expected."""
+    """A folder or file of a data set is missing, damaged, or not in the expected layout."""
 
 
 class ImageError(ZsdistError, ValueError):
-    """Pictures are not an array of the shape and dtype that a network takes."""
+    """Pictures are not an array of the shape and dtype that a network expects."""

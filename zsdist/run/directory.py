@@ -222,11 +222,11 @@ class RunDirectory:
             "sha256": hashes,
         }
         atomic_files.write(partial / "manifest.json", json.dumps(manifest, indent=1).encode())
-        atomic_files.settle(partial)
+        atomic_files.sync_folder(partial)
         if final.exists():  # of as many episodes; aside in one step, so that a kill leaves no part of one
             final.rename(aside)
         partial.rename(final)
-        atomic_files.settle(final.parent)
+        atomic_files.sync_folder(final.parent)
         shutil.rmtree(aside, ignore_errors=True)
         for old in sorted(final.parent.glob("[0-9]*"))[:-CHECKPOINTS_KEPT]:
             shutil.rmtree(old)
