@@ -1,7 +1,8 @@
 """Keys under which the messages of a run travel. Every key begins with `zsdist/{run}/`.
 
 A role is named by its kind, such as `actor`, and its id, a number or a level: `actor` and `3`, `learner` and `low`. A
-function that gets `ANY` in place of a name returns a pattern that matches all names.
+field called `actor` holds both, `actor-3`. A function that gets `ANY` in place of a name returns a pattern that matches
+all names.
 """
 
 import re
