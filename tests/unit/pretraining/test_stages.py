@@ -3,7 +3,7 @@ import pytest
 from zsdist.pretraining.stages import TIME_SHARES, Budget
 
 
-def test_what_a_stage_leaves_of_its_time_is_for_those_after_it():
+def test_time_that_a_stage_does_not_use_goes_to_later_stages():
     now = [0.0]
     budget = Budget(100.0, ["pictures", "head", "student"], lambda: now[0])
     used = budget.begin("pictures")

@@ -1,4 +1,4 @@
-"""Both halves joined by a channel that drops, repeats, delays and reorders: nothing lost, doubled or out of order."""
+"""Both halves over a channel that drops, repeats, delays and reorders: nothing is lost, doubled or out of order."""
 
 import numpy as np
 import pytest
@@ -86,7 +86,7 @@ def test_everything_arrives_once_and_in_order_over_any_bad_channel(case: int) ->
 
 
 @pytest.mark.parametrize("case", range(4))
-def test_the_books_hold_when_an_actor_dies_and_is_replaced(case: int) -> None:
+def test_the_counts_agree_when_an_actor_dies_and_is_replaced(case: int) -> None:
     for seed in range(case * SEEDS_A_CASE, (case + 1) * SEEDS_A_CASE):
         line = Line(1000 + seed)
         first = line.outbox(1)
