@@ -10,15 +10,15 @@ class ZsdistError(Exception):
 
 
 class ConfigError(ZsdistError):
-    """A configuration file or a `--set` names an unknown key or a value outside what is allowed."""
+    """Unknown key or value that is not allowed, in a configuration file, a `--set` or another option."""
 
 
 class SceneError(ZsdistError):
-    """A scene file or a scene family is malformed, impossible or unsolvable."""
+    """Scene file or scene family that is malformed, impossible or unsolvable."""
 
 
 class DecodeError(ZsdistError):
-    """Received bytes are not a valid message.
+    """Received bytes that are not a valid message.
 
     Attributes:
         reason: short word by which statistics count the error.
@@ -30,24 +30,24 @@ class DecodeError(ZsdistError):
 
 
 class ProtocolError(ZsdistError):
-    """A local caller violated the push protocol; never raised for what a peer sent."""
+    """Violation of the push protocol by a local caller; never raised for what a peer sent."""
 
 
 class TransportError(ZsdistError):
-    """The hub cannot be reached, or an endpoint cannot be used."""
+    """Hub that cannot be reached, or endpoint, certificate or key that cannot be used."""
 
 
 class WeightsError(ZsdistError):
-    """Weights are missing, damaged, or belong to another network or encoder."""
+    """Weights that are missing, damaged, or belong to another network or encoder."""
 
 
 class RunError(ZsdistError):
-    """A run cannot be started, continued or resumed, or its counts of transitions do not agree."""
+    """Run or stored result that cannot be started, resumed, read or written, or whose counts do not agree."""
 
 
 class DataError(ZsdistError):
-    """A folder or file of a data set is missing, damaged, or not in the expected layout."""
+    """Folder or file of a data set that is missing, damaged, or not in the expected layout."""
 
 
 class ImageError(ZsdistError, ValueError):
-    """Pictures are not an array of the shape and dtype that a network expects."""
+    """Pictures that are not an array of the shape and dtype that a network expects."""

@@ -8,10 +8,10 @@ import numpy as np
 from zsdist.common.compiled import compiled
 
 _INFINITE = 0x7C00 << 1  # bits of an infinite float16 without its sign, shifted left by one; those of NaN are larger
-_ROUND = np.uint32(0xFFF)  # half of the 13 bits that are cut off, rounded down
+_ROUND = np.uint32(0xFFF)  # half the unit of the last bit that is kept, less one
 _REBIAS = np.uint32(112 << 23)  # difference of the exponents' biases, in the bits of a float32
-_LEAST_NORMAL = np.uint32(0x38800000)  # bits of the least float32 that is a normal half float
-_TOO_LARGE = np.uint32(0x47800000)  # bits of the least float32 that becomes infinite whatever the rounding
+_LEAST_NORMAL = np.uint32(0x38800000)  # bits of 2**-14, the least normal half float
+_TOO_LARGE = np.uint32(0x47800000)  # bits of 65536.0, from which on values are infinite
 _NOT_A_NUMBER = np.uint32(0x7F800000)  # bits of an infinite float32; those of NaN are larger
 _BIAS_FACTOR = np.float32(2.0**112)  # difference of the exponents' biases, as a factor
 

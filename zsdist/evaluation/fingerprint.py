@@ -65,10 +65,11 @@ def _equivalents(file: Path) -> dict[str, frozenset[str]]:
 
 
 def _hashes(entry: Any, place: str) -> frozenset[str]:
+    """Return the hashes of an entry; raise `RunError` if it is damaged."""
     if not isinstance(entry, dict) or entry.keys() != _ENTRY:
         raise RunError(f"{place} is {entry!r}; allowed is a mapping with {', '.join(sorted(_ENTRY))}")
     for key in ("commit", "proof"):
-        if not isinstance(entry[key], str) or not entry[key].strip():
+        if not isinstance(entry[key], str) or len(entry[key].strip().splitlines()) != 1:
             raise RunError(f"{place}: {key} is {entry[key]!r}; allowed is a text in one line")
     hashes = entry["hashes"]
     if not isinstance(hashes, list) or not hashes:

@@ -189,7 +189,7 @@ class Pictures:
         """Return the arrays of sources by name."""
         names = self._of(*sources)
         if not names:
-            raise RunError(f"there is no picture of {' or '.join(sources)}; at least one is needed")
+            raise RunError(f"there is no picture of {' or '.join(sources)}; allowed are one or more")
         fields = sorted(path.stem for path in (self._folder / names[0]).glob("*.npy"))
         return {field: Rows.read([self._folder / name / f"{field}.npy" for name in names]) for field in fields}
 

@@ -56,7 +56,7 @@ class PictureShard:
 
 @dataclass(frozen=True)
 class Source:
-    """One kind of pictures.
+    """Kind of pictures.
 
     Attributes:
         pictures: number of pictures.

@@ -1,7 +1,7 @@
 """Receiving half of the push protocol: order, duplicates, acknowledgements and counts. It uses no socket and no clock.
 
 Frames of epochs that were not issued are refused. A newer epoch of an actor abandons the older one at its last frame
-without a gap, so that the counts agree whatever happened to the actor.
+without a gap, so the counts agree even if the actor has died.
 """
 
 from collections import Counter

@@ -303,7 +303,7 @@ def _config(
 
 
 def _secure(identity: Identity | None, grants: Sequence[Grant], end: str) -> dict[str, Any]:
-    """Return settings by which both ends check each other's certificate, and the client the host of the hub's."""
+    """Return settings with which both ends check the other's certificate; that of the hub must be for its host."""
     if identity is None:
         return {}
     tls = {

@@ -81,6 +81,10 @@ def test_listed_hashes_are_equivalent_to_those_of_their_entry_and_others_to_them
         ("- {commit: 1a2b3c4}", "entry 1 is {'commit': '1a2b3c4'}; allowed is a mapping with commit, hashes, proof"),
         (f'- {{commit: 1, hashes: ["{A}"], proof: equal}}', "entry 1: commit is 1; allowed is a text"),
         (f'- {{commit: a1, hashes: ["{A}"], proof: " "}}', "entry 1: proof is ' '; allowed is a text"),
+        (
+            f'- {{commit: a1, hashes: ["{A}"], proof: "a\\nb"}}',
+            "entry 1: proof is 'a\\nb'; allowed is a text in one line",
+        ),
         (ENTRY.format("[]"), "entry 1: hashes is []; allowed is a list of one or more"),
         (ENTRY.format("[1234567890123456]"), "hash is 1234567890123456; allowed are 16 hexadecimal digits in quotes"),
         (ENTRY.format("[ABC]"), "hash is 'ABC'; allowed are 16 hexadecimal digits in quotes"),
