@@ -108,8 +108,8 @@ class AgentConfig(Section):
     repulsion: Positive = 1.0  # k_rep of Eq. (15)
     influence_m: Positive = 1.5  # d_o0 of Eq. (15), distance from which obstacles repel
     trail: NonNegative = 0.5  # weight of the repulsion from positions that the car has visited
-    high_policy: Literal["learned", "planner", "goal"] = "learned"  # goal: the only subgoal, which makes a flat DQN
-    low_policy: Literal["learned", "planner", "field"] = "learned"  # field: descend the potential field
+    high_policy: Literal["learned", "planner", "goal"] = "learned"  # planner: over blocks; goal: flat DQN
+    low_policy: Literal["learned", "planner", "field"] = "learned"  # planner: shortest path; field: potential field
     explored_share: Share = 0.5  # share of a block's cells seen from which the block counts as explored
 
 
