@@ -1,13 +1,12 @@
-"""Throws mutated messages at the codec and at every mailbox, and goes on until something else than a refusal happens.
+"""Fuzzer of the codec and of every mailbox, which runs until an input has another effect than a refusal.
 
     PYTHONPATH=. python tests/fuzz.py --inputs 1000000 --state fuzz.json
 
-Each input is a sound message of some kind, changed: bits, bytes, splices, the JSON in it, its columns; mostly with the
-checksum made right, so that what lies behind it is reached; some come again as they were, or under another's key. Half
-go to `codec.decode`, which may raise `DecodeError` and nothing else, and what it accepts must be fit to be sent again;
-half go into the mailboxes of a replay, a learner, an actor and a scheduler, which must count them or act on them and go
-on. A second start with the same state file goes on from where the first ended, and an input that breaks something is
-left beside it.
+Each input is a valid message with changed bits, bytes, splices, JSON or columns. Mostly its checksum is corrected, so
+that the code behind it is reached; some inputs are repeated unchanged, or sent under a wrong key. Half of them go to
+`codec.decode`, which may only raise `DecodeError`, and whatever it accepts must be encodable again. The others go into
+the mailboxes of a replay, a learner, an actor and a scheduler, which must count them or act on them and continue. A
+second start with the same state file resumes the first, and an input that breaks something is left beside that file.
 """
 
 import argparse
@@ -34,7 +33,7 @@ from zsdist.wire import codec, frame, keys
 from zsdist.wire.messages import Candidate, Jobs, Orders, Records, SampleReply, SampleRequest, WeightsMessage
 
 ROUND = 400  # inputs between two steps of a role
-ROUNDS_A_ROLE = 50  # after which a fresh one takes its place
+ROUNDS_A_ROLE = 50  # after which a new one replaces it
 REPORT_EVERY_S = 5.0
 HOSTILE = [
     None,
@@ -61,14 +60,14 @@ NUMBERS = [0, 1, -1, 2**15, 2**16 - 1, 2**31, 2**63 - 1, np.nan, np.inf, -np.inf
 
 
 class Mutator:
-    """Changes messages, repeatably by its seed."""
+    """Source of changed messages that follow from its seed."""
 
     def __init__(self, seed: str, corpus: list[bytes]) -> None:
         self.random = random.Random(seed)
         self.corpus = corpus
 
     def change(self, payload: bytes) -> bytes:
-        """One more hostile form of `payload`."""
+        """Return a changed form of a message."""
         kind = self.random.random()
         if kind < 0.03:
             return payload
@@ -78,15 +77,15 @@ class Mutator:
         if kind < 0.4:
             changed += payload[16:]
         elif kind > 0.95:
-            return changed  # and a wrong checksum
+            return changed  # with a wrong checksum
         if len(changed) < 16:
             return changed
-        if kind < 0.9:  # the declared length made right too
+        if kind < 0.9:  # correct the declared length too
             changed = changed[:8] + struct.pack("<I", len(changed) - 16) + changed[12:]
         return changed[:12] + struct.pack("<I", zlib.crc32(changed[16:], zlib.crc32(changed[:12]))) + changed[16:]
 
     def text(self, payload: bytes) -> bytes:
-        """One more hostile form of a JSON text."""
+        """Return a changed form of a JSON text."""
         if self.random.random() < 0.5:
             return self._bytes(payload, self.random.choice(self.corpus))
         return json.dumps(self._json(json.loads(payload))).encode()
@@ -120,7 +119,7 @@ class Mutator:
             meta = self._json(meta)
         try:
             return frame.pack(kind, meta, columns, 2**28, self.random.choice([frame.PLAIN, frame.ZSTD]))
-        except DecodeError:  # what no frame can hold
+        except DecodeError:  # no frame can hold it
             return payload
 
     def _columns(self, columns: dict[str, np.ndarray]) -> None:
@@ -215,13 +214,13 @@ def seeds() -> dict[str, list[tuple[str, bytes]]]:
         ],
     }
     return {
-        role: [(key, said if isinstance(said, bytes) else codec.encode(said)) for key, said in pairs]
+        role: [(key, message if isinstance(message, bytes) else codec.encode(message)) for key, message in pairs]
         for role, pairs in found.items()
     }
 
 
 class Mailboxes:
-    """A role under fire; a fresh one takes its place from time to time, and whenever it was told to end."""
+    """Role that gets inputs; a new one replaces it from time to time, and when it has finished."""
 
     def __init__(self, name: str, pairs: list[tuple[str, bytes]], mutator: Mutator) -> None:
         self.name, self.pairs, self.mutator = name, pairs, mutator
@@ -231,7 +230,7 @@ class Mailboxes:
         self._rounds = ROUNDS_A_ROLE
 
     def fire(self, count: int) -> list[tuple[str, bytes]]:
-        """Sends so many inputs and has the role take a step; what was sent comes back where it raises."""
+        """Send inputs and let the role take a step; return what was sent if it raises an error."""
         if self._rounds >= ROUNDS_A_ROLE:
             self._begin()
         self._rounds += 1
@@ -247,7 +246,7 @@ class Mailboxes:
             self.bench.now += 0.5
             if self.bench.role.step(self.bench.now) is None:
                 self._rounds = ROUNDS_A_ROLE
-            self.bench.said.drain()
+            self.bench.statistics.drain()
             self.bench.answers.drain()
         except Exception:
             return sent
@@ -267,7 +266,7 @@ class Mailboxes:
 
     def _send(self, key: str, payload: bytes) -> None:
         if self.name.startswith("learner") and "/sample/" in key:
-            self.bench.role._batches.append(Message(key, payload))  # an answer comes to whoever asked
+            self.bench.role._batches.append(Message(key, payload))  # a reply goes to whoever has sent the request
             return
         self.bench.others.publish(key, payload)
         self.bench.others.request(key, payload, self.bench.answers, timeout_s=1.0)
@@ -279,7 +278,7 @@ class Mailboxes:
 
 
 def survives_decoding(payload: bytes, refused: Counter[str]) -> bool:
-    """Whether the codec refuses these bytes properly, or accepts what can be sent again."""
+    """Return whether the codec refuses these bytes by `DecodeError`, or accepts what can be encoded again."""
     try:
         codec.encode(codec.decode(payload))
     except DecodeError as error:
@@ -291,9 +290,9 @@ def survives_decoding(payload: bytes, refused: Counter[str]) -> bool:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--inputs", type=int, default=100_000, help="in all, earlier sittings included")
-    parser.add_argument("--state", type=Path, required=True, help="how far it came, by refusals; made where it is not")
-    parser.add_argument("--seed", type=int, default=0, help="so that several at a time throw different inputs")
+    parser.add_argument("--inputs", type=int, default=100_000, help="total, earlier sessions included")
+    parser.add_argument("--state", type=Path, required=True, help="file with the state; made if it does not exist")
+    parser.add_argument("--seed", type=int, default=0, help="so that several processes try different inputs")
     options = parser.parse_args()
     state = json.loads(options.state.read_text()) if options.state.exists() else {"inputs": 0, "refused": {}}
     refused = Counter(state["refused"])
@@ -301,8 +300,8 @@ def main() -> int:
     corpus = [codec.encode(message) for message in every_message(np.random.default_rng(0))]
     corpus += [payload for role in pairs.values() for key, payload in role if "/stats/" not in key]
     mutator = Mutator(f"{options.seed}/{state['inputs']}", corpus)
-    mailboxes = [Mailboxes(name, said, mutator) for name, said in pairs.items()]
-    broken, told_s = [], time.monotonic()
+    mailboxes = [Mailboxes(name, messages, mutator) for name, messages in pairs.items()]
+    broken, reported_s = [], time.monotonic()
     while state["inputs"] < options.inputs and not broken:
         for box in mailboxes:
             for _ in range(ROUND):
@@ -311,8 +310,8 @@ def main() -> int:
                     broken.append(("codec", payload))
             broken += box.fire(ROUND)
             state["inputs"] += 2 * ROUND
-        if time.monotonic() - told_s > REPORT_EVERY_S or state["inputs"] >= options.inputs or broken:
-            told_s = time.monotonic()
+        if time.monotonic() - reported_s > REPORT_EVERY_S or state["inputs"] >= options.inputs or broken:
+            reported_s = time.monotonic()
             by_role = sum((box.refused for box in mailboxes), Counter(refused))
             options.state.write_text(json.dumps({"inputs": state["inputs"], "refused": by_role}, indent=1))
             print(f"{state['inputs']} inputs, {by_role.total()} refusals, {len(by_role)} reasons", flush=True)

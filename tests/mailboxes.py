@@ -1,4 +1,4 @@
-"""One role at a time, with everybody else played by a test at the other end of a memory transport."""
+"""One role under test, with a test at the other end of a memory transport in place of all others."""
 
 import json
 import threading
@@ -26,19 +26,19 @@ REPLAY = {"epochs": {"actor-0": 7}, "buffer_size": 2000, "batch_size": 16, "stop
 
 
 class NoLedger:
-    """Of a scheduler whose run directory is of no interest."""
+    """Ledger of a scheduler that writes nothing."""
 
     def __getattr__(self, name):
         return lambda *arguments: 0.0
 
 
 class Bench:
-    """One role, and everybody else at the other end of a memory transport."""
+    """One role, and a transport and mailboxes that stand for all others."""
 
     def __init__(self, role, folder):
         broker, self.now = MemoryBroker(), 0.0
-        self.others, self.said, self.answers = MemoryTransport(broker), Mailbox(2**20), Mailbox(2**26)
-        self.others.subscribe(keys.stats(RUN, keys.ANY, keys.ANY), self.said)
+        self.others, self.statistics, self.answers = MemoryTransport(broker), Mailbox(2**20), Mailbox(2**26)
+        self.others.subscribe(keys.stats(RUN, keys.ANY, keys.ANY), self.statistics)
         kind, _, identifier = role.partition("-")
         context = Context(CONFIG, RUN, kind, identifier, 9, MemoryTransport(broker), threading.Event())
         match kind:
@@ -55,15 +55,15 @@ class Bench:
         self.others.publish(key, payload if isinstance(payload, bytes) else codec.encode(payload))
 
     def refused(self):
-        """By reason, as a watcher hears it after one step."""
+        """Counts of refused messages by reason, as the role publishes them after a step."""
         self.now += 1.0
         assert self.role.step(self.now) is not None
-        told = json.loads(self.said.drain()[-1].payload)
-        return {name.removeprefix("rejected_"): count for name, count in told.items() if name.startswith("rejected_")}
+        fields = json.loads(self.statistics.drain()[-1].payload)
+        return {name.removeprefix("rejected_"): count for name, count in fields.items() if name.startswith("rejected_")}
 
 
 class Blind:
-    """In the place of an actor's eyes: there are no cars."""
+    """Perception of an actor without cars."""
 
     visual_act = FakeVisualAct()
 

@@ -1,4 +1,4 @@
-"""Mailboxes that can be waited for, and free ports: for tests with real sockets."""
+"""Mailboxes that a test can wait for, and free ports, for tests with real sockets."""
 
 import socket
 import threading
@@ -10,7 +10,7 @@ PATIENCE_S = 10.0
 
 
 class Inbox(Mailbox):
-    """A mailbox that can be waited for without sleeping."""
+    """Mailbox that a test can wait for without sleeping."""
 
     def __init__(self, max_bytes: int = 64 * 2**20) -> None:
         self.woken = threading.Event()
@@ -18,7 +18,7 @@ class Inbox(Mailbox):
         super().__init__(max_bytes, self.woken.set)
 
     def wait(self, count: int = 1, timeout_s: float = PATIENCE_S) -> list[Message]:
-        """The first `count` messages, or fewer where time runs out."""
+        """Return all messages once there are `count`, or when the time is over."""
         end = time.monotonic() + timeout_s
         while len(self.seen) < count and self.woken.wait(max(0.0, end - time.monotonic())):
             self.woken.clear()

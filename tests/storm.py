@@ -1,7 +1,7 @@
-"""Actors and a replay with a journal over a bad network, on a virtual clock; either side dies now and then.
+"""Actors and a replay with a journal over a bad network, on a virtual clock; each of them dies now and then.
 
-Every transition says whose it is. States: actor, epoch, trajectory, place in it; what the ring holds at the end is held
-against what the actors were told had arrived.
+The state of every transition holds its actor, epoch, trajectory and position in it. In the end, the content of the
+buffer is compared with what the actors know to be acknowledged.
 """
 
 import threading
@@ -9,6 +9,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from faulty import Faults, FaultyTransport
 
 from zsdist.config import parse
 from zsdist.protocol.outbox import Outbox
@@ -16,7 +17,6 @@ from zsdist.roles.base import Context
 from zsdist.roles.replay.level_replay import Shape
 from zsdist.roles.replay.role import Replay
 from zsdist.transport.base import Mailbox
-from zsdist.transport.faulty import Faults, FaultyTransport
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import NO_GUIDE, Level, Trajectory
 from zsdist.wire import codec, keys
@@ -24,7 +24,7 @@ from zsdist.wire.messages import Orders, Push, SampleReply, SampleRequest
 
 RUN, STEP_S = "storm", 0.02
 ACTORS, ACTIONS, FEATURES = 3, 3, 4
-TRAJECTORIES = 16  # of each actor's last epoch; those before are cut off somewhere
+TRAJECTORIES = 16  # in the last epoch of each actor; earlier epochs are cut off
 PATIENCE_S = 400.0
 CONFIGS = {
     shards: parse(
@@ -39,7 +39,7 @@ CONFIGS = {
 
 
 def trajectory(actor: int, epoch: int, number: int, length: int) -> Trajectory:
-    """Transitions that say where they belong."""
+    """Trajectory whose states tell where they belong."""
     states = np.zeros((length + 1, FEATURES), np.float32)
     states[:, 0], states[:, 1], states[:, 2], states[:, 3] = actor, epoch, number, np.arange(length + 1)
     return Trajectory(
@@ -57,12 +57,13 @@ def trajectory(actor: int, epoch: int, number: int, length: int) -> Trajectory:
 
 
 class Driver:
-    """One actor's outbox, and what it has offered."""
+    """Outbox of one actor, and what it has offered."""
 
     def __init__(self, index: int, epoch: int, transport: FaultyTransport) -> None:
         self.index, self.epoch, self.transport = index, epoch, transport
         self.name = f"actor-{index}"
         self.offered: list[tuple[int, int]] = []  # number and length of each trajectory
+        self.totals: list[int] = []  # running total at each frame sent
         self.box = Mailbox(2**20)
         self.outbox = Outbox(
             Level.LOW, self.name, epoch, window_frames=6, resend_after_s=0.25, give_up_after_s=60, make_frame=Push
@@ -71,8 +72,9 @@ class Driver:
 
     @property
     def confirmed(self) -> int:
-        """Transitions in frames that were acknowledged."""
-        return self.outbox.produced - sum(flight.frame.count for flight in self.outbox._flight)
+        """Number of transitions in acknowledged frames."""
+        acknowledged = len(self.totals) - self.outbox.statistics()["unacknowledged_frames"]
+        return self.totals[acknowledged - 1] if acknowledged else 0
 
     def step(self, rng: np.random.Generator, now: float) -> None:
         for message in self.box.drain():
@@ -82,13 +84,15 @@ class Driver:
             self.outbox.offer([trajectory(self.index, self.epoch, len(self.offered), length)])
             self.offered.append((len(self.offered), length))
             if len(self.offered) == TRAJECTORIES:
-                self.outbox.close(now)
+                self.outbox.close()
         for frame in self.outbox.poll(now):
+            if frame.sequence == len(self.totals):
+                self.totals.append(frame.produced)
             self.transport.publish(keys.push(RUN, Level.LOW, self.name, self.epoch), codec.encode(frame))
 
 
 class Storm:
-    """One seed's worth of trouble for a replay of so many shards; `ride` goes through it, `check` looks at the end."""
+    """Simulation of one seed with a replay of `shards` shards; `ride` runs it, `check` checks the end."""
 
     def __init__(self, seed: int, folder: Path, shards: int = 1) -> None:
         self.rng = np.random.default_rng(seed)
@@ -110,7 +114,7 @@ class Storm:
 
     @property
     def recovered(self) -> int:
-        """Frames that the shards there are now read from journals."""
+        """Number of frames that the current shards have read from journals."""
         return sum(replay.recovered for replay in self.replays)
 
     def connect(self) -> FaultyTransport:
@@ -128,13 +132,13 @@ class Storm:
         self.replays[index : index + 1] = [Replay(context, shapes, self.folder / str(index))]
 
     def ride(self) -> None:
-        """Until every actor's last epoch is closed and held."""
+        """Run until the last epoch of every actor is closed and acknowledged."""
         while not all(driver.outbox.drained for driver in self.drivers):
             assert self.now < PATIENCE_S, f"seed {self.seed} does not end"
             self.now += STEP_S
             self.strike()
-            self.say_orders()
-            self.ask()
+            self.publish_orders()
+            self.request_batches()
             for driver in self.drivers:
                 driver.step(self.rng, self.now)
             for replay in self.replays:
@@ -143,12 +147,12 @@ class Storm:
                 transport.tick(self.now)
 
     def strike(self) -> None:
-        """Now and then something dies, without a word; the deaths are few enough that the run can end."""
+        """Kill something now and then, without notice; there are few enough deaths that the run can end."""
         luck = self.rng.random()
         if luck < 0.03 and self.deaths["replay"] < 4:
             self.deaths["replay"] += 1
             index = int(self.rng.integers(len(self.replays)))
-            self.replays[index].transport.close()  # what it had not sent is gone; its journal's file is as it is
+            self.replays[index].transport.close()  # messages it has not sent are lost; the file of its journal stays
             self.tear(index)
             self.begin_replay(index)
         elif luck < 0.05 and self.deaths["actor"] < 4:
@@ -159,20 +163,20 @@ class Storm:
             self.drivers[victim] = Driver(victim, self.next_epoch(), self.connect())
         elif luck < 0.07 and self.deaths["partition"] < 3:
             self.deaths["partition"] += 1
-            one = self.transports[int(self.rng.integers(len(self.transports)))]
-            one.faults = Faults(drop=1.0)  # nobody hears it for a while
+            partitioned = self.transports[int(self.rng.integers(len(self.transports)))]
+            partitioned.faults = Faults(drop=1.0)  # all that it sends is lost for a while
         elif luck > 0.9:
             for transport in self.transports:
                 transport.faults = self.faults
 
     def tear(self, index: int) -> None:
-        """The dying replay may have been writing: some bytes of a record that was never acknowledged."""
+        """Append bytes of an unfinished record, as if the replay had died while it wrote."""
         if self.rng.random() < 0.5:
             log = max((self.folder / str(index)).glob("*/*.log"))
             with log.open("ab") as file:
                 file.write(bytes(self.rng.integers(0, 256, int(self.rng.integers(1, 40)), np.uint8)))
 
-    def say_orders(self) -> None:
+    def publish_orders(self) -> None:
         content = {
             "epochs": {driver.name: driver.epoch for driver in self.drivers},
             "buffer_size": 4000,
@@ -182,7 +186,7 @@ class Storm:
         key = keys.control(RUN, "replay")
         self.scheduler.publish(key, codec.encode(Orders(1, "replay", content)), retained=True)
 
-    def ask(self) -> None:
+    def request_batches(self) -> None:
         request = codec.encode(SampleRequest(1, Level.LOW, 0))
         for index in range(len(self.replays)):
             self.learner.request(keys.sample(RUN, Level.LOW, index), request, self.batches, timeout_s=1.0)
@@ -191,7 +195,7 @@ class Storm:
             self.sampled += isinstance(reply, SampleReply) and reply.batch is not None
 
     def check(self) -> None:
-        """Nothing lost, doubled, torn, joined or in another's shard; the books agree with the rings."""
+        """Check that nothing is lost, doubled, mixed or in the wrong shard, and that counts and buffers agree."""
         level_replays = [replay.level_replays[Level.LOW] for replay in self.replays]
         rings = []
         for replay, level_replay in zip(self.replays, level_replays, strict=True):
@@ -212,7 +216,7 @@ class Storm:
                 assert expected <= set(held), f"{driver.name} lost transitions of trajectory {number}"
         for driver in self.dead:
             mine = [row for row in held if row[:2] == (driver.index, driver.epoch)]
-            assert driver.confirmed <= len(mine) <= driver.outbox.produced, "what was acknowledged is held"
+            assert driver.confirmed <= len(mine) <= driver.outbox.produced, "acknowledged transitions are not stored"
         books = Counter()
         for level_replay in level_replays:
             books.update(level_replay.books())

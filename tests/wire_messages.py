@@ -1,4 +1,4 @@
-"""One of every message, and what tests of their bytes share."""
+"""Examples of every message, and helpers for tests of their bytes."""
 
 import dataclasses
 
@@ -26,7 +26,7 @@ from zsdist.wire.messages import (
 
 STATE_SIZE, ACTIONS = 12, 11
 
-# Sound contents of orders, jobs and records.
+# Valid contents of orders, jobs and records.
 ACTOR = {"epochs": {"actor-0": 3}, "leases": {"actor-0": [1, 2]}, "finished": 0, "merge": 1, "closing": False}
 ACTOR |= {"cut": False}
 REPLAY = {"epochs": {"actor-0": 3}, "buffer_size": 1000, "batch_size": 16, "stop": False}

@@ -1,4 +1,4 @@
-"""Path planning by zero-shot vision and hierarchical reinforcement learning, trained by actors and learners."""
+"""Visual navigation of a car by zero-shot vision and hierarchical reinforcement learning, trained on many processes."""
 
 import gymnasium
 

@@ -1,11 +1,13 @@
-"""Every knob of a run, as frozen models with units in the names.
+"""Settings of a run: one frozen model per section, with a default and a range for every key and units in the names.
 
-Precedence: the defaults here, then a YAML file (`--config`), then `--set key.path=value`. An unknown key or a value
-outside its range raises `ConfigError` naming the key, the value and what is allowed.
+A value comes from the defaults below, from a YAML file (`--config`) and from `--set key.path=value`; the later of these
+overrides the earlier. An unknown key or a value out of range raises `ConfigError`, which names the key, the value and
+what is allowed. `Table n`, `Eq. (n)` and `Algorithm n` refer to the paper.
 """
 
 import difflib
 import ipaddress
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -22,164 +24,164 @@ Count = Annotated[int, Field(ge=1)]
 Folder = Annotated[str, Field(min_length=1), AfterValidator(lambda path: str(Path(path).absolute()))]
 
 
-def _lasting(name: str) -> str:
-    """A path as one that holds from everywhere, since a run keeps it; a plain name, of something known, as it is."""
+def _absolute_or_name(name: str) -> str:
+    """Return a path as an absolute one, since a run may be resumed from another folder, and a plain name unchanged."""
     return str(Path(name).absolute()) if "/" in name or name in (".", "..") else name
 
 
-NameOrFolder = Annotated[str, Field(min_length=1), AfterValidator(_lasting)]
-Sources = Annotated[tuple[NameOrFolder, ...], Field(min_length=1)]  # families, or folders of scene files
+NameOrFolder = Annotated[str, Field(min_length=1), AfterValidator(_absolute_or_name)]
+Sources = Annotated[tuple[NameOrFolder, ...], Field(min_length=1)]  # scene families or folders of scene files
 
 
 class Section(BaseModel):
-    """A group of settings; frozen, strict about unknown keys, and without NaN and infinity."""
+    """Group of settings. It is frozen and accepts neither unknown keys nor NaN nor infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
 
 
 class GridConfig(Section):
-    """The planning grid (Eq. 7, Table 2), centred in the walled arena."""
+    """Planning grid (Eq. 7, Table 2), centred in the walled arena."""
 
-    cells: Count = 32  # per side, low level
-    blocks: Count = 4  # per side, high level
-    cell_size_m: Positive = 0.625
-    arena_m: Positive = 25.0
+    cells: Count = 32  # cells per side, the grid of the low level; a multiple of `blocks`
+    blocks: Count = 4  # blocks of cells per side, the grid of the high level
+    cell_size_m: Positive = 0.625  # side of a cell
+    arena_m: Positive = 25.0  # side of the square arena
 
 
 class ScenesConfig(Section):
-    """Which scenes a run drives. Validation scenes come from the same families under seeds of their own."""
+    """Scenes of a run. Validation scenes come from the training families, drawn with other seeds."""
 
-    train: Sources = ("singleton",)
-    train_scenes: Count = 1000  # distinct scenes per family
-    test: Sources = ("ood-start-goal", "ood-layout", "ood-clusters")
+    train: Sources = ("singleton",)  # families, or folders of scene files, to train on
+    train_scenes: Count = 1000  # distinct training scenes per family
+    test: Sources = ("ood-start-goal", "ood-layout", "ood-clusters")  # evaluated after training
 
 
 class CameraConfig(Section):
-    """The on-board camera."""
+    """On-board camera."""
 
-    back_end: Literal["caster", "pybullet"] = "caster"
-    size_px: Annotated[int, Field(ge=32, le=1024)] = 224
-    field_of_view_deg: Annotated[float, Field(ge=30, le=120)] = 90.0
-    range_m: Positive = 5.0
-    height_m: Positive = 1.0
+    back_end: Literal["caster", "pybullet"] = "caster"  # renderer: our own ray caster, or PyBullet's
+    size_px: Annotated[int, Field(ge=32, le=1024)] = 224  # side of the square picture
+    field_of_view_deg: Annotated[float, Field(ge=30, le=120)] = 90.0  # horizontal and vertical
+    range_m: Positive = 5.0  # of vision: a ray that meets nothing nearer is free
+    height_m: Positive = 1.0  # above the ground
     forward_m: Annotated[float, Field(ge=-100, le=100)] = 1.0  # mount, ahead of the car's centre
 
 
 class SimConfig(Section):
-    """The car's world (Table 1)."""
+    """Simulation (Table 1)."""
 
-    step_s: Positive = 0.05
-    max_steps: Count = 500  # actions an episode (Table 2)
-    success_radius_m: Positive = 0.60
+    step_s: Positive = 0.05  # simulated time per physics step
+    max_steps: Count = 500  # actions per episode; then it ends as a timeout (Table 2)
+    success_radius_m: Positive = 0.60  # distance to the goal at which an episode succeeds
 
 
 class VisionConfig(Section):
-    """Visual-act inference in the actor."""
+    """Visual-act model: what the agent perceives from a picture."""
 
-    weights: NameOrFolder = "pretrained"  # shipped in the package, or a folder made by `zsdist.pretrain`
-    encoder: NameOrFolder = "efficientnet-lite0"  # or a folder with a CLIP model, as open_clip or Hugging Face have it
-    network: Literal["head", "student"] = "head"  # the head on the encoder's tokens, or the small network without it
-    rays: Literal["all", "three", "none"] = "all"  # that reach the agent: three: one a direction; none: it sees nothing
-    ray_quantile: Annotated[float, Field(gt=0, lt=1)] = 0.1
-    cache_bytes: Annotated[int, Field(ge=0)] = 64 * 2**20  # of readings remembered in training, on a machine; 0: none
+    weights: NameOrFolder = "pretrained"  # the weights in the package, or a folder made by `zsdist.pretrain`
+    encoder: NameOrFolder = "efficientnet-lite0"  # or a folder with a CLIP model of open_clip or Hugging Face
+    network: Literal["head", "student"] = "head"  # head on the encoder's tokens, or small network without an encoder
+    rays: Literal["all", "three", "none"] = "all"  # rays the agent gets; three: one per direction; none: it is blind
+    ray_quantile: Annotated[float, Field(gt=0, lt=1)] = 0.1  # of predicted distance, used as a ray's distance
+    cache_bytes: Annotated[int, Field(ge=0)] = 64 * 2**20  # per machine, of predictions kept in training; 0: no cache
 
 
 class RewardConfig(Section):
-    """Terms of Eqs. (18)-(20), and what each level learns from."""
+    """Reward terms of Eqs. (18)-(20), and which reward the levels learn from."""
 
-    goal: float = 1000.0
-    collision: float = -200.0
-    safe: float = 0.0
-    step: float = 0.0
-    literal: bool = False  # learn from the paper's sum instead of from progress
+    goal: float = 1000.0  # for reaching the goal
+    collision: float = -200.0  # for hitting an obstacle
+    safe: float = 0.0  # R_safe of the obstacle term, for an action without collision
+    step: float = 0.0  # R_step of the goal term, for an action that does not reach the goal
+    literal: bool = False  # learn from the paper's sum of the terms; false: from progress towards subgoal and goal
 
 
 class AgentConfig(Section):
-    """Algorithm 2: exploration, options, guide policies, shield."""
+    """Hierarchical agent (Algorithm 2): exploration, options, guide policies and shield."""
 
-    epsilon_decay: Annotated[float, Field(gt=0, le=1)] = 0.995  # per finished episode (Table 2)
-    epsilon_min: Share = 0.1
-    guide_share: Share = 0.8  # of exploratory actions; the others are uniform
-    option_max_steps: Count = 24
-    shield_share: Share = 0.7  # of training episodes that are driven with the shield
+    epsilon_decay: Annotated[float, Field(gt=0, le=1)] = 0.995  # factor per finished episode (Table 2)
+    epsilon_min: Share = 0.1  # lower bound of epsilon (Table 2)
+    guide_share: Share = 0.8  # share of exploratory actions that follow the guide; the others are uniform
+    option_max_steps: Count = 24  # actions after which the high level chooses a new subgoal
+    shield_share: Share = 0.7  # share of training episodes in which the shield masks unsafe actions
     attraction: Positive = 1.0  # k_att of Eq. (14)
     repulsion: Positive = 1.0  # k_rep of Eq. (15)
-    influence_m: Positive = 1.5  # d_o0 of Eq. (15)
-    trail: NonNegative = 0.5  # repulsion from where the car has been
-    high_policy: Literal["learned", "planner", "goal"] = "learned"  # goal: it is the only subgoal, a flat DQN
-    low_policy: Literal["learned", "planner", "field"] = "learned"
-    explored_share: Share = 0.5  # of a block's cells seen, from where it counts as explored
+    influence_m: Positive = 1.5  # d_o0 of Eq. (15), distance from which obstacles repel
+    trail: NonNegative = 0.5  # weight of the repulsion from positions that the car has visited
+    high_policy: Literal["learned", "planner", "goal"] = "learned"  # planner: over blocks; goal: flat DQN
+    low_policy: Literal["learned", "planner", "field"] = "learned"  # planner: shortest path; field: potential field
+    explored_share: Share = 0.5  # share of a block's cells seen from which the block counts as explored
 
 
 class LevelConfig(Section):
-    """One DQN: its network and how it learns."""
+    """DQN of one level: its network and its learning."""
 
-    hidden: tuple[Count, ...] = (128, 128)
+    hidden: tuple[Count, ...] = (128, 128)  # widths of the hidden layers
     learning_rate: Positive = 0.002  # Table 2
     discount: Share = 0.99
-    reward_scale: Positive = 1.0
-    double: bool = True
-    huber: bool = True
-    target_tau: Share = 0.01  # soft copy per update; 0: only the merge moves the target network
-    max_gradient_norm: Positive = 10.0
-    guide_margin: NonNegative = 0.8
-    guide_margin_weight: NonNegative = 0.0
-    updates_per_insert: Positive = 0.25  # an update every fourth step, as DQN had; held whatever the batch size
-    min_size: Count = 128  # transitions from which learning starts
+    reward_scale: Positive = 1.0  # factor on rewards before learning
+    double: bool = True  # double DQN; false: the target network chooses the next action too
+    huber: bool = True  # Huber loss; false: squared error
+    target_tau: Share = 0.01  # share of the soft target update, per update; 0: only a merge changes the target network
+    max_gradient_norm: Positive = 10.0  # gradients are clipped to it
+    guide_margin: NonNegative = 0.8  # value by which the guide's action should exceed the others
+    guide_margin_weight: NonNegative = 0.0  # of the margin loss; 0: it is not used
+    updates_per_insert: Positive = 0.25  # updates per new transition, for any batch size; DQN updates every fourth step
+    min_size: Count = 128  # stored transitions from which learning starts
 
 
 class HighConfig(LevelConfig):
-    """The high level's own defaults. Table 2 has a discount of 0.99 for both levels (configs/paper.yaml)."""
+    """Defaults that differ for the high level. Table 2 has a discount of 0.99 for both levels (configs/paper.yaml)."""
 
-    discount: Share = 0.95  # nearer to what it can foresee
+    discount: Share = 0.95  # a horizon nearer to what the level can foresee
     guide_margin_weight: NonNegative = 1.0
     min_size: Count = 16
 
 
 class LowConfig(LevelConfig):
-    """The low level's own defaults."""
+    """Defaults that differ for the low level."""
 
-    discount: Share = 0.95  # nearer to what it can foresee
+    discount: Share = 0.95  # as for the high level
     guide_margin_weight: NonNegative = 1.0
 
 
 class ReplayConfig(Section):
-    """Adaptive replay (Eqs. 21-23, Table 2)."""
+    """Replay buffers, whose sizes adapt to the return (Eqs. 21-23, Table 2)."""
 
-    shards: Count = 1  # processes a level is divided among, each with the transitions of some of the actors
-    n_step: Count = 1  # transitions of a trajectory whose rewards make up a return, at most
-    prioritised: bool = False  # draw transitions by their last error instead of uniformly
-    priority_exponent: Share = 0.6  # of the error; 0: uniformly
-    importance_exponent: Share = 0.4  # of the weights that make good for drawing unequally; 1: wholly
-    adaptive: bool = True
-    size_initial: Count = 10_000
+    shards: Count = 1  # replay processes, each with the transitions of some of the actors; at most one per actor
+    n_step: Count = 1  # most rewards of a trajectory that are summed up in an n-step return
+    prioritised: bool = False  # sample by the last temporal-difference error instead of uniformly
+    priority_exponent: Share = 0.6  # of the error; 0: uniform sampling
+    importance_exponent: Share = 0.4  # of the importance weights; 1: they correct the sampling bias completely
+    adaptive: bool = True  # adapt the sizes of buffer and batch; false: keep the initial ones
+    size_initial: Count = 10_000  # transitions in the buffer of a level
     size_min: Count = 1_000
     size_max: Count = 20_000
-    batch_initial: Count = 128
+    batch_initial: Count = 128  # transitions in a batch
     batch_min: Count = 16
     batch_max: Count = 256
-    grow_rate: Annotated[float, Field(gt=0, lt=1)] = 0.9
-    grow_threshold: Positive = 1.2
-    shrink_rate: Annotated[float, Field(gt=0, lt=1)] = 0.9
-    shrink_threshold: Positive = 1.0
+    grow_rate: Annotated[float, Field(gt=0, lt=1)] = 0.9  # an adjustment grows a size to at most size / grow_rate
+    grow_threshold: Positive = 1.2  # wanted / current size above which it grows
+    shrink_rate: Annotated[float, Field(gt=0, lt=1)] = 0.9  # and shrinks it to at least size * shrink_rate
+    shrink_threshold: Positive = 1.0  # wanted / current size below which it shrinks
     adjust_every_episodes: Count = 10
-    average_episodes: Count = 50
+    average_episodes: Count = 50  # latest episodes whose mean return decides
     target_return: float = 710.0  # R_target: mean paper return of A* on 60 training scenes of `iid`
-    max_bytes: Count = 256 * 2**20
+    max_bytes: Count = 256 * 2**20  # that the buffers of both levels may take; a run that needs more is refused
 
 
 class MergeConfig(Section):
-    """The global policy's way into the target network."""
+    """Merge of the global policy: the best of several candidates on validation scenes becomes the target network."""
 
-    every_episodes: Annotated[int, Field(ge=0)] = 100  # 0: never
-    validation_scenes: Count = 20
-    drive_steps: Count = 150  # actions after which a validation drive is a timeout; the best way takes about 30
-    distil_updates: Count = 200
-    drop_after_scenes: Count = 6  # a candidate clearly behind by then is not driven further
+    every_episodes: Annotated[int, Field(ge=0)] = 100  # finished episodes between merges; 0: no merge
+    validation_scenes: Count = 20  # scenes that every candidate drives
+    drive_steps: Count = 150  # actions after which a validation drive is a timeout; the shortest path takes about 30
+    distil_updates: Count = 200  # updates towards the guide's actions that make the distilled candidate
+    drop_after_scenes: Count = 6  # scenes after which a candidate that is clearly behind is dropped
 
 
 def is_loopback(endpoint: str) -> bool:
-    """Whether nobody outside this machine reaches an endpoint, `PROTOCOL/HOST:PORT`."""
+    """Return whether an endpoint, `PROTOCOL/HOST:PORT`, can be reached from this machine only."""
     host = endpoint.partition("/")[2].rpartition(":")[0].strip("[]")
     try:
         return ipaddress.ip_address(host).is_loopback
@@ -188,15 +190,15 @@ def is_loopback(endpoint: str) -> bool:
 
 
 class TransportConfig(Section):
-    """How messages travel."""
+    """Transport of messages between roles. The kind alone may be written: `transport: memory`."""
 
-    kind: Literal["memory", "zenoh"] = "zenoh"
-    endpoint: str = "tcp/127.0.0.1:7447"  # of the hub; with certificates tls/HOST:PORT, by default tls/127.0.0.1:7447
-    tls: Folder | None = None  # with certificates (`python -m zsdist.certs`); None: nobody outside this machine
-    mailbox_bytes: Count = 64 * 2**20
-    window_frames: Count = 64  # unacknowledged frames an outbox may hold
-    resend_after_s: Positive = 0.25
-    give_up_after_s: Positive = 60.0
+    kind: Literal["memory", "zenoh"] = "zenoh"  # memory: within one process
+    endpoint: str = "tcp/127.0.0.1:7447"  # of the hub; with `tls` it is tls/HOST:PORT, by default tls/127.0.0.1:7447
+    tls: Folder | None = None  # folder made by `python -m zsdist.certs`; None: reachable from this machine only
+    mailbox_bytes: Count = 64 * 2**20  # of received messages that wait; what does not fit is dropped and sent again
+    window_frames: Count = 64  # unacknowledged frames per stream
+    resend_after_s: Positive = 0.25  # age at which an unacknowledged frame is sent again
+    give_up_after_s: Positive = 60.0  # without progress at a live receiver; then the run ends with an error
 
     @model_validator(mode="before")
     @classmethod
@@ -209,24 +211,24 @@ class TransportConfig(Section):
 
 
 class RunConfig(Section):
-    """Length and shape of a run."""
+    """Length and size of a run."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")] = "default"
-    episodes: Count = 150
-    actors: Annotated[int, Field(ge=1, le=4096)] = 2
-    cars_per_actor: Annotated[int, Field(ge=1, le=256)] = 4
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")] = "default"  # first part of the run directory's name
+    episodes: Count = 150  # training episodes of all actors together
+    actors: Annotated[int, Field(ge=1, le=4096)] = 2  # actor processes
+    cars_per_actor: Annotated[int, Field(ge=1, le=256)] = 4  # cars that an actor drives at the same time
     checkpoint_every_episodes: Count = 50
-    cpus_per_role: Annotated[float, Field(gt=0)] = 0.1  # what each role asks Ray for
-    standby: bool = True  # keep a process warm that takes over from one that dies
-    address: str | None = None  # of a Ray cluster; None: start one on this machine
-    final_evaluation_episodes: Annotated[int, Field(ge=0)] = 30
+    cpus_per_role: Annotated[float, Field(gt=0)] = 0.1  # CPUs that each role requests from Ray
+    standby: bool = True  # keep a spare process ready that takes over from one that dies
+    address: str | None = None  # of a Ray cluster; None: start Ray on this machine
+    final_evaluation_episodes: Annotated[int, Field(ge=0)] = 30  # of each policy after training; 0: no evaluation
 
 
 class Config(Section):
-    """A whole run."""
+    """Settings of a whole run."""
 
-    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
-    placement: Literal["inline", "ray"] = "ray"
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0  # of scenes, networks and exploration
+    placement: Literal["inline", "ray"] = "ray"  # inline: all roles in one process
     run: RunConfig = RunConfig()
     scenes: ScenesConfig = ScenesConfig()
     grid: GridConfig = GridConfig()
@@ -244,7 +246,7 @@ class Config(Section):
     @model_validator(mode="after")
     def _consistent(self) -> "Config":
         if self.transport.kind == "memory" and self.placement == "ray":
-            raise ValueError("transport 'memory' lives in one process; with placement 'ray' use transport 'zenoh'")
+            raise ValueError("transport 'memory' works within one process; with placement 'ray' use transport 'zenoh'")
         for low, value, high, name in (
             (self.replay.size_min, self.replay.size_initial, self.replay.size_max, "replay.size"),
             (self.replay.batch_min, self.replay.batch_initial, self.replay.batch_max, "replay.batch"),
@@ -252,9 +254,7 @@ class Config(Section):
             if not low <= value <= high:
                 raise ValueError(f"{name}_initial is {value}; allowed is {name}_min to {name}_max, {low} to {high}")
         if self.replay.shards > self.run.actors:
-            raise ValueError(
-                f"replay.shards is {self.replay.shards}; allowed are at most as many as actors, {self.run.actors}"
-            )
+            raise ValueError(f"replay.shards is {self.replay.shards}; allowed is at most run.actors, {self.run.actors}")
         endpoint = self.transport.endpoint
         if self.run.address is not None and is_loopback(endpoint):
             raise ValueError(
@@ -271,7 +271,7 @@ class Config(Section):
             raise ValueError(f"{found} with transport.tls {tls!r}; allowed is tls/HOST:PORT")
         if tls is None and (endpoint.startswith("tls/") or not is_loopback(endpoint)):
             raise ValueError(
-                f"{found} without certificates, so that whoever reaches it could do anything; allowed is a loopback "
+                f"{found} without certificates, so anyone who reaches it could control the run; allowed is a loopback "
                 "address such as tcp/127.0.0.1:7447, or transport.tls with a folder made by python -m zsdist.certs"
             )
         if self.grid.cells % self.grid.blocks:
@@ -282,26 +282,22 @@ class Config(Section):
 
 
 def load(path: str | Path | None = None, overrides: tuple[str, ...] = ()) -> Config:
-    """The configuration of a YAML file (or the defaults) with `key.path=value` overrides applied.
+    """Return the configuration of a YAML file, or the defaults, with `key.path=value` overrides applied.
 
-    A file may name another, relative to itself, as its `base`: it then says only what differs from that one.
+    A file may name another file as its `base`, by a path relative to itself. It then holds only what differs from the
+    base, and the base may not have a base itself.
 
     Raises:
         ConfigError: the file cannot be read or is no YAML mapping; a key is unknown; a value is not allowed.
     """
-    tree = {} if path is None else _read(Path(path))
-    if base := tree.pop("base", None):
-        below = _read(Path(path).parent / str(base))
-        if "base" in below:
-            raise ConfigError(f"configuration file {path}: its base {base} has a base too; allowed is one without")
-        tree = _laid_over(below, tree)
+    tree = {} if path is None else _read_with_base(Path(path))
     for override in overrides:
         _apply(tree, override)
     return parse(tree)
 
 
 def parse(tree: dict[str, Any]) -> Config:
-    """A checked `Config` from nested dictionaries; raises `ConfigError` in one line."""
+    """Return the checked configuration in nested dictionaries; raise `ConfigError` with all problems in one line."""
     try:
         return Config.model_validate(tree)
     except ValidationError as error:
@@ -309,12 +305,12 @@ def parse(tree: dict[str, Any]) -> Config:
 
 
 def dump(config: Config) -> str:
-    """The configuration as YAML that `load` reads back to an equal one."""
+    """Return the configuration as YAML, from which `load` makes an equal one."""
     return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
 
 
 def known_keys(model: type[BaseModel] = Config, prefix: str = "") -> list[str]:
-    """Every settable key path, depth first."""
+    """Return the paths of all keys and sections, such as `sim` and `sim.step_s`, depth first."""
     keys = []
     for name, field in model.model_fields.items():
         keys.append(prefix + name)
@@ -323,27 +319,44 @@ def known_keys(model: type[BaseModel] = Config, prefix: str = "") -> list[str]:
     return keys
 
 
+def _read_with_base(path: Path) -> dict[str, Any]:
+    """Return the unchecked settings of a YAML file over those of its base, if it names one."""
+    tree = _read(path)
+    base = tree.pop("base", None)
+    if not base:
+        return tree
+    base_tree = _read(path.parent / str(base))
+    if "base" in base_tree:
+        raise ConfigError(f"configuration file {path}: its base {base} has a base too; allowed is one without")
+    return _overlay(base_tree, tree)
+
+
 def _read(path: Path) -> dict[str, Any]:
-    """The settings in a YAML file, unchecked."""
+    """Return the unchecked settings of a YAML file."""
     try:
         tree = strict_yaml.load(path.read_text()) or {}
     except OSError as error:
         raise ConfigError(f"configuration file {path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: no UTF-8, no such date or number
+    except (
+        yaml.YAMLError,
+        ValueError,
+        RecursionError,
+    ) as error:  # ValueError: no UTF-8, date or number
         raise ConfigError(f"configuration file {path} is not valid YAML: {' '.join(str(error).split())}") from error
     if not isinstance(tree, dict):
         raise ConfigError(f"configuration file {path} holds a {type(tree).__name__}; allowed is a mapping of settings")
     return tree
 
 
-def _laid_over(below: Any, above: Any) -> Any:
-    """One tree of settings over another: sections are merged, values replaced."""
-    if not (isinstance(below, dict) and isinstance(above, dict)):
-        return above
-    return below | {key: _laid_over(below.get(key), value) for key, value in above.items()}
+def _overlay(base: Any, changes: Any) -> Any:
+    """Return a tree of settings with changes applied: sections are merged, values are replaced."""
+    if not (isinstance(base, dict) and isinstance(changes, dict)):
+        return changes
+    return base | {key: _overlay(base.get(key), value) for key, value in changes.items()}
 
 
 def _apply(tree: dict[str, Any], override: str) -> None:
+    """Set the value of an override `key.path=value` in a tree of settings."""
     path, equals, text = override.partition("=")
     if not equals or not path:
         raise ConfigError(f"--set {override!r} is not of the form key.path=value")
@@ -360,7 +373,8 @@ def _apply(tree: dict[str, Any], override: str) -> None:
     node[leaf] = value
 
 
-def _explain(item: dict[str, Any]) -> str:
+def _explain(item: Mapping[str, Any]) -> str:
+    """Return a validation error of pydantic as a phrase with key, value and what is allowed."""
     key = ".".join(str(part) for part in item["loc"])
     if item["type"] == "extra_forbidden":
         near = difflib.get_close_matches(key, known_keys(), n=1, cutoff=0.0)

@@ -1,24 +1,28 @@
-"""Every error zsdist raises on purpose, under one root.
+"""Errors that zsdist raises on purpose, under one root.
 
-A message names the thing, the value found and what is allowed, in one line: the commands print it as it is and
-exit with status 2.
+A message names in one line what is wrong, the value found and what is allowed. The commands print it unchanged and exit
+with status 2.
 """
 
 
 class ZsdistError(Exception):
-    """Root of all errors that are the caller's or the environment's to mend, never a defect of zsdist."""
+    """Root of all errors that the caller or the environment has to correct; never a defect of zsdist."""
 
 
 class ConfigError(ZsdistError):
-    """A configuration file or a `--set` names an unknown key or a value outside what is allowed."""
+    """Unknown key or value that is not allowed, in a configuration file, a `--set` or another option."""
 
 
 class SceneError(ZsdistError):
-    """A scene file or a scene family is malformed, impossible or unsolvable."""
+    """Scene file or scene family that is malformed, impossible or unsolvable."""
 
 
 class DecodeError(ZsdistError):
-    """Bytes that are not a message of ours. `reason` is a short word that statistics count by."""
+    """Received bytes that are not a valid message.
+
+    Attributes:
+        reason: short word by which statistics count the error.
+    """
 
     def __init__(self, reason: str, detail: str = "") -> None:
         super().__init__(f"{reason}: {detail}" if detail else reason)
@@ -26,24 +30,24 @@ class DecodeError(ZsdistError):
 
 
 class ProtocolError(ZsdistError):
-    """A local caller broke the push protocol (never raised for what a peer sent)."""
+    """Violation of the push protocol by a local caller; never raised for what a peer sent."""
 
 
 class TransportError(ZsdistError):
-    """The hub cannot be reached, or an endpoint cannot be used."""
+    """Hub that cannot be reached, or endpoint, certificate or key that cannot be used."""
 
 
 class WeightsError(ZsdistError):
-    """Weights are missing, damaged, or belong to another network or encoder."""
+    """Weights that are missing, damaged, or belong to another network or encoder."""
 
 
 class RunError(ZsdistError):
-    """A run cannot start, go on or be resumed; or its books do not balance."""
+    """Run or stored result that cannot be started, resumed, read or written, or whose counts do not agree."""
 
 
 class DataError(ZsdistError):
-    """A data set's folder or file is missing, damaged, or not in the layout that is expected."""
+    """Folder or file of a data set that is missing, damaged, or not in the expected layout."""
 
 
 class ImageError(ZsdistError, ValueError):
-    """Pictures are not an array of the shape and dtype that a network takes."""
+    """Pictures that are not an array of the shape and dtype that a network expects."""

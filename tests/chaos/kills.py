@@ -1,17 +1,16 @@
-"""Kills a process of a real run again and again, and tells whether anything was lost and how soon inserts resumed.
+"""Measurement of losses and of the time until inserts resume when a process of a real run is killed repeatedly.
 
 `python tests/chaos/kills.py --role replay|actor|hub [--kills 100] [--per-run 20] [--results FILE]`
 
-Real processes, zenoh and journal, under the supervisor of `zsdist.launch`; only the cars are kinematic, so that many
-episodes pass between two kills. Each result is a line of JSON in FILE, and a second call goes on where the first
-ended. `RESTARTS_ALLOWED` bounds what one run survives, so there are several.
+Processes, zenoh and journal are real, under the supervisor of `zsdist.launch`; only the cars are kinematic, so that
+many episodes pass between two kills. Each result is a line of JSON in FILE, and a second call resumes the first.
+`RESTARTS_ALLOWED` limits the kills in one run, so there are several runs.
 
-What is stored is read where it counts, from the replay's own journal, as it grows. *Inserts resume* at the first frame
-in it after the kill: of the replaced actor (there is one), by the replaced replay, or, where the hub died, after the
-longest pause that began within a quarter of a second, for what it had passed on still arrives. *Lost* are transitions
-in frames that were acknowledged, or in the journal, and are not in the final books, and whatever
-`produced - stored - rejected` leaves: all must be 0. `abandoned_at_most` is what dead actors may have
-driven and not got across, for they died with it.
+Stored frames are read from the journal of the replay as it grows. *Inserts resume* at the first frame in it after the
+kill: of the replaced actor (there is only one), by the replaced replay, or, if the hub died, after the longest pause
+that began within a quarter of a second, since messages on their way still arrive. *Lost* are transitions in frames that
+were acknowledged or in the journal and are not in the final counts, and the difference `produced - stored - rejected`:
+all must be 0. `abandoned_at_most` counts transitions that died with their actors before they were delivered.
 """
 
 import argparse
@@ -57,7 +56,7 @@ LIGHT = (
     "high.updates_per_insert=0.05",
     "scenes.train=[singleton]",
 )
-CALM_S = 1.0  # at least so long do inserts flow before a kill
+CALM_S = 1.0  # least time with inserts before a kill
 PATIENCE_S = 60.0
 POLL_S = 0.002
 SOON_S = 0.25
@@ -65,13 +64,13 @@ TIMES = ("resumed_s", "pauses_s")  # until the first insert; longest time withou
 
 
 class Log:
-    """What one journal logs, from log to log as it begins anew."""
+    """Reader of the logs of one journal, which begins a new one at each compaction."""
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._base, self._file, self._rest = folder, None, None, b""
 
     def pushes(self) -> list[Push]:
-        """The frames since the last time."""
+        """Return the frames since the last call."""
         bases = sorted(self._folder.glob("*.base"))  # a log counts once its base is there
         found = [] if self._file is None else self._read()  # to its end: its writer left it before the next base
         if bases and bases[-1] != self._base:
@@ -88,11 +87,11 @@ class Log:
 
 
 class Tail:
-    """Reads the journals of a run as they are written.
+    """Reader of all journals of a run as they are written.
 
     Attributes:
-        arrivals: time, actor's epoch of each frame.
-        totals: produced in order so far, and the frames, of each (stream, actor, epoch).
+        arrivals: time and epoch of each frame.
+        totals: frames in order and transitions produced so far, of each (stream, actor, epoch).
     """
 
     def __init__(self, folder: Path) -> None:
@@ -105,13 +104,13 @@ class Tail:
         self._thread.start()
 
     def close(self) -> None:
-        """Reads what is there, and ends."""
+        """Read the rest and stop."""
         self._stop.set()
         self._thread.join()
         self.read()
 
     def read(self) -> int:
-        """Reads what has been written by now; how many frames that makes in all."""
+        """Read what is written so far; return the total number of frames."""
         with self._lock:
             self._read()
             return len(self.arrivals)
@@ -138,7 +137,7 @@ class Tail:
 
 
 class Executioner:
-    """Watches a run and kills one role's process whenever inserts flow and a stand-in waits."""
+    """Observer of a run that kills the process of one role whenever inserts flow and a standby process waits."""
 
     def __init__(self, role: str, kills: int, folder: Path) -> None:
         self.role, self.kills = role, kills
@@ -148,7 +147,7 @@ class Executioner:
         self.pauses_s: list[float] = []
         self.done = False
         self._folder = folder
-        self._said: dict[str, dict] = {}
+        self._statistics: dict[str, dict] = {}
         self._box = Mailbox(2**26)
         self._listening = False
         self._killed_s: float | None = None
@@ -157,19 +156,19 @@ class Executioner:
         self.standby_kib = 0
 
     def interrupted(self) -> bool:
-        """Whether all is done."""
+        """Return whether all kills are done."""
         return self.done
 
     def watch(self, transport: Transport, now: float) -> None:
-        """Called by the runner several times a second."""
+        """Read messages, and kill or measure; the runner calls it several times a second."""
         if not self._listening:
             self._listening = True
             transport.subscribe(f"zsdist/{self._folder.name}/stats/**", self._box)
             transport.subscribe(keys.ack(self._folder.name, keys.ANY), self._box)
         for message in self._box.drain():
             if "/stats/" in message.key:
-                said = json.loads(message.payload)
-                self._said[said["role"]] = said
+                statistics = json.loads(message.payload)
+                self._statistics[statistics["role"]] = statistics
             elif isinstance(ack := codec.decode(message.payload), Ack) and ack.stream in ("high", "low"):
                 stream = (ack.stream, ack.actor, ack.epoch)
                 self.acknowledged[stream] = max(self.acknowledged.get(stream, 0), ack.received)
@@ -182,7 +181,7 @@ class Executioner:
 
     def _kill(self, now: float) -> None:
         waiting = _standby()
-        victim = self._said.get(self.role, {}).get("pid")
+        victim = self._statistics.get(self.role, {}).get("pid")
         flowing = [time_s for time_s, _ in self.tail.arrivals[-1:] if now - time_s < 0.5]
         if not flowing or waiting is None or victim is None or victim in self._victims:
             self._calm_s = now
@@ -198,7 +197,7 @@ class Executioner:
 
     def _await(self, now: float) -> None:
         assert now - self._killed_s < PATIENCE_S, f"inserts have not resumed {PATIENCE_S} s after a {self.role} died"
-        new = self._said[self.role]["pid"] not in self._victims
+        new = self._statistics[self.role]["pid"] not in self._victims
         if not new or now - self._killed_s < 2.0:
             return
         after = self.tail.arrivals[self._before :]
@@ -225,12 +224,12 @@ class Executioner:
             )
 
     def lost(self, summary: dict) -> int:
-        """Transitions that were acknowledged or journaled, and are not accounted for."""
+        """Return the number of transitions that were acknowledged or journaled and are missing in the final counts."""
         lost = 0
-        for level, books in summary["transitions"].items():
-            mine = {stream: totals for stream, totals in self.tail.totals.items() if stream[0] == level}
-            written = sum(produced for _, produced in mine.values())
-            lost += abs(written - books["produced"]) + abs(books["produced"] - books["stored"] - books["rejected"])
+        for level, counts in summary["transitions"].items():
+            totals_of_level = {stream: totals for stream, totals in self.tail.totals.items() if stream[0] == level}
+            written = sum(produced for _, produced in totals_of_level.values())
+            lost += abs(written - counts["produced"]) + abs(counts["produced"] - counts["stored"] - counts["rejected"])
             lost += sum(
                 max(0, received - self.tail.totals.get(stream, (0, 0))[0])
                 for stream, received in self.acknowledged.items()
@@ -240,7 +239,7 @@ class Executioner:
 
 
 def _standby() -> int | None:
-    """Resident KiB of the process that waits, warm, for somebody to die; None: there is none yet."""
+    """Return the resident KiB of the standby process; None: there is none yet."""
     for process in psutil.Process().children(recursive=True):
         with contextlib.suppress(psutil.Error):
             if " ".join(process.cmdline()).strip() == "ray::RoleHost":
@@ -249,7 +248,7 @@ def _standby() -> int | None:
 
 
 def ride(role: str, kills: int) -> dict:
-    """One run, in which so many processes of a role are killed."""
+    """Run once, kill processes of a role, and return the results."""
     with tempfile.TemporaryDirectory() as root:
         folder = Path(root) / "kills"
         settings = config.load(None, LIGHT)
@@ -265,15 +264,15 @@ def ride(role: str, kills: int) -> dict:
             "resumed_s": [round(value, 4) for value in executioner.resumed_s],
             "pauses_s": [round(value, 4) for value in executioner.pauses_s],
             "lost": executioner.lost(summary),
-            "abandoned_at_most": sum(books["abandoned_at_most"] for books in summary["transitions"].values()),
-            "produced": sum(books["produced"] for books in summary["transitions"].values()),
+            "abandoned_at_most": sum(counts["abandoned_at_most"] for counts in summary["transitions"].values()),
+            "produced": sum(counts["produced"] for counts in summary["transitions"].values()),
             "restarts": summary["restarts"],
             "standby_kib": executioner.standby_kib,
         }
 
 
 def main() -> None:
-    """Adds runs to the results until there are enough kills, and prints what they say."""
+    """Add runs to the results until there are enough kills, and print a summary."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--role", choices=ray.RESTARTED, required=True)
     parser.add_argument("--kills", type=int, default=100)
@@ -297,7 +296,7 @@ def main() -> None:
 
 
 def _of(options: argparse.Namespace) -> dict:
-    """All results of the role, together."""
+    """Return all results of the role together."""
     lines = options.results.read_text().splitlines() if options.results.exists() else []
     rows = [row for line in lines if (row := json.loads(line))["role"] == options.role]
     return {

@@ -238,7 +238,7 @@ def test_without_a_certificate_of_the_authority_nobody_connects(hub, folder, tmp
     ):
         with pytest.raises(zenoh.ZError):
             Client(endpoint, identity)
-    with pytest.raises(TransportError, match=r"no hub answers at .* or not to certificate .*trusted\.pem"):
+    with pytest.raises(TransportError, match=r"no hub answers at .* or it refuses certificate .*trusted\.pem"):
         ZenohTransport(hub.endpoint, Identity.load(tmp_path, permissions.TRUSTED), connect_timeout_s=0.5)
 
 

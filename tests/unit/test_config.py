@@ -1,4 +1,4 @@
-"""What a configuration says of who may reach the hub, and of where things lie."""
+"""Settings of who may reach the hub, and paths in settings."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from zsdist.errors import ConfigError
 
 
 @pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:7447", "tcp/127.8.9.1:1", "tcp/localhost:7447", "tcp/[::1]:7447"])
-def test_without_certificates_the_hub_listens_to_this_machine(endpoint):
+def test_without_certificates_a_loopback_endpoint_is_allowed(endpoint):
     assert load(None, (f"transport.endpoint={endpoint}",)).transport.endpoint == endpoint
 
 
@@ -38,7 +38,7 @@ def test_with_certificates_the_default_endpoint_is_tls_and_any_host_is_allowed()
         ("transport.tls=''",),
     ],
 )
-def test_tls_and_its_endpoint_go_together(overrides):
+def test_tls_without_its_endpoint_and_the_reverse_are_refused(overrides):
     with pytest.raises(ConfigError, match="transport"):
         load(None, overrides)
 
@@ -51,7 +51,7 @@ def test_the_folder_of_certificates_is_kept_as_an_absolute_path(tmp_path, monkey
     assert load(tmp_path / "again.yaml") == config == parse(config.model_dump())
 
 
-def test_places_are_kept_as_absolute_paths_and_names_as_they_are(tmp_path, monkeypatch):
+def test_paths_become_absolute_and_names_stay_as_they_are(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     settings = load(overrides=("scenes.train=[iid, sc/good]", "scenes.test=[./iid]", "vision.weights=runs/eyes"))
     assert settings.scenes.train == ("iid", str(tmp_path / "sc" / "good"))

@@ -92,7 +92,7 @@ LEARNED_ALONE = {
         ("no-contrast", {"vision.weights"}),
     ],
 )
-def test_a_baseline_differs_from_what_the_others_train_with_in_what_it_is_for(name, differing):
+def test_a_baseline_differs_from_the_common_preset_in_its_own_settings(name, differing):
     base = load(CONFIGS / "scattered.yaml")
     assert differences(load(CONFIGS / "baselines" / f"{name}.yaml"), base) == differing
 
@@ -102,7 +102,7 @@ def test_baselines_train_on_the_training_families_only():
         assert set(load(path).scenes.train) <= set(MANIFEST["policy-training"].families)
 
 
-def test_a_file_says_only_what_differs_from_its_base(tmp_path):
+def test_a_file_overrides_its_base(tmp_path):
     (tmp_path / "base.yaml").write_text("sim: {max_steps: 9, step_s: 0.1}\nscenes: {train: [iid]}\n")
     (tmp_path / "over.yaml").write_text("base: base.yaml\nsim: {max_steps: 7}\nseed: 3\n")
     config = load(tmp_path / "over.yaml", ("sim.success_radius_m=0.5",))

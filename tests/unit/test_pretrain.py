@@ -13,7 +13,7 @@ def command(*arguments):
 @pytest.mark.parametrize(
     ("wrong", "reason"),
     [
-        (("--families", "meadow"), "'meadow', which is no family; allowed are street, varied"),
+        (("--families", "meadow"), "'meadow', which is not a scene family; allowed are street, varied"),
         (("--families", "street,ood-layout"), "'ood-layout', which is withheld from the training of vision.*test"),
         (("--stages", "feet"), "'feet'; allowed are words, head, student"),
         (("--stages", "student"), "student without head"),

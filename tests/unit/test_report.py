@@ -14,7 +14,7 @@ def test_a_page_on_vision_shows_each_picture_that_it_names(tmp_path, capsys):
     drawn = {file.name for file in (tmp_path / "page").iterdir()} - {"vision.md"}
     assert {"vision-clearance.png", "vision-reliability.png", "vision-misses.jpg"} <= drawn
     assert all(f"({name})" in page for name in drawn)
-    for heading in ("Loss", "Sets of pictures", "Table 3", "Where each action looks", "Worst misses"):
+    for heading in ("Loss", "Sets of pictures", "Table 3", "Attention of each action", "Worst misses"):
         assert f"\n## {heading}" in page
     assert "vision.md" in capsys.readouterr().out
 

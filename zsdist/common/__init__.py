@@ -1,1 +1,1 @@
-"""Small tools that any part of the package may use: they know nothing of cars, learning or runs."""
+"""Small tools for any part of the package, independent of cars, learning and runs."""

@@ -1,27 +1,27 @@
-"""Files that are whole or not there, whenever a process dies or a machine stops."""
+"""Files that are complete or absent, even if a process dies or the machine stops while they are written."""
 
 import os
 from pathlib import Path
 
 
 def replace(path: Path, content: bytes) -> None:
-    """Writes a file that is at any time either the old one or the new one."""
+    """Replace a file in one step: a reader finds either the old content or the new one."""
     partial = path.with_name(f".{path.name}.partial")
     write(partial, content)
     partial.replace(path)
-    settle(path.parent)
+    sync_folder(path.parent)
 
 
 def write(path: Path, content: bytes) -> None:
-    """Writes a file, and returns once the disk has it."""
+    """Write a file and return once its content is on the disk."""
     with path.open("wb") as file:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())
 
 
-def settle(folder: Path) -> None:
-    """Returns once the disk has the names in a folder."""
+def sync_folder(folder: Path) -> None:
+    """Return once the names of the files in a folder are on the disk."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

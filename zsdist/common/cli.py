@@ -1,4 +1,4 @@
-"""What all commands share: one-line errors, exit statuses, Ctrl-C and what means the same, whole numbers."""
+"""Common behaviour of all commands: errors in one line, exit statuses, interruption, options that are whole numbers."""
 
 import argparse
 import errno
@@ -15,10 +15,10 @@ INTERRUPTED = 130
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose complaint is one line, without the usage of every option before it."""
+    """Argument parser that reports an error in one line, without the usage of all options before it."""
 
     def error(self, message: str) -> NoReturn:
-        """Print the complaint and leave with status 2."""
+        """Print the error and exit with status 2."""
         self.exit(REFUSED, f"{self.prog}: error: {message} (--help lists what is allowed)\n")
 
 
@@ -27,16 +27,16 @@ def execute(
     parser: argparse.ArgumentParser,
     arguments: Sequence[str] | None = None,
 ) -> NoReturn:
-    """Run a command and leave with its status; a `--debug` option is added to the parser.
+    """Run a command and exit with its status; a `--debug` option is added to the parser.
 
-    A `ZsdistError` is one line on the standard error stream and status 2 (`--debug`: the traceback, status 1); Ctrl-C
-    is status 130, and so is SIGTERM, by which a service manager asks for the same. A name of a file too long for the
-    system is one line too. Any other exception is a defect and keeps its traceback.
+    A `ZsdistError` becomes one line on standard error and status 2, or a traceback and status 1 with `--debug`. So does
+    a file name that is too long for the system. Ctrl-C gives status 130, and so does SIGTERM, which a service manager
+    sends to stop a command. Any other exception is a defect and keeps its traceback.
 
     Args:
         main: the command; returns its exit status.
-        parser: of the command's own options.
-        arguments: instead of those of the process.
+        parser: has the options of the command.
+        arguments: used instead of the arguments of the process.
     """
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     options = parser.parse_args(arguments)
@@ -49,7 +49,7 @@ def execute(
         print(f"{parser.prog}: error: {' '.join(str(error).split())}", file=sys.stderr)
         status = REFUSED
     except OSError as error:
-        if options.debug or error.errno != errno.ENAMETOOLONG:  # such a name can only have been given by a person
+        if options.debug or error.errno != errno.ENAMETOOLONG:  # only a user can have given such a name
             raise
         print(f"{parser.prog}: error: {error.filename}: {error.strerror}", file=sys.stderr)
         status = REFUSED
@@ -62,18 +62,18 @@ def execute(
 
 
 def count(text: str) -> int:
-    """The type of an option that is a whole number of 1 or more."""
-    return _whole(text, 1)
+    """Return the value of an option that is a whole number of 1 or more."""
+    return _whole_number(text, 1)
 
 
 def natural(text: str) -> int:
-    """The type of an option that is a whole number of 0 or more."""
-    return _whole(text, 0)
+    """Return the value of an option that is a whole number of 0 or more."""
+    return _whole_number(text, 0)
 
 
-def _whole(text: str, least: int) -> int:
-    if not text.isdecimal() or int(text) < least:
-        raise argparse.ArgumentTypeError(f"value is {text!r}; allowed is a whole number of {least} or more")
+def _whole_number(text: str, minimum: int) -> int:
+    if not text.isdecimal() or int(text) < minimum:
+        raise argparse.ArgumentTypeError(f"value is {text!r}; allowed is a whole number of {minimum} or more")
     return int(text)
 
 

@@ -4,81 +4,94 @@ import ast
 import hashlib
 from functools import cache
 from pathlib import Path
+from typing import TypeGuard
 
 import zsdist
 
-DIGITS = 16  # of a hash in hexadecimal
-APART = (
-    "zsdist.config",
-    "zsdist.errors",
+DIGITS = 16  # hexadecimal digits of a hash
+PACKAGE = Path(zsdist.__file__).parent
+APART = (  # modules that no hash covers
+    "zsdist.config",  # settings are hashed as values
+    "zsdist.errors",  # errors and processes determine no result
     "zsdist.common.process_pool",
-)  # settings are hashed as values; the others do nothing
-_PACKAGE = Path(zsdist.__file__).parent
+)
 
 
 @cache
-def sha256(*roots: str) -> str:
-    """Hash of the modules `roots` and of every module of the package that they import, directly or through others.
+def sha256(*roots: str, package: Path = PACKAGE) -> str:
+    """Return the hash of the modules `roots` and of all modules of the package that they import, however indirectly.
 
-    It covers statements, not comments, docstrings or the places of modules: a module's path counts for nothing, and
-    where a module is imported, the hash of its content stands in place of the path.
+    It covers statements, but no comments, docstrings or module paths: where a module is imported, the hash of its
+    content stands in place of its path, so a module may be moved without changing the hash.
+
+    Args:
+        roots: names of modules, such as `zsdist.sim.env`.
+        package: folder of the modules whose names begin with `zsdist.`; it is read once.
     """
-    return _digest(sorted(map(_module_hash, roots)))
+    return _digest(sorted(_module_hash(root, package) for root in roots))
 
 
-def modules(*roots: str) -> set[str]:
-    """Names of the package's modules that `roots` need, themselves included, without `APART`."""
-    found, waiting = set(), list(roots)
+def modules(*roots: str, package: Path = PACKAGE) -> set[str]:
+    """Return the names of the modules that `sha256` covers for the same arguments."""
+    found: set[str] = set()
+    waiting = list(roots)
     while waiting:
         name = waiting.pop()
         if name not in found:
             found.add(name)
-            waiting += [module for _, modules in _imports(_tree(name)) for module in modules]
+            waiting += [module for _, modules in _imports(_tree(name, package), package) for module in modules]
     return found
 
 
 @cache
-def _module_hash(name: str) -> str:
-    tree = _tree(name)
-    imports = [f"{names} {' '.join(map(_module_hash, modules))}" for names, modules in _imports(tree)]
+def _module_hash(name: str, package: Path) -> str:
+    tree = _tree(name, package)
+    imports = [
+        f"{names} {' '.join(_module_hash(module, package) for module in modules)}"
+        for names, modules in _imports(tree, package)
+    ]
     return _digest([_statements(tree), *sorted(imports)])
 
 
-def _imports(tree: ast.Module) -> list[tuple[str, list[str]]]:
-    """Each name that is imported from the package, as `name as alias`, with the hashed modules that it comes from."""
+def _imports(tree: ast.Module, package: Path) -> list[tuple[str, list[str]]]:
+    """Return each import from the package as `name as alias`, with the hashed modules that the name comes from."""
     found = []
-    for node in filter(_of_package, ast.walk(tree)):
+    for node in filter(_is_own_import, ast.walk(tree)):
         for alias in node.names:
-            origins = (node.module, f"{node.module}.{alias.name}")
-            found.append((f"{alias.name} as {alias.asname}", [name for name in origins if _is_hashed(name)]))
+            origins = (str(node.module), f"{node.module}.{alias.name}")
+            found.append((f"{alias.name} as {alias.asname}", [name for name in origins if _is_hashed(name, package)]))
     return found
 
 
 def _statements(tree: ast.Module) -> str:
-    """The statements of a module as text, without docstrings and imports from the package; changes the tree."""
+    """Return a module's statements as text without docstrings and imports from the package; changes the tree."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
             node.body = node.body[1:]
-        if isinstance(getattr(node, "body", None), list):
-            node.body = [statement for statement in node.body if not _of_package(statement)]
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            body[:] = [statement for statement in body if not _is_own_import(statement)]
     return ast.dump(tree)
 
 
-def _of_package(node: ast.AST) -> bool:
+def _is_own_import(node: ast.AST) -> TypeGuard[ast.ImportFrom]:
     return isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "zsdist"
 
 
-def _is_hashed(name: str) -> bool:
-    return name not in APART and name != "zsdist" and _file(name) is not None
+def _is_hashed(name: str, package: Path) -> bool:
+    return name not in APART and name != "zsdist" and _file(name, package) is not None
 
 
-def _tree(name: str) -> ast.Module:
-    return ast.parse(_file(name).read_text())
+def _tree(name: str, package: Path) -> ast.Module:
+    file = _file(name, package)
+    if file is None:
+        raise ModuleNotFoundError(f"module {name} is not in {package}")
+    return ast.parse(file.read_text())
 
 
-def _file(name: str) -> Path | None:
-    place = _PACKAGE.joinpath(*name.split(".")[1:])
-    files = (place.with_suffix(".py"), place / "__init__.py")
+def _file(name: str, package: Path) -> Path | None:
+    path = package.joinpath(*name.split(".")[1:])
+    files = (path.with_suffix(".py"), path / "__init__.py")
     return next((file for file in files if file.is_file()), None)
 
 

@@ -1,4 +1,4 @@
-"""Compilation of numeric kernels by numba, with the types of the functions kept for readers and type checkers."""
+"""Compilation of numeric kernels by numba that keeps the types of the functions for type checkers."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar, cast

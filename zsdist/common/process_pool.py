@@ -1,4 +1,4 @@
-"""The same work on many things, in this process or in several."""
+"""Work on a sequence of items in this process or in several."""
 
 import multiprocessing
 import multiprocessing.connection
@@ -15,7 +15,7 @@ from zsdist.errors import RunError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-_AHEAD = 2  # things for each worker that are handed out at a time
+_AHEAD = 2  # items per worker that are handed out at a time
 
 
 def each(
@@ -26,20 +26,21 @@ def each(
     arguments: tuple[Any, ...],
     go_on: Callable[[], bool] = lambda: True,
 ) -> Generator[Result, None, None]:
-    """What `work` makes of each item, as it is done; items are taken in order, so that those done are the first ones.
+    """Yield the result of `work` for each item, as soon as it is there.
 
-    Where it may not be used up, close the generator: its processes then end at once.
+    Items are started in order, so the finished ones are the first when `go_on` ends the work. Close the generator if it
+    may not be used up: its processes then end at once.
 
     Args:
-        work: on one item; a function of a module, as is `begin`.
-        items: what is worked on.
-        workers: processes; 1: this one.
+        work: makes the result of one item; a function of a module, as is `begin`.
+        items: are worked on; none is None.
+        workers: number of processes; 1: only this one.
         begin: called once in every process, with `arguments`, before any work.
         arguments: of `begin`.
-        go_on: asked before an item is taken; where it says no, what was taken is still finished.
+        go_on: called before an item is started; once it returns false, only the started items are finished.
 
     Raises:
-        ZsdistError: as the work does.
+        ZsdistError: `work` raised it.
         RunError: a worker died.
     """
     if workers <= 1:
@@ -54,35 +55,37 @@ def each(
     others = set(multiprocessing.active_children())
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(begin, arguments))
-    left, running = iter(items), set()
+    left = iter(items)
+    running: set[Future[Result]] = set()
     try:
         while True:
-            while len(running) < _AHEAD * workers and go_on() and (item := next(left, None)) is not None:
-                running.add(_submit(pool, work, item))
+            while len(running) < _AHEAD * workers and go_on() and (following := next(left, None)) is not None:
+                running.add(submit(pool, work, following))
             if not running:
                 return
             done, running = wait(running, return_when=FIRST_COMPLETED)
             for future in done:
                 yield future.result()
     except BrokenProcessPool as error:
-        raise RunError("a worker died; with --workers 1 its own message is seen") from error
+        raise RunError("a worker process died; run with --workers 1 to see its own message") from error
     finally:
         for child in set(multiprocessing.active_children()) - others:
             child.terminate()
-        # Waited for: where the pool's own thread still ends as the interpreter does, Python prints a traceback.
+        # Wait: Python prints a traceback if the pool's own thread is still ending when the interpreter exits.
         pool.shutdown(wait=True, cancel_futures=True)
         for name, value in environment.items():
             os.environ.pop(name) if value is None else os.environ.update({name: value})
 
 
-def _submit(pool: ProcessPoolExecutor, work: Callable[[Item], Result], item: Item) -> Future[Result]:
-    """Starts workers deaf to Ctrl-C, which is the parent's to answer: what is blocked here stays so in them.
+def submit(pool: ProcessPoolExecutor, work: Callable[[Item], Result], item: Item) -> Future[Result]:
+    """Submit an item to a pool whose workers do not react to Ctrl-C, since the parent does.
 
-    Blocked and not ignored, so that a Ctrl-C at this very moment is answered right after it.
+    A worker that is started here inherits the blocked SIGINT. The signal is blocked and not ignored, so that a Ctrl-C
+    meanwhile takes effect right afterwards.
     """
     if threading.current_thread() is not threading.main_thread():
         return pool.submit(work, item)
-    resource_tracker.ensure_running()  # when it starts, it unblocks what is blocked here
+    resource_tracker.ensure_running()  # at its start it would unblock the signal
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         return pool.submit(work, item)
@@ -96,5 +99,7 @@ def _begin(begin: Callable[..., None], arguments: tuple[Any, ...]) -> None:
 
 
 def _die_with_parent() -> None:
-    multiprocessing.connection.wait([multiprocessing.parent_process().sentinel])
+    parent = multiprocessing.parent_process()
+    assert parent is not None, "runs in workers only"
+    multiprocessing.connection.wait([parent.sentinel])
     os._exit(1)

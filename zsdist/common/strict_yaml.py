@@ -1,4 +1,4 @@
-"""YAML as people write it, read so that nothing they wrote is lost."""
+"""Reader of YAML that refuses a repeated key instead of silently dropping its first value."""
 
 from typing import Any
 
@@ -6,11 +6,11 @@ import yaml
 
 
 class KeyTwice(yaml.YAMLError):
-    """A mapping has a key twice, of which YAML libraries silently keep the last."""
+    """A mapping has a key twice."""
 
 
 class _Loader(yaml.SafeLoader):
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen = set()
         for key_node, _ in node.value:
             if isinstance(key_node, yaml.ScalarNode):
@@ -21,11 +21,11 @@ class _Loader(yaml.SafeLoader):
 
 
 def load(text: str) -> Any:
-    """The tree in a text of plain YAML.
+    """Return the tree in a text of plain YAML.
 
     Raises:
-        yaml.YAMLError: it is no YAML, or a key is there twice.
-        ValueError: a date or number is none.
+        yaml.YAMLError: the text is not YAML, or a mapping has a key twice.
+        ValueError: a date or number is impossible.
         RecursionError: it is nested too deeply.
     """
     return yaml.load(text, Loader=_Loader)

@@ -13,6 +13,7 @@ from rich.table import Table
 from zsdist.errors import RunError
 from zsdist.evaluation import episode_store
 from zsdist.evaluation.episode_store import Line
+from zsdist.evaluation.fingerprint import equivalent
 from zsdist.evaluation.metrics import spl
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.evaluation.statistics import bootstrap_95
@@ -64,7 +65,7 @@ def compare(first: Path, second: Path, seed: int = 0) -> Comparison:
         RunError: a file is damaged or empty, or they have no episode in common.
     """
     (ours, code, notes), (theirs, other, more) = _episodes(first), _episodes(second)
-    if code != other:
+    if other not in equivalent(code):
         notes.append(f"the two were measured with different code, {code} and {other}")
     shared = sorted(ours.keys() & theirs.keys())
     if not shared:
@@ -107,7 +108,8 @@ def _episodes(file: Path) -> tuple[dict[_Drive, list[EpisodeRecord]], str, list[
         return kept
 
     newest = lines[-1].about["code"]
-    lines = only(lines, lambda line: line.about["code"] == newest, f"of other code than {newest}")
+    codes = equivalent(newest)
+    lines = only(lines, lambda line: line.about["code"] in codes, f"of other code than {newest}")
     if any(line.about["shielded"] for line in lines):
         lines = only(lines, lambda line: line.about["shielded"], "without the shield")
     methods = sorted({_method(line) for line in lines})

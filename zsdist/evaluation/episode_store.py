@@ -9,7 +9,7 @@ from typing import Any
 
 from zsdist.errors import RunError
 from zsdist.evaluation.contenders import Contender
-from zsdist.evaluation.fingerprint import code_sha256, entrant_sha256
+from zsdist.evaluation.fingerprint import EQUIVALENT_CODE, code_sha256, entrant_sha256, equivalent
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Outcome, Pose
@@ -39,9 +39,11 @@ class EpisodeStore:
         scenes: what was asked for.
         seed: of scenes and drivers.
         chosen: the scenes themselves.
+        equivalents: file that lists equivalent code, see `fingerprint.equivalent`.
 
     Attributes:
-        known: episodes on file, by their place among the chosen scenes, measured with the same code, entrant and seed.
+        known: episodes on file, by their place among the chosen scenes, measured with the same or
+            equivalent code, the same entrant and seed.
         stale: lines of the same policy, variant and scenes that are not: of other code, weights or settings.
 
     Raises:
@@ -57,6 +59,7 @@ class EpisodeStore:
         scenes: str,
         seed: int,
         chosen: list[Scene],
+        equivalents: Path = EQUIVALENT_CODE,
     ) -> None:
         self._file = file
         asked = {
@@ -67,13 +70,14 @@ class EpisodeStore:
             "seed": seed,
         }
         code, who = code_sha256(), entrant_sha256(contender)
+        codes = equivalent(code, equivalents)
         self._about = {"code": code, "entrant": who, **asked, "weights_sha256": weights_sha256}
         self._hashes = [scene.hash() for scene in chosen]
         self.known: dict[int, EpisodeRecord] = {}
         self.stale = 0
         for line in self._begin():
             about, index = line.about, line.about["index"]
-            same = (about["code"], about["entrant"], about["seed"]) == (code, who, seed)
+            same = about["code"] in codes and (about["entrant"], about["seed"]) == (who, seed)
             if same and index < len(chosen) and about["scene_hash"] == self._hashes[index]:
                 self.known[index] = line.record
             elif not same and all(about[key] == value for key, value in asked.items()):

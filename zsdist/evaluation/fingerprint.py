@@ -2,15 +2,25 @@
 
 import hashlib
 import json
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any
 
-from zsdist.common import code_hash
+import yaml
+
+from zsdist.common import code_hash, strict_yaml
 from zsdist.dqn import network
+from zsdist.errors import RunError
 from zsdist.evaluation.contenders import Contender
 from zsdist.evaluation.drivers import Observability
 from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.vision.visual_act import VisualAct
 
 ROOT = "zsdist.evaluation.workers"  # all that drives an episode is imported from here
+EQUIVALENT_CODE = Path(__file__).with_name("equivalent_code.yaml")
+_HASH = re.compile(rf"[0-9a-f]{{{code_hash.DIGITS}}}")
+_ENTRY = {"commit", "hashes", "proof"}
 
 
 def code_sha256() -> str:
@@ -19,6 +29,55 @@ def code_sha256() -> str:
     What measures, reports, learns or distributes is not in it, nor are settings: those are hashed as values.
     """
     return code_hash.sha256(ROOT)
+
+
+def equivalent(code: str, file: Path = EQUIVALENT_CODE) -> frozenset[str]:
+    """Return the code hashes whose episodes are bit-identical to those of `code`, itself included.
+
+    Args:
+        code: as `code_sha256` gives it.
+        file: YAML list of the versions of the code that were compared; a hash that is not in it stands alone.
+
+    Raises:
+        RunError: the file cannot be read or is damaged.
+    """
+    return _equivalents(file).get(code, frozenset((code,)))
+
+
+@cache
+def _equivalents(file: Path) -> dict[str, frozenset[str]]:
+    """Return the hashes of its entry for every hash that a file lists."""
+    try:
+        entries = strict_yaml.load(file.read_text())
+    except OSError as error:
+        raise RunError(f"equivalent code cannot be read from {file}: {error.strerror or error}") from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise RunError(f"{file} is not valid YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(entries, list):
+        raise RunError(f"{file} holds a {type(entries).__name__}; allowed is a list of entries")
+    found: dict[str, frozenset[str]] = {}
+    for number, entry in enumerate(entries, 1):
+        hashes = _hashes(entry, f"{file}, entry {number}")
+        if listed := sorted(hashes & found.keys()):
+            raise RunError(f"{file}, entry {number}: hash {listed[0]} is in an earlier entry too; allowed is one")
+        found |= dict.fromkeys(hashes, hashes)
+    return found
+
+
+def _hashes(entry: Any, place: str) -> frozenset[str]:
+    """Return the hashes of an entry; raise `RunError` if it is damaged."""
+    if not isinstance(entry, dict) or entry.keys() != _ENTRY:
+        raise RunError(f"{place} is {entry!r}; allowed is a mapping with {', '.join(sorted(_ENTRY))}")
+    for key in ("commit", "proof"):
+        if not isinstance(entry[key], str) or len(entry[key].strip().splitlines()) != 1:
+            raise RunError(f"{place}: {key} is {entry[key]!r}; allowed is a text in one line")
+    hashes = entry["hashes"]
+    if not isinstance(hashes, list) or not hashes:
+        raise RunError(f"{place}: hashes is {hashes!r}; allowed is a list of one or more")
+    for item in hashes:
+        if not isinstance(item, str) or not _HASH.fullmatch(item):
+            raise RunError(f"{place}: hash is {item!r}; allowed are {code_hash.DIGITS} hexadecimal digits in quotes")
+    return frozenset(hashes)
 
 
 def entrant_sha256(contender: Contender) -> str:

@@ -1,1 +1,1 @@
-"""The stages of `zsdist.pretrain`: pictures, training, check and figures."""
+"""Pretraining of the vision model: pictures, training in stages, and a check of the result."""

@@ -1,14 +1,14 @@
-"""Items in lists of a size, as models take them."""
+"""Batches of items for models."""
 
 import itertools
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-BATCH = 16  # pictures read at once
+BATCH = 16  # pictures that a model gets at once
 
 
 def batched(items: Iterable[Any], size: int) -> Iterator[list[Any]]:
-    """Lists of `size` items, the last of what is left."""
+    """Yield lists of `size` items; the last one holds the rest."""
     iterator = iter(items)
     while batch := list(itertools.islice(iterator, size)):
         yield batch

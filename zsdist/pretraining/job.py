@@ -1,4 +1,4 @@
-"""What is to be trained, on what: all that a pretraining needs to be gone on with."""
+"""Settings of a pretraining, kept in its folder so that it can be resumed."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -20,17 +20,17 @@ STAGES = ("words", "head", "student")
 
 @dataclass(frozen=True)
 class Job:
-    """One pretraining.
+    """Settings of one pretraining.
 
     Attributes:
-        images: pictures to train the head on.
-        epochs: passes over them.
-        seed: of scenes, places, looks and weights.
-        families: of the scenes, of those that are there for the training of vision.
-        cityscapes: folder of photographs to train the head on instead; "": rendered pictures.
-        stages: of `STAGES`, what is trained.
-        config: camera and encoder.
-        command: by which it was started.
+        images: number of pictures to train the head on.
+        epochs: passes over the pictures in every stage; 0: the default of each stage.
+        seed: of scenes, poses, appearance and weights.
+        families: scene families, out of those for the training of vision.
+        cityscapes: folder of photographs to train the head on; "": rendered pictures.
+        stages: trained stages, out of `STAGES`.
+        config: has the camera and the encoder.
+        command: command line that started it.
     """
 
     images: int
@@ -43,24 +43,24 @@ class Job:
     command: str
 
     def to_json(self) -> dict[str, Any]:
-        """As `JOB_FILE` holds it."""
+        """Return the content of `JOB_FILE`."""
         return asdict(self) | {"config": self.config.model_dump(mode="json")}
 
     @classmethod
     def from_json(cls, tree: dict[str, Any]) -> Self:
-        """From what `to_json` gave; raises `ConfigError`, `KeyError` or `TypeError` where it did not."""
+        """Return the job that `to_json` described; raise `ConfigError`, `KeyError` or `TypeError` if it is damaged."""
         lists = {name: tuple(tree[name]) for name in ("families", "stages")}
         return cls(**{**tree, **lists, "config": configuration.parse(tree["config"])})
 
 
 def create(folder: Path, job: Job) -> None:
-    """Makes the folder of a new pretraining.
+    """Make the folder of a new pretraining.
 
     Raises:
-        RunError: it holds one, or weights, already; or it cannot be made.
+        RunError: the folder already holds a pretraining or weights, or cannot be made.
     """
     if (folder / JOB_FILE).exists():
-        raise RunError(f"--out {folder} holds a pretraining already; allowed are a new folder, or --resume {folder}")
+        raise RunError(f"--out {folder} already holds a pretraining; allowed are a new folder, or --resume {folder}")
     if (folder / METADATA_FILE).exists():
         raise RunError(f"--out {folder} holds finished weights; allowed is a new folder")
     try:
@@ -71,10 +71,10 @@ def create(folder: Path, job: Job) -> None:
 
 
 def reopen(folder: Path) -> Job:
-    """The pretraining in a folder; raises `RunError` where there is none to go on with."""
+    """Return the pretraining in a folder; raise `RunError` if there is none that can be resumed."""
     path = folder / JOB_FILE
     if not path.exists() and (folder / METADATA_FILE).exists():
-        raise RunError(f"--resume {folder}: it is finished, and its weights are there")
+        raise RunError(f"--resume {folder}: the pretraining is finished; its weights are in this folder")
     try:
         return Job.from_json(json.loads(path.read_text()))
     except OSError as error:
@@ -84,23 +84,23 @@ def reopen(folder: Path) -> Job:
 
 
 def check_families(families: tuple[str, ...]) -> None:
-    """Raises `ConfigError` unless all are families that vision may be trained on."""
+    """Raise `ConfigError` unless vision may be trained on all families."""
     allowed = ", ".join(PURPOSE.families)
     for family in families:
         if family not in FAMILIES:
-            raise ConfigError(f"--families names {family!r}, which is no family; allowed are {allowed}")
+            raise ConfigError(f"--families names {family!r}, which is not a scene family; allowed are {allowed}")
         if family not in PURPOSE.families:
             users = [name for name, purpose in MANIFEST.items() if family in purpose.families]
             raise ConfigError(
-                f"--families names {family!r}, which is withheld from the training of vision: it is for "
-                f"{' and '.join(users)}, whose scenes must be new to it; allowed are {allowed}"
+                f"--families names {family!r}, which is withheld from the training of vision, since its scenes must be "
+                f"new in {' and '.join(users)}; allowed are {allowed}"
             )
 
 
 def check_stages(stages: tuple[str, ...]) -> None:
-    """Raises `ConfigError` unless all are stages, and the student has its teacher among them."""
+    """Raise `ConfigError` unless all stages exist, and the student comes with the head, its teacher."""
     for stage in stages:
         if stage not in STAGES:
             raise ConfigError(f"--stages names {stage!r}; allowed are {', '.join(STAGES)}")
     if "student" in stages and "head" not in stages:
-        raise ConfigError("--stages has student without head, from which it learns; allowed is head,student")
+        raise ConfigError("--stages has student without head, its teacher; allowed is head,student")

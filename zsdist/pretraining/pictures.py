@@ -1,7 +1,7 @@
-"""Pictures of a pretraining on disk: made in several processes, shard by shard, and read back as what is trained on.
+"""Pictures of a pretraining on disk, made in several processes shard by shard, and read back as training data.
 
-Each shard is a folder of arrays that appears under its name when it is whole, and follows from its name and the seed:
-what is there is never made again, and the number of processes changes nothing.
+A shard is a folder of arrays. It gets its name when it is complete, and its content follows from its name and the seed.
+So an existing shard is never made again, and the number of processes has no effect.
 """
 
 import contextlib
@@ -11,7 +11,7 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -30,20 +30,20 @@ if TYPE_CHECKING:
     from zsdist.vision.training.examples import Examples
     from zsdist.vision.training.projection import WordExamples
 
-LIST_FILE = "shards.json"  # those to train on, once no more are to be made
+LIST_FILE = "shards.json"  # list of the shards to train on, written when no more are made
 _SPARE_BYTES = 2**28  # left free on the disk
 
 
 def disk_bytes(job: Job, encoder: Encoder) -> int:
-    """What the pictures of a pretraining take on disk."""
-    return sum(source.pictures * source.bytes_each(encoder) for source in sources(job).values())
+    """Return the disk space of all pictures of a pretraining."""
+    return sum(source.pictures * source.picture_bytes(encoder) for source in sources(job).values())
 
 
 def check_disk(job: Job, encoder: Encoder, folder: Path) -> None:
-    """Raises `RunError` unless there is room for the pictures that are not made yet."""
+    """Raise `RunError` unless the disk has space for the pictures that are not made yet."""
     kept = sum(file.stat().st_size for file in folder.rglob("*.npy"))
-    there = next(place for place in (folder.resolve(), *folder.resolve().parents) if place.exists())
-    need, free = disk_bytes(job, encoder) - kept + _SPARE_BYTES, shutil.disk_usage(there).free
+    existing = next(path for path in (folder.resolve(), *folder.resolve().parents) if path.exists())
+    need, free = disk_bytes(job, encoder) - kept + _SPARE_BYTES, shutil.disk_usage(existing).free
     if need > free:
         raise RunError(
             f"pictures need {need / 1e9:.1f} GB in {folder}, where {free / 1e9:.1f} GB are free; "
@@ -58,23 +58,23 @@ def make_all(
     go_on: Callable[[], bool],
     on_made: Callable[[int, int], None],
 ) -> None:
-    """Makes the shards that are missing, unless the list of them was closed by an earlier sitting.
+    """Make the missing shards, unless an earlier session has written the list of shards.
 
     Args:
-        job: what is to be trained.
+        job: settings of the pretraining.
         folder: of the shards.
-        workers: processes.
-        go_on: asked before a shard is begun; where it says no, what is there is all that will be.
-        on_made: called with the pictures that are there and those that are planned.
+        workers: number of processes.
+        go_on: called before a shard is begun; once it returns false, no further shard is made.
+        on_made: called with the number of pictures made and the number planned.
 
     Raises:
-        RunError: so little is there that some source has no shard, or a worker died.
+        RunError: a source has no shard, or a worker died.
     """
     if (folder / LIST_FILE).exists():
         return
     folder.mkdir(parents=True, exist_ok=True)
-    for left in folder.glob("*.new"):
-        shutil.rmtree(left)
+    for unfinished in folder.glob("*.new"):
+        shutil.rmtree(unfinished)
     wanted = shards(sources(job))
     missing = [shard for shard in wanted if not (folder / shard.name).exists()]
     planned = sum(shard.count for shard in wanted)
@@ -85,15 +85,15 @@ def make_all(
         for count in counts:
             made += count
             on_made(made, planned)
-    there = [shard.name for shard in wanted if (folder / shard.name).exists()]
+    names = [shard.name for shard in wanted if (folder / shard.name).exists()]
     for source in sources(job):
-        if not any(_source_of(name) == source for name in there):
-            raise RunError(f"there was no time for pictures of {source!r}; allowed are more --minutes")
-    atomic_files.replace(folder / LIST_FILE, json.dumps(there).encode())
+        if not any(_source_of(name) == source for name in names):
+            raise RunError(f"the time was too short for pictures of {source!r}; allowed are more --minutes")
+    atomic_files.replace(folder / LIST_FILE, json.dumps(names).encode())
 
 
 class _Worker:
-    """What a process that makes shards holds."""
+    """State of a process that makes shards."""
 
     job: Job
     folder: Path
@@ -110,19 +110,24 @@ def _make(shard: PictureShard) -> int:
 
 
 def save(path: Path, arrays: Arrays) -> None:
-    """Writes a shard, which takes its name when all of it is on the disk."""
-    new = path.with_name(f"{path.name}.new")
-    new.mkdir()
+    """Write a shard, which gets its name when all of it is on the disk."""
+    unfinished = path.with_name(f"{path.name}.new")
+    unfinished.mkdir()
     for name, array in arrays.items():
-        with (new / f"{name}.npy").open("wb") as file:
+        with (unfinished / f"{name}.npy").open("wb") as file:
             np.save(file, array)
             file.flush()
             os.fsync(file.fileno())
-    new.rename(path)
+    unfinished.rename(path)
 
 
 class Pictures:
-    """The pictures in a folder whose list is closed, as what is trained on; large arrays stay on the disk."""
+    """Training data in a folder of shards whose list is written; large arrays stay on the disk.
+
+    Args:
+        job: settings of the pretraining.
+        folder: of the shards.
+    """
 
     def __init__(self, job: Job, folder: Path) -> None:
         self._folder = folder
@@ -130,36 +135,36 @@ class Pictures:
         self._angles = ray_angles_rad(RAYS, math.radians(job.config.camera.field_of_view_deg))
 
     def examples(self) -> "Examples":
-        """What head and student learn from."""
+        """Return the examples that head and student learn from."""
         return self._examples(self._rows("act"))
 
     def validation(self) -> "Examples":
-        """By which is decided when to stop, and how wide the distributions should be; no scene is trained on."""
+        """Return the examples for early stopping and calibration; none is of a scene that is trained on."""
         kept = self._new_scenes("validation", "act", "masked")
         return self._examples({name: rows[kept] for name, rows in self._rows("validation").items()})
 
     def counts(self) -> dict[str, int]:
-        """Of what was trained on: pictures and different scenes for the head, masked and described pictures."""
-        found = {}
+        """Return the numbers of pictures and scenes for the head, and of masked and described pictures."""
+        counts: dict[str, int] = {}
         if self._of("act"):
             scene = self._rows("act")["scene"]
-            found |= {"images": len(scene), "scenes": len(np.unique(scene))}
+            counts |= {"images": len(scene), "scenes": len(np.unique(scene))}
         for source, name in (("masked", "original"), ("described", "scene")):
             if self._of(source):
-                found[f"{source}_images"] = int((np.asarray(self._rows(source)[name]) >= 0).sum())
-        return found
+                counts[f"{source}_images"] = int((np.asarray(self._rows(source)[name]) >= 0).sum())
+        return counts
 
     def masked(self) -> "tuple[Examples, MaskedExamples]":
-        """Originals and their masked versions."""
+        """Return whole pictures and their masked versions."""
         from zsdist.vision.masks import MaskedExamples
 
         rows = self._rows("masked")
-        numbers, offset = [], 0
+        indices, offset = [], 0
         for name in self._of("masked"):
             part = np.load(self._folder / name / "original.npy")
-            numbers.append(np.where(part < 0, part, part + offset))
+            indices.append(np.where(part < 0, part, part + offset))
             offset += int((part < 0).sum())
-        original = np.concatenate(numbers)
+        original = np.concatenate(indices)  # of each masked version, the number of its whole picture among all
         whole, parts = np.flatnonzero(original < 0), np.flatnonzero(original >= 0)
         distance, dynamic = np.asarray(rows["ray_distance_m"]), np.asarray(rows["ray_dynamic"])
         masked = MaskedExamples(
@@ -168,29 +173,30 @@ class Pictures:
         return self._examples({name: array[whole] for name, array in rows.items()}), masked
 
     def described(self) -> "WordExamples":
-        """What the projection learns from."""
+        """Return the examples that the projection learns from."""
         return self._words("described", slice(None))
 
     def described_validation(self) -> "WordExamples":
-        """By which is decided when to stop learning words."""
+        """Return the examples for early stopping of the projection."""
         return self._words("described-validation", self._new_scenes("described-validation", "described"))
 
     def _of(self, *sources: str) -> list[str]:
-        """Shards of sources; one of photographs is empty where nobody labelled enough of any."""
+        """Return the names of the shards of sources; shards without a usable photograph are empty and left out."""
         names = [name for name in self._names if _source_of(name) in sources]
         return [name for name in names if any((self._folder / name).iterdir())]
 
     def _rows(self, *sources: str) -> dict[str, Rows]:
+        """Return the arrays of sources by name."""
         names = self._of(*sources)
         if not names:
-            raise RunError(f"there is not one picture of {' or '.join(sources)}; allowed are one or more")
+            raise RunError(f"there is no picture of {' or '.join(sources)}; allowed are one or more")
         fields = sorted(path.stem for path in (self._folder / names[0]).glob("*.npy"))
         return {field: Rows.read([self._folder / name / f"{field}.npy" for name in names]) for field in fields}
 
     def _new_scenes(self, source: str, *trained: str) -> np.ndarray:
-        """Which pictures of a source `(N,)` bool are of scenes that none of `trained` has."""
-        learned = [self._rows(name).get("scene", ()) for name in trained if self._of(name)]
-        kept = ~np.isin(np.asarray(self._rows(source)["scene"]), np.concatenate(learned))
+        """Return `(N,)` bool, true for the pictures of a source whose scenes are in none of the sources `trained`."""
+        seen = [self._rows(name).get("scene", ()) for name in trained if self._of(name)]
+        kept = ~np.isin(np.asarray(self._rows(source)["scene"]), np.concatenate(seen))
         if not kept.any():
             raise RunError(f"no picture of {source!r} is of a scene that is not trained on; allowed are more --images")
         return kept
@@ -198,8 +204,9 @@ class Pictures:
     def _examples(self, rows: "dict[str, Rows] | dict[str, np.ndarray]") -> "Examples":
         from zsdist.vision.training.examples import Examples
 
+        tokens, images = (cast(np.ndarray, rows.get(name)) for name in ("tokens", "images"))  # `Rows` act like arrays
         distance, dynamic = np.asarray(rows["ray_distance_m"]), np.asarray(rows["ray_dynamic"])
-        return Examples(rows["tokens"], distance, dynamic, self._angles, rows.get("images"))
+        return Examples(tokens, distance, dynamic, self._angles, images)
 
     def _words(self, source: str, kept: "slice | np.ndarray") -> "WordExamples":
         from zsdist.vision.training.projection import WordExamples
@@ -209,4 +216,5 @@ class Pictures:
 
 
 def _source_of(name: str) -> str:
+    """Return the source of a shard."""
     return name.rpartition("-")[0]

@@ -1,4 +1,4 @@
-"""Progress of a pretraining for people: bars on a terminal with a line an epoch above them, plain lines elsewhere."""
+"""Progress of a pretraining: bars on a terminal with a line per epoch above them, plain lines elsewhere."""
 
 import sys
 import time
@@ -12,18 +12,18 @@ LINE_EVERY_S = 10.0
 
 
 class PretrainingProgress:
-    """Shows how far a pretraining is; a context manager.
+    """Display of the progress of a pretraining; a context manager.
 
     Args:
-        console: where to; the default is standard output.
-        prefer_lines: plain lines even on a terminal.
+        console: to print on; the default is standard output.
+        prefer_lines: print plain lines even on a terminal.
     """
 
     def __init__(self, console: Console | None = None, *, prefer_lines: bool = False) -> None:
         self.console = console or Console(file=sys.stdout)
-        self._began_s = time.monotonic()
+        self._start_s = time.monotonic()
         self._next_s = 0.0
-        self._bars = None
+        self._bars: Progress | None = None
         self._tasks: dict[str, TaskID] = {}
         if self.console.is_terminal and not prefer_lines:
             columns = (TextColumn("{task.description:10}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
@@ -38,32 +38,33 @@ class PretrainingProgress:
         if self._bars is not None:
             self._bars.stop()
 
-    def say(self, text: str) -> None:
-        """One line, with the time since the start."""
-        seconds = time.monotonic() - self._began_s
+    def log(self, text: str) -> None:
+        """Print a line with the time since the start."""
+        seconds = time.monotonic() - self._start_s
         self.console.print(f"[{seconds:6.0f} s] {text}", highlight=False, soft_wrap=True, markup=False)
 
     def pictures(self, made: int, planned: int) -> None:
-        """So many pictures are there."""
+        """Show the number of pictures made; plain lines come at most every `LINE_EVERY_S`."""
         self._bar("pictures", made, planned)
         if self._bars is None and (made == planned or time.monotonic() >= self._next_s):
             self._next_s = time.monotonic() + LINE_EVERY_S
-            self.say(f"pictures: {made} of {planned} rendered and encoded")
+            self.log(f"pictures: {made} of {planned} rendered and encoded")
 
     def epoch(self, stage: str, figures: dict[str, float], epochs: int) -> None:
-        """An epoch of a stage is over."""
+        """Show the figures of an epoch of a stage."""
         self._bar(stage, int(figures["epoch"]), epochs)
         parts = [
             f"{name.removeprefix('validation_')} {value:.3f}"
             for name, value in figures.items()
             if name.startswith("validation_") and name != "validation_loss"
         ]
-        self.say(
+        self.log(
             f"{stage}: epoch {figures['epoch']:.0f} of {epochs}, loss {figures['loss']:.3f}, "
             f"validation {figures['validation_loss']:.3f} ({', '.join(parts)})"
         )
 
     def _bar(self, name: str, done: int, total: int) -> None:
+        """Move the bar of a stage, if there are bars."""
         if self._bars is None:
             return
         if name not in self._tasks:

@@ -1,4 +1,4 @@
-"""An array whose rows lie in several files, of which only what is asked for is read."""
+"""Array whose rows lie in several files, which are read only where they are indexed."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,10 +8,10 @@ import numpy as np
 
 
 class Rows:
-    """Arrays of equal rows one behind the other, indexed like one array by its first axis, without being copied.
+    """Concatenation of arrays along their first axis, indexed like one array without a copy of the whole.
 
     Args:
-        parts: `(n_i, ...)` each, of one dtype; memory-mapped files as a rule.
+        parts: `(n_i, ...)` each, of one dtype; usually memory-mapped files.
     """
 
     def __init__(self, parts: Sequence[np.ndarray]) -> None:
@@ -22,7 +22,7 @@ class Rows:
 
     @classmethod
     def read(cls, paths: Sequence[Path]) -> Self:
-        """The rows of `.npy` files, left on disk."""
+        """Return the rows of `.npy` files, which stay on disk."""
         return cls([np.load(path, mmap_mode="r") for path in paths])
 
     def __len__(self) -> int:
@@ -33,7 +33,7 @@ class Rows:
         return whole if dtype is None else whole.astype(dtype, copy=False)
 
     def __getitem__(self, index: slice | np.ndarray) -> np.ndarray:
-        """A copy of the rows of a slice, of an array of numbers `(N,)`, or of a mask `(len,)` bool."""
+        """Return a copy of the rows of a slice, of indices `(N,)`, or of a mask `(len,)` bool."""
         if isinstance(index, slice):
             index = np.arange(*index.indices(len(self)))
         index = np.asarray(index)
@@ -42,9 +42,9 @@ class Rows:
         if index.size and not -len(self) <= index.min() <= index.max() < len(self):
             raise IndexError(f"rows {index.min()} to {index.max()}; allowed are {-len(self)} to {len(self) - 1}")
         index = np.where(index < 0, index + len(self), index)
-        which = np.searchsorted(self._ends, index, side="right")
-        found = np.empty((len(index), *self.shape[1:]), self.dtype)
-        for part in np.unique(which):
-            rows = which == part
-            found[rows] = self._parts[part][index[rows] - (self._ends[part] - len(self._parts[part]))]
-        return found
+        part_of = np.searchsorted(self._ends, index, side="right")
+        result = np.empty((len(index), *self.shape[1:]), self.dtype)
+        for part in np.unique(part_of):
+            rows = part_of == part
+            result[rows] = self._parts[part][index[rows] - (self._ends[part] - len(self._parts[part]))]
+        return result

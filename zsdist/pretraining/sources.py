@@ -1,9 +1,9 @@
-"""The kinds of pictures that a pretraining needs, and how a shard of each is rendered and encoded.
+"""Sources of the pictures of a pretraining, and the rendering and encoding of their shards.
 
-* `act`: what the head and the student learn from;
-* `validation`: the same from other scenes, by which is decided when to stop and how wide the distributions should be;
+* `act`: pictures that the head and the student learn from;
+* `validation`: the same from other scenes, for early stopping and calibration;
 * `masked`: pictures and their masked versions, for the contrast;
-* `described`, `described-validation`: pictures with words, for the projection alone; the head never sees such scenes.
+* `described`, `described-validation`: pictures with captions, for the projection alone; the head sees no such scene.
 """
 
 import hashlib
@@ -25,23 +25,24 @@ from zsdist.sim.scenes.manifest import MANIFEST
 from zsdist.vision.cityscapes.files import frames
 from zsdist.vision.cityscapes.views import CityView, cityscapes_masked_views, cityscapes_views
 from zsdist.vision.encoders.base import Encoder, resample
-from zsdist.vision.masks import MaskedView, hide
+from zsdist.vision.masks import Mask, MaskedView, hide
 from zsdist.vision.models import STUDENT_PX
 
+# Shares of a source, of the number of pictures to train the head on
 VALIDATION_SHARE = 0.08
-CITY_VALIDATION_SHARE = 0.17  # there are 2,975 photographs to train on, and 500 others
+CITY_VALIDATION_SHARE = 0.17  # there are 2,975 photographs to train on and 500 for validation
 MASKED_SHARE = 0.07
 DESCRIBED_SHARE = 0.2
-SHARD = 512  # pictures; the scenes of two families come out even
-MASKED_SHARD = 64  # each with about nine masks
-_MASKS = 9  # of a picture, about: for what is said before the start
+SHARD = 512  # pictures per shard, so that two families have equally many scenes
+MASKED_SHARD = 64  # pictures per shard, each with about nine masks
+_MASKS = 9  # average masks of a picture, for the estimate of disk space
 
 Arrays = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
 class PictureShard:
-    """A part of a source: so many pictures, which follow from its name and the seed of the pretraining."""
+    """Part of a source: `count` pictures, which follow from its name and the seed of the pretraining."""
 
     source: str
     index: int
@@ -49,31 +50,37 @@ class PictureShard:
 
     @property
     def name(self) -> str:
-        """Of the folder in which it is kept."""
+        """Name of its folder."""
         return f"{self.source}-{self.index:04d}"
 
 
 @dataclass(frozen=True)
 class Source:
-    """How many pictures of one kind, how many to a shard, and what makes a shard."""
+    """Kind of pictures.
+
+    Attributes:
+        pictures: number of pictures.
+        shard: number of pictures per shard.
+        make: makes a shard from the job, the shard, its seed and the encoder.
+    """
 
     pictures: int
     shard: int
-    make: "Callable[[Job, PictureShard, int, Encoder], Arrays]"  # with a seed for the shard
+    make: "Callable[[Job, PictureShard, int, Encoder], Arrays]"
 
-    def bytes_each(self, encoder: Encoder) -> int:
-        """On disk, of a picture."""
+    def picture_bytes(self, encoder: Encoder) -> int:
+        """Return the disk space of a picture."""
         tokens = 2 * encoder.side**2 * encoder.features
         return tokens * (1 + _MASKS) if self.make in (_masked, _city_masked) else tokens + STUDENT_PX**2 * 3
 
 
 def sources(job: Job) -> dict[str, Source]:
-    """What a pretraining needs pictures of.
+    """Return the sources of a pretraining by name.
 
     Raises:
-        DataError: photographs are asked for, and there are none.
+        DataError: the folder of photographs holds none.
     """
-    found = {}
+    found: dict[str, Source] = {}
     if "head" in job.stages:
         found |= _photographs(job) if job.cityscapes else _rendered(job)
         if "words" not in job.stages:
@@ -94,32 +101,32 @@ def _rendered(job: Job) -> dict[str, Source]:
 
 
 def _photographs(job: Job) -> dict[str, Source]:
-    there = len(frames(Path(job.cityscapes), "train"))
-    others = len(frames(Path(job.cityscapes), "val"))
+    training = len(frames(Path(job.cityscapes), "train"))
+    validation = len(frames(Path(job.cityscapes), "val"))
     return {
-        "act": Source(min(job.images, there), SHARD // 4, _city_act),
-        "validation": Source(min(_share(CITY_VALIDATION_SHARE, job.images), others), SHARD // 4, _city_validation),
-        "masked": Source(min(_share(MASKED_SHARE, job.images), there), MASKED_SHARD, _city_masked),
+        "act": Source(min(job.images, training), SHARD // 4, _city_act),
+        "validation": Source(min(_share(CITY_VALIDATION_SHARE, job.images), validation), SHARD // 4, _city_validation),
+        "masked": Source(min(_share(MASKED_SHARE, job.images), training), MASKED_SHARD, _city_masked),
     }
 
 
-def _share(of: float, images: int) -> int:
-    return math.ceil(of * images)
+def _share(share: float, images: int) -> int:
+    return math.ceil(share * images)
 
 
 def shards(wanted: dict[str, Source]) -> list[PictureShard]:
-    """All shards, the sources taking turns, so that wherever one stops each has its share."""
-    found = []
+    """Return all shards in an order in which all sources advance evenly, so that work may stop anywhere."""
+    positions = []
     for name, source in wanted.items():
         count = math.ceil(source.pictures / source.shard)
         for index in range(count):
             size = min(source.shard, source.pictures - index * source.shard)
-            found.append(((index + 0.5) / count, PictureShard(name, index, size)))
-    return [shard for _, shard in sorted(found, key=lambda entry: (entry[0], entry[1].source))]
+            positions.append(((index + 0.5) / count, PictureShard(name, index, size)))
+    return [shard for _, shard in sorted(positions, key=lambda entry: (entry[0], entry[1].source))]
 
 
 def make(job: Job, shard: PictureShard, encoder: Encoder) -> Arrays:
-    """Renders and encodes a shard: arrays by name, each with a row a picture, or a mask of one."""
+    """Render and encode a shard; return arrays by name with one row per picture or mask."""
     digest = hashlib.sha256(f"{job.seed} {shard.name}".encode()).digest()
     source = sources(job)[shard.source]
     return source.make(job, shard, int.from_bytes(digest[:7]), encoder)
@@ -170,10 +177,10 @@ def _city_masked(job: Job, shard: PictureShard, seed: int, encoder: Encoder) -> 
 
 
 def _encode_masked(views: Iterable[MaskedView], encoder: Encoder) -> Arrays:
-    """A row for each picture and one for each of its masks, whose `original` is its number; -1: it is none."""
+    """Return one row per picture, whose `original` is -1, and one per mask, with the picture's number instead."""
 
     def fields(number: int, view: MaskedView) -> dict[str, Any]:
-        truths = [view, *view.masks]
+        truths: list[MaskedView | Mask] = [view, *view.masks]
         return {
             "tokens": encoder.tokens(
                 np.stack([view.image, *(hide(view.image, mask.hidden) for mask in view.masks)])
@@ -206,11 +213,12 @@ def _described(job: Job, shard: PictureShard, seed: int, encoder: Encoder) -> Ar
 
 
 def scene_numbers(hashes: Iterable[str]) -> np.ndarray:
-    """`(N,)` uint64, by which pictures of one scene are known."""
+    """Return `(N,)` uint64, equal for pictures of the same scene."""
     return np.array([int(text[:16], 16) for text in hashes], np.uint64)
 
 
 def _join(parts: Iterable[dict[str, Any]]) -> Arrays:
+    """Return the arrays of parts, concatenated by name."""
     lists: dict[str, list[np.ndarray]] = {}
     for part in parts:
         for name, rows in part.items():

@@ -1,9 +1,8 @@
-"""The networks of a pretraining, one stage after the other: words, head, student.
+"""Training stages of a pretraining: words, head, student.
 
-A stage appends its figures to the history after every epoch and then saves where it stands; when it is over, its
-weights take the place of that, so a pretraining that was broken off goes on at the last whole epoch. The pictures of
-the head and those of the words are kept apart: the head, which is tested on kinds that it has not seen, meets the
-projection through the contrast alone.
+After every epoch, a stage appends its figures to the history and saves its state, which its weights replace at the end.
+An interrupted pretraining is therefore resumed after the last complete epoch. The pictures for words are not used for
+the head, which is tested on kinds that it has not seen: it meets the projection through the contrast alone.
 """
 
 import json
@@ -18,9 +17,8 @@ import safetensors.torch
 import torch
 from torch import nn
 
-from zsdist.common import atomic_files
+from zsdist.common import atomic_files, json_lines
 from zsdist.errors import RunError
-from zsdist.pretraining.calibrating import calibrate
 from zsdist.pretraining.job import Job
 from zsdist.pretraining.pictures import Pictures
 from zsdist.pretraining.progress import PretrainingProgress
@@ -29,21 +27,26 @@ from zsdist.vision.folder import HEAD_FILE, HISTORY_FILE, PROJECTION_FILE, STUDE
 from zsdist.vision.training import head as of_head
 from zsdist.vision.training import projection as of_words
 from zsdist.vision.training import student as of_student
+from zsdist.vision.training.calibration import calibrate
 from zsdist.vision.training.contrast import Contrast
 from zsdist.vision.training.trainer import Recipe, Trainer
 from zsdist.vision.words.vocabulary import Vocabulary, shipped_words
 
 TIME_SHARES = {"pictures": 0.4, "words": 0.05, "head": 0.25, "student": 0.3}
-RECIPES = {"words": of_words.WordRecipe(), "head": Recipe(epochs=12), "student": Recipe(epochs=20, batch=32)}
+RECIPES: dict[str, Recipe] = {
+    "words": of_words.WordRecipe(),
+    "head": Recipe(epochs=12),
+    "student": Recipe(epochs=20, batch=32),
+}
 
 
 class Budget:
-    """The time allowed, parted among pictures and stages; what one leaves over is for those after it.
+    """Time limit that is divided among pictures and stages; time that one does not need goes to the later ones.
 
     Args:
-        allowed_s: in all, from now on; infinite: no limit.
-        stages: keys of `TIME_SHARES` in the order in which they come.
-        clock: in seconds.
+        allowed_s: time in total from now on; infinite: no limit.
+        stages: keys of `TIME_SHARES` in their order.
+        clock: returns seconds.
     """
 
     def __init__(self, allowed_s: float, stages: Sequence[str], clock: Callable[[], float] = time.monotonic) -> None:
@@ -51,41 +54,49 @@ class Budget:
         self._end_s = clock() + allowed_s
 
     def begin(self, stage: str) -> Callable[[], float]:
-        """A function that tells which share of a stage's time is gone; the stage begins now."""
-        began_s = self._clock()
-        left = self._stages[self._stages.index(stage) :]
-        share = TIME_SHARES[stage] / sum(TIME_SHARES[name] for name in left)
-        allowed_s = max(share * (self._end_s - began_s), 1e-3)
-        return lambda: (self._clock() - began_s) / allowed_s
+        """Begin a stage; return a function that returns the share of the stage's time that is used."""
+        start_s = self._clock()
+        remaining = self._stages[self._stages.index(stage) :]
+        share = TIME_SHARES[stage] / sum(TIME_SHARES[name] for name in remaining)
+        allowed_s = max(share * (self._end_s - start_s), 1e-3)
+        return lambda: (self._clock() - start_s) / allowed_s
 
 
 class Stages:
-    """Trains what a job asks for in `folder`, where it also looks for what earlier sittings left.
+    """Training of all stages of a job, which resumes what earlier sessions left in the folder.
 
     Args:
-        job: what is to be trained.
+        job: settings of the pretraining.
         folder: of the pretraining.
-        pictures: all of them.
+        pictures: training data.
         encoder: of the pictures.
-        budget: of time.
-        watch: is told of every epoch.
+        budget: time limit.
+        progress: shows every epoch.
     """
 
     def __init__(
-        self, job: Job, folder: Path, pictures: Pictures, encoder: Encoder, budget: Budget, watch: PretrainingProgress
+        self,
+        job: Job,
+        folder: Path,
+        pictures: Pictures,
+        encoder: Encoder,
+        budget: Budget,
+        progress: PretrainingProgress,
     ) -> None:
-        self._job, self._pictures, self._encoder, self._budget, self._watch = job, pictures, encoder, budget, watch
+        self._job, self._pictures, self._encoder = job, pictures, encoder
+        self._budget, self._progress = budget, progress
         self._history = folder / HISTORY_FILE
         self._folder = folder / "stages"
         self._field_of_view_rad = math.radians(job.config.camera.field_of_view_deg)
 
     def run(self) -> dict[str, bytes]:
-        """Every stage; returns the files of the weights folder by name."""
+        """Train every stage; return the files of the weights folder by name."""
         self._folder.mkdir(exist_ok=True)
-        contents, projection = {}, None
+        contents: dict[str, bytes] = {}
+        projection = None
         if "words" in self._job.stages:
-            projection, more = self.words()
-            contents |= more
+            projection, word_files = self.words()
+            contents |= word_files
         if "head" in self._job.stages:
             examples, validation = self._pictures.examples(), self._pictures.validation()
             head = of_head.new_head(examples, self._field_of_view_rad, self._job.seed)
@@ -109,18 +120,22 @@ class Stages:
         return contents
 
     def words(self) -> tuple[nn.Module, dict[str, bytes]]:
-        """The projection to the space of words, which an encoder may bring, and the files of it and the vocabulary."""
+        """Return the projection to the space of words and the files of projection and vocabulary.
+
+        An encoder may bring its own projection, which is not trained and needs no file.
+        """
         words, native = shipped_words(), self._encoder.native_projection()
         vocabulary = Vocabulary(words, self._encoder.embed_texts(words), self._encoder.text_sha256)
         if native is not None:
-            self._watch.say("words: the encoder brings its own projection, which is not trained")
-            projection = nn.Linear(*native["weight"].shape[::-1])
-            projection.load_state_dict({name: torch.from_numpy(value) for name, value in native.items()})
-            return projection, {VOCABULARY_FILE: vocabulary.to_bytes()}
+            self._progress.log("words: the encoder has its own projection, which is not trained")
+            own_projection = nn.Linear(*native["weight"].shape[::-1])
+            own_projection.load_state_dict({name: torch.from_numpy(value) for name, value in native.items()})
+            return own_projection, {VOCABULARY_FILE: vocabulary.to_bytes()}
         examples = self._pictures.described()
         projection = of_words.new_projection(examples, self._job.seed)
 
         def train(recipe: Recipe, rng: np.random.Generator, time_used: Callable[[], float]) -> Trainer:
+            assert isinstance(recipe, of_words.WordRecipe), "as in RECIPES"
             validation = self._pictures.described_validation()
             return of_words.train(projection, examples, validation, vocabulary, recipe, rng, time_used)
 
@@ -137,45 +152,44 @@ class Stages:
         begin: Callable[[Recipe, np.random.Generator, Callable[[], float]], Trainer],
         finish: Callable[[], None],
     ) -> None:
-        """Trains a stage's network in place, or loads the weights with which an earlier sitting ended."""
-        ended, stands = self._folder / f"{stage}.safetensors", self._folder / f"{stage}.training"
-        if ended.exists():
-            network.load_state_dict(safetensors.torch.load(ended.read_bytes()))
-            self._watch.say(f"{stage}: trained already")
+        """Train the network of a stage in place, or load its weights if an earlier session has finished it.
+
+        Args:
+            stage: name of the stage.
+            network: of the stage.
+            begin: returns the trainer for a recipe, a random generator and the share of time used.
+            finish: called once the network is trained.
+        """
+        weights_file, state_file = self._folder / f"{stage}.safetensors", self._folder / f"{stage}.training"
+        if weights_file.exists():
+            network.load_state_dict(safetensors.torch.load(weights_file.read_bytes()))
+            self._progress.log(f"{stage}: already trained")
             return
         recipe = RECIPES[stage]
         if self._job.epochs:
             recipe = changed(recipe, epochs=self._job.epochs)
         rng = np.random.default_rng([self._job.seed, list(TIME_SHARES).index(stage)])
         trainer = begin(recipe, rng, self._budget.begin(stage))
-        if stands.exists():
-            trainer.restore(stands.read_bytes())
-            self._watch.say(f"{stage}: going on after epoch {trainer.epoch}")
-        prune(self._history, stage, trainer.epoch)
+        if state_file.exists():
+            trainer.restore(state_file.read_bytes())
+            self._progress.log(f"{stage}: resumed after epoch {trainer.epoch}")
+        last_saved = trainer.epoch  # later epochs were interrupted before their state was saved
+        json_lines.prune(self._history, lambda line: line["stage"] == stage and line["epoch"] > last_saved)
         try:
             for figures in trainer:
                 with self._history.open("a") as file:
                     file.write(json.dumps({"stage": stage, **figures}) + "\n")
-                atomic_files.replace(stands, trainer.state())
-                self._watch.epoch(stage, figures, recipe.epochs)
+                atomic_files.replace(state_file, trainer.state())
+                self._progress.epoch(stage, figures, recipe.epochs)
         except RunError as error:
             raise RunError(f"stage {stage!r}: {error}") from error
         finish()
-        atomic_files.replace(ended, safetensors.torch.save(network.state_dict()))
-        stands.unlink(missing_ok=True)
-
-
-def prune(history: Path, stage: str, epoch: int) -> None:
-    """Leaves out of a history the epochs of a stage after `epoch`: they were broken off before they were saved."""
-    if not history.exists():
-        return
-    lines = [json.loads(line) for line in history.read_text().splitlines() if line.endswith("}")]
-    kept = [line for line in lines if line["stage"] != stage or line["epoch"] <= epoch]
-    atomic_files.replace(history, "".join(json.dumps(line) + "\n" for line in kept).encode())
+        atomic_files.replace(weights_file, safetensors.torch.save(network.state_dict()))
+        state_file.unlink(missing_ok=True)
 
 
 def best_epochs(history: Path) -> dict[str, dict[str, float]]:
-    """Of each stage in a history the figures of the epoch whose weights were kept."""
+    """Return, for each stage in a history, the figures of the epoch whose weights were kept."""
     best: dict[str, dict[str, float]] = {}
     if not history.exists():
         return best

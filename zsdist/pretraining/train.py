@@ -1,4 +1,4 @@
-"""A pretraining from its pictures to its weights, in one sitting or in several."""
+"""Pretraining from the first picture to the weights, in one session or several."""
 
 import math
 import shutil
@@ -22,44 +22,46 @@ def train(
     minutes: float,
     workers: int,
     keep_pictures: bool,
-    watch: PretrainingProgress,
+    progress: PretrainingProgress,
 ) -> None:
-    """Makes what is missing of a pretraining, and leaves a folder of weights.
+    """Complete a pretraining, whose folder becomes a folder of weights.
 
     Args:
-        job: what is to be trained.
-        folder: of the pretraining; `job.create` made it.
+        job: settings of the pretraining.
+        folder: of the pretraining, made by `job.create`.
         encoder: of the pictures.
-        minutes: that this sitting may take.
-        workers: processes that make pictures.
-        keep_pictures: do not remove the pictures at the end.
-        watch: is told how far it is.
+        minutes: time that this session may take.
+        workers: number of processes that make pictures.
+        keep_pictures: keep the pictures at the end.
+        progress: shows the progress.
 
     Raises:
-        ZsdistError: there is no time for the pictures, or a file cannot be written.
+        ZsdistError: the time is too short for the pictures, or a file cannot be written.
     """
     budget = Budget(minutes * 60, ["pictures", *job.stages])
-    kept = folder / "pictures"
-    room = f"{disk_bytes(job, encoder) / 1e9:.2f} GB of disk"
+    picture_folder = folder / "pictures"
+    space = f"{disk_bytes(job, encoder) / 1e9:.2f} GB of disk"
     limit = "" if math.isinf(minutes) else f", at most {minutes:g} minutes"
-    watch.say(f"{job.images} pictures to train {', '.join(job.stages)} on, by {workers} processes; {room}{limit}")
-    used = budget.begin("pictures")
-    make_all(job, kept, workers, lambda: used() < 1.0, watch.pictures)
-    pictures = Pictures(job, kept)
-    files = Stages(job, folder, pictures, encoder, budget, watch).run()
+    stages = ", ".join(job.stages)
+    progress.log(f"{job.images} pictures to train {stages}, made by {workers} processes; {space}{limit}")
+    time_used = budget.begin("pictures")
+    make_all(job, picture_folder, workers, lambda: time_used() < 1.0, progress.pictures)
+    pictures = Pictures(job, picture_folder)
+    files = Stages(job, folder, pictures, encoder, budget, progress).run()
     made = weights.write(folder, files, _metadata(job, folder, pictures, encoder))
     for name, digest in made.metadata["files"].items():
-        watch.say(f"{folder / name}: SHA-256 {digest[:16]}")
-    (folder / JOB_FILE).unlink()  # first: with less than all of the rest nobody could go on
+        progress.log(f"{folder / name}: SHA-256 {digest[:16]}")
+    (folder / JOB_FILE).unlink()  # first: without all of the rest it cannot be resumed
     shutil.rmtree(folder / "stages")
     if not keep_pictures:
-        shutil.rmtree(kept)
+        shutil.rmtree(picture_folder)
 
 
 def _metadata(job: Job, folder: Path, pictures: Pictures, encoder: Encoder) -> dict[str, Any]:
-    tower = {"text_sha256": encoder.text_sha256} if "words" in job.stages else {}
+    """Return the metadata of a folder of weights."""
+    text_tower = {"text_sha256": encoder.text_sha256} if "words" in job.stages else {}
     return {
-        "encoder": {"name": encoder.name, "sha256": encoder.sha256, **tower},
+        "encoder": {"name": encoder.name, "sha256": encoder.sha256, **text_tower},
         "camera": {key: getattr(job.config.camera, key) for key in CAMERA_KEYS},
         "command": job.command,
         "zsdist": __version__,

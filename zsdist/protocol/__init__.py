@@ -1,1 +1,1 @@
-"""How nothing gets lost: numbered frames, windows, acknowledgements and credit, as pure state machines."""
+"""Reliable delivery by numbered frames, windows, acknowledgements and credit, as state machines without I/O."""

@@ -1,18 +1,18 @@
-"""What the protocol needs to know of a frame; the messages that travel are such frames."""
+"""Interface of the frames that the protocol delivers; the messages `Push` and `Records` implement it."""
 
 from typing import Protocol
 
 
 class Frame(Protocol):
-    """A numbered piece of one (stream, actor, epoch); see the attributes of the messages of pushes and records."""
+    """Numbered frame of one (stream, actor, epoch); see the attributes of `Push` and `Records`."""
 
     @property
     def stream(self) -> str:
-        """Which stream of its actor."""
+        """Stream of the actor."""
 
     @property
     def actor(self) -> str:
-        """Whose it is."""
+        """Name of the actor."""
 
     @property
     def epoch(self) -> int:
@@ -20,16 +20,16 @@ class Frame(Protocol):
 
     @property
     def sequence(self) -> int:
-        """Number of the frame in its epoch, from 0."""
+        """Number of the frame in its epoch, from 0 without gaps."""
 
     @property
     def produced(self) -> int:
-        """Running total of the epoch, this frame included."""
+        """Running total of transitions or records of the epoch, this frame included."""
 
     @property
     def closes(self) -> bool:
-        """Whether it is the last of its epoch."""
+        """True for the last frame of the epoch."""
 
     @property
     def count(self) -> int:
-        """Transitions or records in it."""
+        """Number of transitions or records in the frame."""

@@ -1,7 +1,7 @@
-"""The receiving half of the push protocol: order, duplicates, acknowledgements, books. No socket, no clock.
+"""Receiving half of the push protocol: order, duplicates, acknowledgements and counts. It uses no socket and no clock.
 
-Only epochs that were issued are listened to. A newer epoch of an actor closes the older one where it stands, at its
-last frame in unbroken order, so that the books hold whatever happened to the actor.
+Frames of epochs that were not issued are refused. A newer epoch of an actor abandons the older one at its last frame
+without a gap, so the counts agree even if the actor has died.
 """
 
 from collections import Counter
@@ -12,7 +12,7 @@ from typing import Any
 from zsdist.protocol.frames import Frame
 from zsdist.types import Ack, Level
 
-HOLD_FRAMES = 256  # frames ahead of the next expected one that are held; beyond, they are refused and come again
+HOLD_FRAMES = 256  # frames from the next expected one on that are held; later ones are refused and sent again
 ACK_EVERY_FRAMES = 8
 ACK_AFTER_S = 0.02
 HEARTBEAT_S = 0.25
@@ -20,9 +20,19 @@ HEARTBEAT_S = 0.25
 
 @dataclass
 class _Stream:
-    """What is known of one actor's current epoch.
+    """State of the current epoch of an actor.
 
-    `granted` is the highest credit announced, None while it is unlimited.
+    Attributes:
+        epoch: number of the epoch.
+        received: frames delivered, which is the number of the next expected frame.
+        produced: running total at the last delivered frame.
+        declared: highest running total in any frame received.
+        granted: highest credit announced; None while it is unlimited.
+        state: "open", "closed" by its last frame, or "abandoned".
+        held: frames that arrived out of order, by number.
+        unacknowledged: frames received since the last acknowledgement.
+        receipt_s: time of the first frame since the last acknowledgement.
+        heartbeat_s: time of the next heartbeat; None: at once.
     """
 
     epoch: int
@@ -30,29 +40,35 @@ class _Stream:
     produced: int = 0
     declared: int = 0
     granted: int | None = 0
-    state: str = "open"  # or "closed" by its last frame, or "abandoned"
+    state: str = "open"
     held: dict[int, Frame] = field(default_factory=dict)
     unacknowledged: int = 0
-    receipt_s: float | None = None  # of the first frame since the last ack
-    heartbeat_s: float | None = None  # when the next is due; None: at once
+    receipt_s: float | None = None
+    heartbeat_s: float | None = None
 
 
 class Inbox:
-    """Receives one stream from any number of actors.
+    """Receiver of one stream from any number of actors.
 
     Attributes:
-        stream: which.
-        sender_epoch: incarnation of the receiving role, put into its acknowledgements.
-        duplicates: frames that came again.
-        refused: frames not accepted, counted by reason.
-        abandoned_at_most: transitions (or records) that may have been produced in epochs that were cut off, and never
-            arrived: granted minus delivered.
-        abandoned_unlimited: epochs cut off while their credit was unlimited, so that of what they may have produced
-            only what their frames declared is in `abandoned_at_most`.
+        stream: `Level` or name of the stream.
+        sender_epoch: incarnation of the receiving role, for its acknowledgements.
+        duplicates: number of frames that arrived again.
+        refused: number of refused frames by reason.
+        abandoned_at_most: upper bound of the transitions (or records) that were produced in abandoned epochs and never
+            delivered: granted minus delivered.
+        abandoned_unlimited: epochs that were abandoned while their credit was unlimited. For these, `abandoned_at_most`
+            includes only what their frames declared.
     """
 
     def __init__(self, stream: Level | str, *, sender_epoch: int = 0, hold_frames: int = HOLD_FRAMES) -> None:
-        """Listens to nobody until an epoch is issued."""
+        """Make an inbox that refuses all frames until an epoch is issued.
+
+        Args:
+            stream: `Level` or name of the stream.
+            sender_epoch: incarnation of the receiving role.
+            hold_frames: frames from the next expected one on that are held until those before them arrive.
+        """
         self.stream = stream
         self.sender_epoch = sender_epoch
         self.duplicates = 0
@@ -65,20 +81,20 @@ class Inbox:
 
     @property
     def produced(self) -> int:
-        """Transitions (or records) delivered: the running totals at the last frame in order, over all epochs."""
+        """Number of transitions (or records) delivered, over all epochs."""
         return self._produced_before + sum(stream.produced for stream in self._streams.values())
 
     @property
     def closed(self) -> bool:
-        """Whether every epoch that was issued is closed."""
+        """True if every issued epoch is closed or abandoned."""
         return not self.open_streams()
 
     def open_streams(self) -> list[tuple[str, int]]:
-        """The (actor, epoch) pairs that may still send."""
+        """Return the (actor, epoch) pairs that may still send."""
         return [(actor, stream.epoch) for actor, stream in self._streams.items() if stream.state == "open"]
 
     def issue(self, actor: str, epoch: int) -> None:
-        """Listens to an epoch from now on, in place of the actor's older one; an epoch that is not newer is ignored."""
+        """Accept an epoch from now on instead of the actor's older one; an epoch that is not newer is ignored."""
         current = self._streams.get(actor)
         if current is not None:
             if epoch <= current.epoch:
@@ -88,13 +104,13 @@ class Inbox:
         self._streams[actor] = _Stream(epoch, granted=0 if isinstance(self.stream, Level) else None)
 
     def close(self, actor: str, epoch: int) -> None:
-        """Closes the epoch of an actor that is dead and will not be replaced, where it stands."""
+        """Abandon the current epoch of an actor that has died and is not replaced."""
         current = self._streams.get(actor)
         if current is not None and current.epoch == epoch:
             self._abandon(current)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Takes in a frame; returns those that can now be delivered, in order, each exactly once."""
+        """Accept a frame and return the frames that can be delivered now, in order and each exactly once."""
         stream = self._streams.get(frame.actor)
         if frame.stream != self.stream:
             return self._refuse("wrong_stream")
@@ -115,11 +131,13 @@ class Inbox:
         return self._deliver(stream)
 
     def acks(self, now: float, credit: Callable[[str, int], int | None]) -> list[Ack]:
-        """The acknowledgements due now; whatever was delivered before is held from here on, so store it first.
+        """Return the acknowledgements that are due.
+
+        They confirm all delivered frames, which are never sent again: store these before.
 
         Args:
-            now: the time.
-            credit: of an open (actor, epoch), the absolute total it may produce; None: unlimited.
+            now: current time in seconds.
+            credit: returns the absolute total that an open (actor, epoch) may produce; None: unlimited.
         """
         acks = []
         for actor, stream in self._streams.items():
@@ -132,18 +150,18 @@ class Inbox:
         return acks
 
     def next_wake(self, now: float) -> float | None:
-        """When `acks` next has something to say if nothing else comes; None: never."""
+        """Return the time of the next acknowledgement if no frame arrives; None: there is none."""
         time_s = min((_due(stream, now) for stream in self._streams.values()), default=_NEVER)
         return None if time_s == _NEVER else time_s
 
     def state(self) -> dict[str, Any]:
-        """Everything that must outlive the role, as JSON; frames held out of order are not in it, they come again."""
+        """Return the state for a checkpoint as JSON, without frames held out of order, since they are sent again."""
         current = {actor: {name: getattr(stream, name) for name in _KEPT} for actor, stream in self._streams.items()}
         totals = {name: getattr(self, name) for name in _TOTALS}
         return {"stream": str(self.stream), "current": current, "refused": dict(self.refused), **totals}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Goes on from what `state` gave."""
+        """Continue from a state that `state` returned."""
         self._streams = {actor: _Stream(**kept) for actor, kept in state["current"].items()}
         self.refused = Counter(state["refused"])
         for name in _TOTALS:
@@ -153,7 +171,7 @@ class Inbox:
         delivered = []
         while (frame := stream.held.pop(stream.received, None)) is not None:
             if frame.produced != stream.produced + frame.count:
-                self._refuse("wrong_total")  # not the true one, which is sent again
+                self._refuse("wrong_total")  # a damaged frame; the right one is sent again
                 break
             stream.received += 1
             stream.produced = frame.produced
@@ -184,10 +202,10 @@ _TOTALS = ("duplicates", "abandoned_at_most", "abandoned_unlimited", "_produced_
 
 
 def _due(stream: _Stream, now: float) -> float:
-    """When an acknowledgement of a stream is due."""
+    """Return the time at which an acknowledgement of a stream is due."""
     if stream.unacknowledged >= ACK_EVERY_FRAMES:
         return now
     receipt = _NEVER if stream.receipt_s is None else stream.receipt_s + ACK_AFTER_S
-    if stream.state != "open":  # acknowledged again only when its last frames come again
+    if stream.state != "open":  # acknowledged again only if its last frames arrive again
         return _NEVER if stream.state == "abandoned" else receipt
     return min(receipt, now if stream.heartbeat_s is None else stream.heartbeat_s)

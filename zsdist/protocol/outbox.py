@@ -1,8 +1,8 @@
-"""The sending half of the push protocol: numbers, window, resending, credit. No socket, no clock.
+"""Sending half of the push protocol: numbers, window, resending and credit. It uses no socket and no clock.
 
-A frame is kept until it is acknowledged and is sent again by its age, so nothing is lost whatever the transport does;
-the numbers let the receiver drop what comes twice. Credit bounds what may be produced at all: it is reserved before a
-step or an option begins, so that what has been produced can always be sent.
+A frame is kept until it is acknowledged and sent again after a time, so that nothing is lost whatever the transport
+does. By the numbers the receiver recognises duplicates. Credit limits production: it is reserved before a step or an
+option begins, so that everything that is produced may be sent.
 """
 
 from collections import deque
@@ -16,18 +16,18 @@ from zsdist.types import Ack, Level, Trajectory
 
 Item = Trajectory | dict[str, Any]
 
-COMBINE = 16  # transitions from which a frame of trajectories is worth sending by itself
-MAX_COUNT = 256  # from which no further item is added to a frame
-LINGER_S = 0.05  # longest that fewer than `COMBINE` transitions wait for company
-RESEND_BURST = 8  # frames sent again at once
-BURST_PAUSE = 0.25  # least time between two such bursts, in units of `resend_after_s`, so that none is flooded
-BACKOFF_MAX = 4.0  # longest time between two sendings of a frame, in units of `resend_after_s`
-SILENCE_S = 2.0  # a receiver not heard for longer counts as away (its heartbeat is every 0.25 s)
+COMBINE = 16  # transitions from which a frame is sent at once
+MAX_COUNT = 256  # most transitions or records in a frame, unless its first item alone has more
+LINGER_S = 0.05  # longest time that fewer than `COMBINE` transitions wait for more
+RESEND_BURST = 8  # most frames that one poll sends again
+BURST_PAUSE = 0.25  # shortest time between two such polls, in units of `resend_after_s`, to spare the receiver
+BACKOFF_MAX = 4.0  # longest time until a frame is sent again, in units of `resend_after_s`
+SILENCE_S = 2.0  # silence after which a receiver counts as away; its heartbeat comes every 0.25 s
 
 
 @dataclass
 class _Flight:
-    """A numbered frame that is not acknowledged yet."""
+    """Numbered frame that is not acknowledged yet."""
 
     frame: Frame
     sent_s: float
@@ -35,14 +35,16 @@ class _Flight:
 
 
 class Outbox:
-    """Frames of one (stream, actor, epoch) on their way to one receiver.
+    """Sender of the frames of one (stream, actor, epoch) to one receiver.
 
     Attributes:
         stream: a `Level` for trajectories, or the name of a stream of records.
+        actor: name of the actor.
+        epoch: incarnation of the actor.
         produced: running total of transitions (or records) in numbered frames.
-        credit: absolute total the stream may produce; None: unlimited. Nothing may be produced before the receiver has
-            spoken; records need no credit. One receiver's word only ever turns unlimited into limited and low into
-            high, so acknowledgements that overtake each other do no harm.
+        credit: absolute total that the stream may produce; None: unlimited. It is 0 until the receiver has answered,
+            and None for records. Within an incarnation of the receiver, credit only becomes limited or grows, so
+            acknowledgements may overtake each other.
     """
 
     def __init__(
@@ -56,18 +58,18 @@ class Outbox:
         give_up_after_s: float,
         make_frame: Callable[..., Frame],
     ) -> None:
-        """Begins an epoch.
+        """Begin an epoch.
 
         Args:
             stream: a `Level` for trajectories, or the name of a stream of records.
-            actor: whose frames these are.
+            actor: name of the actor.
             epoch: incarnation of the actor, never used before.
-            window_frames: most frames unacknowledged at once.
-            resend_after_s: age from which an unacknowledged frame is sent again; doubles with each sending up to
+            window_frames: most frames that may be unacknowledged at once.
+            resend_after_s: age at which an unacknowledged frame is sent again; doubles with each sending, up to
                 `BACKOFF_MAX` times this.
-            give_up_after_s: how long the oldest frame may stay unacknowledged by a receiver that lives.
-            make_frame: the message that a frame travels as, such as `Push`: called with stream, actor, epoch,
-                sequence, produced, closes and the tuple of items.
+            give_up_after_s: longest time without progress at a receiver that is alive.
+            make_frame: makes the message of a frame, such as `Push`, from stream, actor, epoch, sequence, produced,
+                closes and the tuple of items.
         """
         self.stream = stream
         self.actor = actor
@@ -83,12 +85,11 @@ class Outbox:
         self._waiting: deque[Item] = deque()
         self._waiting_count = 0
         self._waiting_since_s: float | None = None
-        self._flush = False
         self._flight: deque[_Flight] = deque()
         self._sequence = 0  # of the next frame
-        self._taken = 0  # reserved, waiting or produced
+        self._claimed = 0  # credit that is reserved, waiting or produced
         self._closing = False
-        self._closed = False  # the closing frame is numbered
+        self._closed = False  # true once the closing frame is numbered
         self._sender_epoch = -1
         self._heard_s: float | None = None
         self._stalled_since_s = 0.0
@@ -98,59 +99,55 @@ class Outbox:
 
     @property
     def waiting(self) -> int:
-        """Transitions (or records) offered but not yet in a numbered frame."""
+        """Number of transitions (or records) that are offered but not yet in a numbered frame."""
         return self._waiting_count
 
     @property
     def drained(self) -> bool:
-        """Whether the epoch is closed and its receiver holds everything."""
+        """True if the epoch is closed and everything is acknowledged."""
         return self._closed and not self._flight
 
     def reserve(self, count: int) -> bool:
-        """Takes credit for `count` transitions before they come to be; False where there is not enough of it."""
-        if self.credit is not None and self._taken + count > self.credit:
+        """Reserve credit for `count` transitions before they are produced; return false if there is too little."""
+        if self.credit is not None and self._claimed + count > self.credit:
             return False
-        self._taken += count
+        self._claimed += count
         return True
 
     def release(self, count: int) -> None:
-        """Gives back credit that was reserved and turned out not to be needed.
+        """Return reserved credit that is not needed.
 
         Raises:
-            ProtocolError: so much is not reserved.
+            ProtocolError: less is reserved.
         """
-        if not 0 <= count <= self._taken - self._waiting_count - self.produced:
-            reserved = self._taken - self._waiting_count - self.produced
+        if not 0 <= count <= self._claimed - self._waiting_count - self.produced:
+            reserved = self._claimed - self._waiting_count - self.produced
             raise ProtocolError(f"{self._name()}: {count} transitions released; reserved are {reserved}")
-        self._taken -= count
+        self._claimed -= count
 
     def offer(self, items: Sequence[Item]) -> None:
-        """Queues trajectories or records; they go out in this order.
+        """Queue trajectories or records, to be sent in this order.
 
         Raises:
-            ProtocolError: the outbox is closed, or more is offered than was reserved.
+            ProtocolError: the outbox is closed, or more is offered than is reserved.
         """
         if self._closing:
             raise ProtocolError(f"{self._name()} is closed; nothing more can be offered")
         count = sum(map(_count, items))
         if not self._metered:
-            self._taken += count
-        elif self.produced + self._waiting_count + count > self._taken:
-            free = self._taken - self.produced - self._waiting_count
+            self._claimed += count
+        elif self.produced + self._waiting_count + count > self._claimed:
+            free = self._claimed - self.produced - self._waiting_count
             raise ProtocolError(f"{self._name()}: {count} transitions offered; reserved are {free}")
         self._waiting.extend(items)
         self._waiting_count += count
 
-    def flush(self) -> None:
-        """Has what waits now sent without waiting for company."""
-        self._flush = bool(self._waiting)
-
-    def close(self, now: float) -> None:
-        """Has everything sent, and a last frame that closes the epoch."""
+    def close(self) -> None:
+        """Send everything without waiting for more, and end the epoch with a closing frame."""
         self._closing = True
 
     def poll(self, now: float) -> list[Frame]:
-        """The frames to send now: overdue ones again, then new ones as far as the window goes."""
+        """Return the frames to send now: overdue ones again, then new ones as far as the window allows."""
         frames = self._overdue(now)
         if self._waiting and self._waiting_since_s is None:
             self._waiting_since_s = now
@@ -159,7 +156,7 @@ class Outbox:
         return frames
 
     def on_ack(self, ack: Ack, now: float) -> None:
-        """Takes in an acknowledgement; one for others, or by a replaced receiver, is ignored."""
+        """Accept an acknowledgement; one for another outbox or from a replaced receiver is ignored."""
         if (ack.stream, ack.actor, ack.epoch) != (self.stream, self.actor, self.epoch):
             return
         acknowledged = self._sequence - len(self._flight)
@@ -168,10 +165,10 @@ class Outbox:
             return
         replaced = ack.sender_epoch > self._sender_epoch
         if replaced or self._heard_s is None or now - self._heard_s > SILENCE_S:
-            self._stalled_since_s = now  # while it was away nothing could be acknowledged
+            self._stalled_since_s = now  # the time while it was away does not count
             for flight in self._flight:
                 flight.sendings = min(flight.sendings, 1)
-                if replaced:  # what its predecessor did not acknowledge it does not hold
+                if replaced:  # it has no frame that its predecessor did not acknowledge
                     flight.sent_s = min(flight.sent_s, now - self._resend_after_s)
         if ack.received > acknowledged:
             for _ in range(ack.received - acknowledged):
@@ -186,7 +183,7 @@ class Outbox:
         self._heard_s = now
 
     def next_wake(self, now: float) -> float | None:
-        """When `poll` next has something to do if nothing else happens; None: never."""
+        """Return the time at which `poll` has to be called if nothing else happens; None: never."""
         times = [max(flight.sent_s + self._patience_s(flight), self._resend_from_s) for flight in self._flight]
         if len(self._flight) < self._window_frames:
             if self._ripe(now) or (self._waiting and self._waiting_since_s is None):
@@ -196,17 +193,17 @@ class Outbox:
         return max(now, min(times)) if times else None
 
     def stuck(self, now: float) -> bool:
-        """Whether the oldest frame has stayed unacknowledged too long by a receiver that lives: the run must end."""
+        """Return whether a receiver that is alive makes no progress for too long, so that the run must end."""
         if not self._flight or self._heard_s is None or now - self._heard_s > SILENCE_S:
             return False
         return now - self._stalled_since_s > self._give_up_after_s
 
     def statistics(self) -> dict[str, int]:
-        """Plain numbers; counts are of transitions (or records) unless they say frames."""
+        """Return counts of transitions (or records), or of frames where the name says so."""
         return {
             "produced": self.produced,
             "waiting": self._waiting_count,
-            "reserved": self._taken - self._waiting_count - self.produced,
+            "reserved": self._claimed - self._waiting_count - self.produced,
             "sent_frames": self._sequence,
             "unacknowledged_frames": len(self._flight),
             "resent_frames": self._resent,
@@ -214,6 +211,7 @@ class Outbox:
         }
 
     def _overdue(self, now: float) -> list[Frame]:
+        """Return the frames to send again."""
         frames: list[Frame] = []
         if now < self._resend_from_s:
             return frames
@@ -230,17 +228,19 @@ class Outbox:
         return frames
 
     def _patience_s(self, flight: _Flight) -> float:
+        """Return the time after which a frame is sent again."""
         return self._resend_after_s * min(2.0 ** (flight.sendings - 1), BACKOFF_MAX)
 
     def _ripe(self, now: float) -> bool:
-        """Whether a frame should be numbered now."""
+        """Return whether a frame should be numbered now."""
         if self._closed:
             return False
-        if self._closing or self._flush or self._waiting_count >= self._combine:
+        if self._closing or self._waiting_count >= self._combine:
             return True
         return self._waiting_since_s is not None and now >= self._waiting_since_s + LINGER_S
 
     def _number(self, now: float) -> Frame:
+        """Make the next frame of the items that wait."""
         items: list[Item] = []
         count = 0
         while self._waiting and (not items or count + _count(self._waiting[0]) <= MAX_COUNT):
@@ -255,8 +255,6 @@ class Outbox:
         )
         if not self._flight:
             self._stalled_since_s = now
-        if not self._waiting:
-            self._flush = False
         self._waiting_since_s = now if self._waiting else None
         self._sequence += 1
         self._flight.append(_Flight(frame, now, 1))

@@ -14,6 +14,7 @@ from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
 from zsdist.evaluation import episode_store
 from zsdist.evaluation.contenders import FULL
+from zsdist.evaluation.fingerprint import equivalent
 from zsdist.evaluation.metrics import summarise
 from zsdist.types import Level
 
@@ -233,7 +234,8 @@ def _summarise_episodes(file: Path) -> list[Row]:
     for line in lines:
         key = tuple(line.about[name] for name in _EVALUATION_KEY)
         groups.setdefault(key, {})
-        if any(other.about["code"] != line.about["code"] for other in groups[key].values()):
+        codes = equivalent(line.about["code"])
+        if any(other.about["code"] not in codes for other in groups[key].values()):
             groups[key] = {}
         groups[key][line.about["index"]] = line
     results = []

@@ -90,7 +90,7 @@ class Actor(Role):
         if self._closing and not any(car.task for car in self.cars):
             self.perception.close()
             for outbox in self._outboxes.values():
-                outbox.close(now)
+                outbox.close()
         self._flush(now)
         self.finished = all(outbox.drained for outbox in self._outboxes.values())
         if ready:

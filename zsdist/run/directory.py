@@ -7,12 +7,11 @@ import re
 import secrets
 import shutil
 import time
-from collections.abc import Callable
 from operator import attrgetter
 from pathlib import Path
 
 from zsdist import __version__, config
-from zsdist.common import atomic_files
+from zsdist.common import atomic_files, json_lines
 from zsdist.config import Config
 from zsdist.errors import ConfigError, DecodeError, RunError
 from zsdist.vision.fingerprint import VisionIdentity
@@ -99,8 +98,8 @@ def rewind(folder: Path, settings: Config, states: dict[str, State]) -> None:
     rewrite_config(folder, settings)
     shutil.rmtree(folder / "journal", ignore_errors=True)
     finished = set(states["scheduler"].meta["finished"])
-    _prune(folder / "episodes.jsonl", lambda record: record["episode"] not in finished)
-    _prune(folder / "metrics.jsonl", lambda row: row.get("episodes", 0) > len(finished))
+    json_lines.prune(folder / "episodes.jsonl", lambda record: record["episode"] not in finished)
+    json_lines.prune(folder / "metrics.jsonl", lambda row: row.get("episodes", 0) > len(finished))
 
 
 def key_name(folder: Path) -> str:
@@ -223,11 +222,11 @@ class RunDirectory:
             "sha256": hashes,
         }
         atomic_files.write(partial / "manifest.json", json.dumps(manifest, indent=1).encode())
-        atomic_files.settle(partial)
+        atomic_files.sync_folder(partial)
         if final.exists():  # of as many episodes; aside in one step, so that a kill leaves no part of one
             final.rename(aside)
         partial.rename(final)
-        atomic_files.settle(final.parent)
+        atomic_files.sync_folder(final.parent)
         shutil.rmtree(aside, ignore_errors=True)
         for old in sorted(final.parent.glob("[0-9]*"))[:-CHECKPOINTS_KEPT]:
             shutil.rmtree(old)
@@ -242,16 +241,3 @@ class RunDirectory:
         for file in (self._episodes, self._metrics):
             file.flush()
         self._board.flush()
-
-
-def _prune(path: Path, is_later: Callable[[dict], bool]) -> None:
-    if not path.exists():
-        return
-    kept = []
-    for line in path.read_text().splitlines():
-        try:
-            if not is_later(json.loads(line)):
-                kept.append(line)
-        except (ValueError, KeyError):
-            continue  # the line a killed process did not finish
-    atomic_files.replace(path, "".join(line + "\n" for line in kept).encode())

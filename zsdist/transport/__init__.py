@@ -1,1 +1,1 @@
-"""How bytes get from one role to another; nothing here knows what they mean."""
+"""Transport of bytes between roles, independent of their meaning."""

@@ -1,26 +1,26 @@
-"""Who may do what at a hub that asks for certificates, in the words of `Transport`; what no grant names is refused."""
+"""Access control of a hub with certificates, in the terms of `Transport`; what no grant names is refused."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-RETAINED = "@retained/"  # prefix of the tokens of keys with a retained value; no `**` of anybody's covers it
+RETAINED = "@retained/"  # prefix of the tokens of keys with a retained value; `**` does not match it
 
 
 @dataclass(frozen=True)
 class Grant:
-    """What the holder of one certificate may do, as patterns of keys.
+    """Rights of the holder of one certificate, as patterns of keys.
 
-    A pattern that is used must lie within one that is granted; one that reaches beyond is refused wholly.
+    A pattern in use must lie within a granted one; a pattern that reaches beyond is refused as a whole.
 
     Attributes:
         name: common name of the certificate.
-        publish: keys it may publish under, without retained values.
-        subscribe: keys it may hear, retained values included.
+        publish: keys under which it may publish, without retained values.
+        subscribe: keys to which it may subscribe, retained values included.
         serve: keys under which it may answer requests and keep retained values.
-        request: keys under which it may ask.
-        alive: tokens it may hold.
-        watch: tokens it may see.
+        request: keys under which it may request.
+        alive: liveliness tokens that it may hold.
+        watch: liveliness tokens that it may watch.
     """
 
     name: str
@@ -33,13 +33,14 @@ class Grant:
 
 
 def settings(grants: Iterable[Grant]) -> dict[str, Any]:
-    """Zenoh's `access_control` for a hub: default deny, one subject and one policy for each grant."""
-    rules, policies, subjects = [], [], []
+    """Return zenoh's `access_control` for a hub: deny by default, one subject and one policy for each grant."""
+    rules: list[dict[str, Any]] = []
+    policies, subjects = [], []
     for grant in grants:
-        mine = list(_rules(grant))
-        rules += mine
+        granted = list(_rules(grant))
+        rules += granted
         subjects.append({"id": grant.name, "cert_common_names": [grant.name]})
-        policies.append({"rules": [rule["id"] for rule in mine], "subjects": [grant.name]})
+        policies.append({"rules": [rule["id"] for rule in granted], "subjects": [grant.name]})
     return {
         "enabled": True,
         "default_permission": "deny",
@@ -50,8 +51,8 @@ def settings(grants: Iterable[Grant]) -> dict[str, Any]:
 
 
 def _rules(grant: Grant) -> Iterable[dict[str, Any]]:
-    """A grant as zenoh's rules; `ingress` is what the hub hears from the holder, `egress` what it passes on to it."""
-    heard, kept = (tuple(RETAINED + key for key in keys) for keys in (grant.subscribe, grant.serve))
+    """Yield a grant as zenoh's rules; `ingress` is from the holder to the hub, `egress` from the hub to the holder."""
+    subscribed, kept = (tuple(RETAINED + key for key in keys) for keys in (grant.subscribe, grant.serve))
     for flow, messages, keys in (
         ("ingress", ("put",), grant.publish),
         ("ingress", ("declare_subscriber",), grant.subscribe),
@@ -61,8 +62,8 @@ def _rules(grant: Grant) -> Iterable[dict[str, Any]]:
         ("ingress", ("declare_queryable", "reply"), grant.serve),
         ("egress", ("query",), grant.serve),
         ("ingress", ("liveliness_token",), grant.alive + kept),
-        ("ingress", ("declare_liveliness_subscriber", "liveliness_query"), grant.watch + heard),
-        ("egress", ("liveliness_token",), grant.watch + heard),
+        ("ingress", ("declare_liveliness_subscriber", "liveliness_query"), grant.watch + subscribed),
+        ("egress", ("liveliness_token",), grant.watch + subscribed),
     ):
         if keys:
             yield {

@@ -1,6 +1,6 @@
-"""What every transport offers, and the mailboxes it fills.
+"""Interface of transports, and the mailboxes that they fill.
 
-Patterns are key expressions: `*` stands for one part of a key, `**` for any number of parts.
+A pattern is a key expression: `*` matches one part of a key, `**` any number of parts.
 """
 
 import threading
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Message:
-    """Bytes that came in under a key; `reply` is there only for requests, and only its first call counts."""
+    """Bytes received under a key; only a request has `reply`, and only its first call has an effect."""
 
     key: str
     payload: bytes
@@ -20,18 +20,23 @@ class Message:
 
 
 class Mailbox:
-    """Where a transport's threads leave messages for a role.
+    """Queue in which the threads of a transport put messages for a role.
 
-    Appending never blocks: what does not fit in the byte budget is dropped and counted, since the protocol sends it
-    again. An empty mailbox takes any one message, so that none is too large for ever.
+    Appending never blocks. A message that does not fit into the byte budget is dropped and counted, since the protocol
+    sends it again. An empty mailbox accepts any message, so that none is too large forever.
 
     Attributes:
-        dropped: messages that did not fit.
-        peak_bytes: the most that has ever waited.
+        dropped: number of messages that did not fit.
+        peak_bytes: most bytes that have waited at once.
     """
 
     def __init__(self, max_bytes: int, wake: Callable[[], None] | None = None) -> None:
-        """Holds at most `max_bytes` of keys and payloads; calls `wake` after each message, from the sender's thread."""
+        """Make an empty mailbox.
+
+        Args:
+            max_bytes: of keys and payloads that may wait.
+            wake: called after each message, from the thread of the sender.
+        """
         self.dropped = 0
         self.peak_bytes = 0
         self._max_bytes = max_bytes
@@ -41,7 +46,7 @@ class Mailbox:
         self._lock = threading.Lock()
 
     def append(self, message: Message) -> bool:
-        """Leaves a message; False where it was dropped."""
+        """Add a message; return false if it was dropped."""
         size = len(message.key) + len(message.payload)
         with self._lock:
             if self._messages and self._bytes + size > self._max_bytes:
@@ -55,7 +60,7 @@ class Mailbox:
         return True
 
     def drain(self) -> list[Message]:
-        """Takes all that has come, oldest first."""
+        """Remove and return all messages, oldest first."""
         with self._lock:
             messages = list(self._messages)
             self._messages.clear()
@@ -67,39 +72,39 @@ class Mailbox:
 
 
 class Transport(ABC):
-    """Carries bytes between roles. Best effort: whatever must not be lost is sent again by the protocol above."""
+    """Best-effort transport of bytes between roles; the protocol above sends again what must not be lost."""
 
     @abstractmethod
     def publish(self, key: str, payload: bytes, *, retained: bool = False, json: bool = False) -> None:
-        """Sends to all who subscribed. Never waits for a receiver: where a pipe is full the message is dropped.
+        """Send to all subscribers. It never waits for a receiver: if a queue is full, the message is dropped.
 
         Args:
-            key: where to.
-            payload: what; copied.
-            retained: the last value of this key also goes to those who subscribe later, while this transport is open.
-            json: the payload is JSON text, and is labelled so for receivers that are not ours.
+            key: of the message.
+            payload: content; it is copied.
+            retained: later subscribers get the last value of this key too, as long as this transport is open.
+            json: the payload is JSON text, and is labelled as such for other programs.
         """
 
     @abstractmethod
     def subscribe(self, pattern: str, mailbox: Mailbox, *, retained: bool = False) -> None:
-        """Has messages that match put into `mailbox`; with `retained`, each key's last retained value first, once."""
+        """Put matching messages into `mailbox`; with `retained`, first the last retained value of each key, once."""
 
     @abstractmethod
     def serve(self, pattern: str, mailbox: Mailbox) -> None:
-        """Has requests that match put into `mailbox`, as messages with a `reply`."""
+        """Put matching requests into `mailbox`, as messages with a `reply`."""
 
     @abstractmethod
     def request(self, key: str, payload: bytes, mailbox: Mailbox, *, timeout_s: float) -> None:
-        """Asks whoever serves `key`. The answer comes into `mailbox`; where there is none, nothing comes: ask again."""
+        """Send a request to the server of `key`. Its reply goes into `mailbox`; if none comes, request again."""
 
     @abstractmethod
     def declare_alive(self, key: str) -> None:
-        """Keeps a token at `key` until this transport closes or its process dies."""
+        """Hold a liveliness token at `key` until this transport closes or its process dies."""
 
     @abstractmethod
     def watch_alive(self, pattern: str, mailbox: Mailbox) -> None:
-        """Has a message `b"1"` put into `mailbox` for each token that is or comes there, `b"0"` for each that goes."""
+        """Put `b"1"` into `mailbox` for each matching token that exists or appears, `b"0"` if it disappears."""
 
     @abstractmethod
     def close(self) -> None:
-        """Lets go of everything; nothing arrives afterwards, and a second call does nothing."""
+        """Release everything. Nothing arrives afterwards, and a second call does nothing."""

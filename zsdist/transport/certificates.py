@@ -1,7 +1,7 @@
-"""Certificates of a hub and its clients: one authority signs them all, and the common name says what each may do.
+"""Certificates of a hub and its clients, signed by one authority.
 
-A folder holds `ca.pem` and `ca.key`, and for each name `NAME.pem` and `NAME.key`, where NAME is the common name. A
-client proves by its key that the certificate is its own; what a name may do is the hub's business (`access`).
+A folder holds `ca.pem` and `ca.key`, and for each common name NAME the files `NAME.pem` and `NAME.key`. A client proves
+by its key that it owns the certificate. The hub decides by the common name what the client may do (`access`).
 """
 
 import datetime
@@ -10,20 +10,26 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric.types import (
+    CertificateIssuerPrivateKeyTypes,
+    CertificateIssuerPublicKeyTypes,
+    PrivateKeyTypes,
+)
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from zsdist.errors import TransportError
 
 AUTHORITY = "ca"
 MOST_DAYS = 36_500
-_BEFORE = datetime.timedelta(minutes=10)  # clocks of machines differ
+CLOCK_DIFFERENCE = datetime.timedelta(minutes=10)  # between machines: certificates are valid from so long ago
 _HASH = hashes.SHA256()
-_SERVES, _CALLS = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
+_SERVER, _CLIENT = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
 
 
 @dataclass(frozen=True)
@@ -37,10 +43,10 @@ class Identity:
 
     @classmethod
     def load(cls, folder: str | Path, name: str) -> "Identity":
-        """The identity `name` in a folder of certificates, found sound.
+        """Return the identity `name` in a folder of certificates once it is checked.
 
         Raises:
-            TransportError: a file is missing or unreadable, or they do not belong together, or are out of date.
+            TransportError: a file is missing, unreadable or out of date, or the files do not belong together.
         """
         folder = Path(folder)
         identity = cls(name, folder / f"{AUTHORITY}.pem", folder / f"{name}.pem", folder / f"{name}.key")
@@ -48,27 +54,29 @@ class Identity:
         try:
             certificate.verify_directly_issued_by(authority)
         except (InvalidSignature, ValueError, TypeError) as error:
-            raise TransportError(f"certificate {identity.certificate} is not of the authority {authority}") from error
+            raise TransportError(
+                f"certificate {identity.certificate} is not signed by the authority in {identity.authority}"
+            ) from error
         if common_name(certificate) != name:
             raise TransportError(
-                f"certificate {identity.certificate} is of {common_name(certificate)!r}; allowed is {name!r}"
+                f"certificate {identity.certificate} is for {common_name(certificate)!r}; allowed is {name!r}"
             )
         for path, found in ((identity.authority, authority), (identity.certificate, certificate)):
             now = datetime.datetime.now(datetime.UTC)
             if not found.not_valid_before_utc <= now <= found.not_valid_after_utc:
                 valid = f"{found.not_valid_before_utc:%Y-%m-%d} to {found.not_valid_after_utc:%Y-%m-%d}"
-                raise TransportError(f"certificate {path} is valid from {valid}, and not today")
+                raise TransportError(f"certificate {path} is valid from {valid}, but not now")
         if _read_key(identity.key).public_key() != certificate.public_key():
-            raise TransportError(f"key {identity.key} is not that of certificate {identity.certificate}")
+            raise TransportError(f"key {identity.key} does not belong to certificate {identity.certificate}")
         return identity
 
     def days_left(self) -> int:
-        """Days until its certificate, or the authority's, is out of date."""
+        """Return the days until the certificate or that of the authority expires."""
         ends = min(_read(path).not_valid_after_utc for path in (self.authority, self.certificate))
         return (ends - datetime.datetime.now(datetime.UTC)).days
 
     def hosts(self) -> list[str]:
-        """Names and addresses that its certificate is for, where it is a server's."""
+        """Return the names and addresses for which the certificate of a server is valid; none for a client."""
         try:
             named = _read(self.certificate).extensions.get_extension_for_class(x509.SubjectAlternativeName).value
         except x509.ExtensionNotFound:
@@ -77,23 +85,23 @@ class Identity:
 
 
 def make(folder: Path, server: str, clients: Iterable[str], hosts: Sequence[str], days: int) -> list[str]:
-    """Makes what is missing in `folder`: authority, the server's certificate, one for each client.
+    """Make the certificates that are missing in a folder: of the authority, the server and each client.
 
     Args:
-        folder: where; only its owner may read it.
-        server: name of the one that may be connected to; it may connect too.
-        clients: names that may only connect.
+        folder: of the certificates; only its owner may read it.
+        server: common name that accepts connections; it may connect too.
+        clients: common names that may only connect.
         hosts: names and addresses under which the server is reached.
-        days: how long they are valid, at most `MOST_DAYS`.
+        days: validity, at most `MOST_DAYS`.
 
     Returns:
-        The names of the certificates made; those that were there are left as they are.
+        The names of the certificates made; existing ones are left unchanged.
 
     Raises:
-        TransportError: that is too long, the folder cannot be written, or its authority cannot be used.
+        TransportError: `days` is too long, the folder cannot be written, or its authority cannot be used.
     """
     if days > MOST_DAYS:
-        raise TransportError(f"certificates are to be valid for {days} days; allowed are at most {MOST_DAYS}")
+        raise TransportError(f"validity of certificates is {days} days; allowed are at most {MOST_DAYS}")
     made = []
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -101,7 +109,9 @@ def make(folder: Path, server: str, clients: Iterable[str], hosts: Sequence[str]
             key = ec.generate_private_key(ec.SECP256R1())
             _write(folder, AUTHORITY, _builder(AUTHORITY, AUTHORITY, key, days, authority=True).sign(key, _HASH), key)
             made.append(AUTHORITY)
-        authority, authority_key = _read(folder / f"{AUTHORITY}.pem"), _read_key(folder / f"{AUTHORITY}.key")
+        authority = _read(folder / f"{AUTHORITY}.pem")
+        # a key that cannot sign belongs to no authority, so this cast only leaves out what `make` never writes
+        authority_key = cast(CertificateIssuerPrivateKeyTypes, _read_key(folder / f"{AUTHORITY}.key"))
         for name in (server, *clients):
             if not (folder / f"{name}.pem").exists():
                 key = ec.generate_private_key(ec.SECP256R1())
@@ -116,7 +126,7 @@ def make(folder: Path, server: str, clients: Iterable[str], hosts: Sequence[str]
 
 
 def common_name(certificate: x509.Certificate) -> str:
-    """Whose a certificate is; empty where it does not say."""
+    """Return the common name in a certificate; empty if it has none."""
     names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     return str(names[0].value) if names else ""
 
@@ -124,6 +134,7 @@ def common_name(certificate: x509.Certificate) -> str:
 def _builder(
     name: str, issuer: str, key: ec.EllipticCurvePrivateKey, days: int, *, authority: bool = False
 ) -> x509.CertificateBuilder:
+    """Return the builder of a certificate, still without its purposes."""
     now = datetime.datetime.now(datetime.UTC)
     subject, signer = (x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, text)]) for text in (name, issuer))
     return (
@@ -132,7 +143,7 @@ def _builder(
         .issuer_name(signer)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - _BEFORE)
+        .not_valid_before(now - CLOCK_DIFFERENCE)
         .not_valid_after(now + datetime.timedelta(days=days))
         .add_extension(x509.BasicConstraints(ca=authority, path_length=0 if authority else None), critical=True)
         .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
@@ -140,11 +151,12 @@ def _builder(
 
 
 def _purposes(authority: x509.Certificate, hosts: Sequence[str]) -> list[x509.ExtensionType]:
-    """What a certificate is good for: to connect, and where it has hosts, to be connected to under these."""
-    signer = x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.public_key())
+    """Return the purposes of a certificate: to connect, and if it has hosts, to accept connections under these."""
+    authority_key = cast(CertificateIssuerPublicKeyTypes, authority.public_key())  # it has signed its certificate
+    signer = x509.AuthorityKeyIdentifier.from_issuer_public_key(authority_key)
     if not hosts:
-        return [signer, x509.ExtendedKeyUsage([_CALLS])]
-    return [signer, x509.ExtendedKeyUsage([_SERVES, _CALLS]), x509.SubjectAlternativeName(list(map(_host, hosts)))]
+        return [signer, x509.ExtendedKeyUsage([_CLIENT])]
+    return [signer, x509.ExtendedKeyUsage([_SERVER, _CLIENT]), x509.SubjectAlternativeName(list(map(_host, hosts)))]
 
 
 def _host(host: str) -> x509.GeneralName:
@@ -155,11 +167,11 @@ def _host(host: str) -> x509.GeneralName:
     try:
         return x509.DNSName(host)
     except ValueError as error:
-        raise TransportError(f"host is {host!r}; allowed is an address, or a name in ASCII") from error
+        raise TransportError(f"host is {host!r}; allowed is an IP address or a host name in ASCII") from error
 
 
 def _write(folder: Path, name: str, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> None:
-    """The key first and for its owner alone, so that a certificate is never without it."""
+    """Write key and certificate. The key is written first and for its owner alone: no certificate is without a key."""
     private = key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
@@ -175,13 +187,13 @@ def _read(path: Path) -> x509.Certificate:
     except OSError as error:
         raise TransportError(f"certificate {path}: {error.strerror}") from error
     except ValueError as error:
-        raise TransportError(f"certificate {path} is no certificate in PEM") from error
+        raise TransportError(f"{path} is not a certificate in PEM format") from error
 
 
-def _read_key(path: Path) -> ec.EllipticCurvePrivateKey:
+def _read_key(path: Path) -> PrivateKeyTypes:
     try:
         return serialization.load_pem_private_key(path.read_bytes(), password=None)
     except OSError as error:
         raise TransportError(f"key {path}: {error.strerror}") from error
     except (ValueError, TypeError) as error:
-        raise TransportError(f"key {path} is no private key in PEM without a password") from error
+        raise TransportError(f"{path} is not a private key in PEM format without a password") from error

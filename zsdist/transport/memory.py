@@ -1,4 +1,4 @@
-"""A transport within one process: what is sent is in the mailboxes when the call returns, in a fixed order."""
+"""Transport within one process: messages are in the mailboxes when the call returns, in a fixed order."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -8,14 +8,14 @@ from zsdist.transport.base import Mailbox, Message, Transport
 
 
 class MemoryBroker:
-    """Where the memory transports of one process meet. Deliveries follow the order of subscription. For one thread."""
+    """Connection of the memory transports of one process, for one thread. It delivers in the order of subscription."""
 
     def __init__(self) -> None:
-        """Nobody is connected at first."""
+        """Make a broker without transports."""
         self.transports: list[MemoryTransport] = []
 
     def retained(self, pattern: str) -> list[Message]:
-        """The last retained value of each key that matches, in the order of the keys' first publication."""
+        """Return the last retained value of each matching key, in the order of the keys' first publication."""
         last: dict[str, Message] = {}
         for transport in self.transports:
             last |= {key: message for key, message in transport.kept.items() if matches(pattern, key)}
@@ -23,15 +23,17 @@ class MemoryBroker:
 
 
 class MemoryTransport(Transport):
-    """One role's access to a `MemoryBroker`.
+    """Access of one role to a `MemoryBroker`.
 
     Attributes:
-        name: whose it is, for messages to people.
-        kept, tokens, subscriptions, services, watches: what it holds at the broker; read by its peers.
+        name: of the role, for error messages.
+        kept: last retained message by key.
+        tokens: keys of liveliness tokens.
+        subscriptions, services, watches: patterns with their mailboxes.
     """
 
     def __init__(self, broker: MemoryBroker, name: str = "") -> None:
-        """Connects to `broker`."""
+        """Connect to a broker."""
         self.name = name
         self.kept: dict[str, Message] = {}
         self.tokens: list[str] = []
@@ -43,7 +45,7 @@ class MemoryTransport(Transport):
         broker.transports.append(self)
 
     def publish(self, key: str, payload: bytes, *, retained: bool = False, json: bool = False) -> None:
-        """See `Transport.publish`; `json` is of no consequence here."""
+        """See `Transport.publish`; `json` has no effect."""
         self._require_open()
         message = Message(key, bytes(payload))
         if retained:
@@ -65,7 +67,7 @@ class MemoryTransport(Transport):
         self.services.append((pattern, mailbox))
 
     def request(self, key: str, payload: bytes, mailbox: Mailbox, *, timeout_s: float) -> None:
-        """See `Transport.request`. There is no clock here: an answer that comes late still comes."""
+        """See `Transport.request`. There is no clock, so a late reply still arrives."""
         self._require_open()
         message = Message(key, bytes(payload), self._once(key, mailbox))
         for transport in tuple(self._broker.transports):
@@ -115,21 +117,22 @@ class MemoryTransport(Transport):
 
 @lru_cache(maxsize=65_536)
 def matches(pattern: str, key: str) -> bool:
-    """Whether the key expression `pattern` covers `key`."""
-    return _covers(pattern.split("/"), key.split("/"))
+    """Return whether a key expression matches a key."""
+    return _match_parts(pattern.split("/"), key.split("/"))
 
 
-def _covers(pattern: list[str], parts: list[str]) -> bool:
+def _match_parts(pattern: list[str], parts: list[str]) -> bool:
     if not pattern:
         return not parts
     if pattern[0] == "**":
-        return any(_covers(pattern[1:], parts[skipped:]) for skipped in range(len(parts) + 1))
-    return bool(parts) and pattern[0] in ("*", parts[0]) and _covers(pattern[1:], parts[1:])
+        return any(_match_parts(pattern[1:], parts[skipped:]) for skipped in range(len(parts) + 1))
+    return bool(parts) and pattern[0] in ("*", parts[0]) and _match_parts(pattern[1:], parts[1:])
 
 
-def _deliver(places: list[tuple[str, Mailbox]], message: Message, *, first: bool = False) -> bool:
+def _deliver(entries: list[tuple[str, Mailbox]], message: Message, *, first: bool = False) -> bool:
+    """Put a message into all matching mailboxes, or the first one; return whether there is any."""
     found = False
-    for pattern, mailbox in places:
+    for pattern, mailbox in entries:
         if matches(pattern, message.key):
             mailbox.append(message)
             found = True

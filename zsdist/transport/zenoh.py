@@ -1,8 +1,8 @@
-"""The transport between processes: clients of a zenoh router that runs in Python, the hub.
+"""Transport between processes: clients of a zenoh router that runs in Python, the hub.
 
-Everything is sent so that a full pipe drops rather than blocks: with zenoh's blocking mode a receiver that stalls gets
-its connection closed and loses what waited, in silence, so loss is made good by the protocol above in any case.
-Shared memory is off: it can drop in silence when a receiver stalls.
+A full queue drops messages instead of blocking. In zenoh's blocking mode, a receiver that stalls has its connection
+closed and silently loses what waits, so the protocol above has to make up for losses in any case. Shared memory is off,
+since it may silently drop messages when a receiver stalls.
 """
 
 import json as json_codec
@@ -22,7 +22,7 @@ from zsdist.transport.base import Mailbox, Message, Transport
 from zsdist.transport.certificates import Identity
 
 CONNECT_TIMEOUT_S = 3.0
-LEASE_S = 5.0  # after which a stopped process counts as gone; a killed one is gone at once
+LEASE_S = 5.0  # after which a process that hangs counts as gone; a killed one is noticed at once
 PORTS_TRIED = 100
 _RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
 _STAMP_IDENTITY = 8  # bytes
@@ -30,10 +30,10 @@ _DROP = zenoh.CongestionControl.DROP
 
 
 class ZenohHub:
-    """Where all clients of a run connect.
+    """Router to which all clients of a run connect.
 
     Attributes:
-        endpoint: where it listens, such as `tcp/127.0.0.1:7447`; another port than asked for where that was taken.
+        endpoint: where it listens, such as `tcp/127.0.0.1:7447`. The port differs from the wanted one if that is taken.
     """
 
     def __init__(
@@ -44,16 +44,16 @@ class ZenohHub:
         *,
         ports_tried: int = PORTS_TRIED,
     ) -> None:
-        """Listens at `endpoint`, or at the next free port above it.
+        """Listen at `endpoint`, or at the next free port above it.
 
         Args:
             endpoint: such as `tcp/127.0.0.1:7447`, or `tls/HOST:7447` with an identity.
-            identity: whom it shows itself as; it then lets only clients in that show a certificate of its authority.
-            grants: what each of these may do, and nobody else anything; without an identity everybody may do all.
-            ports_tried: from that of `endpoint` on; 1: there or nowhere.
+            identity: certificate of the hub; it then accepts only clients with a certificate of its authority.
+            grants: rights of these clients, without which they have none; without an identity all clients have all.
+            ports_tried: number of ports from that of `endpoint` on.
 
         Raises:
-            TransportError: the endpoint is malformed, cannot be listened at, or no port above it is free.
+            TransportError: the endpoint is malformed or cannot be used, or none of the ports is free.
         """
         address, port = _split(endpoint)
         self._session: zenoh.Session | None = None
@@ -75,40 +75,40 @@ class ZenohHub:
         self.close()
 
     def close(self) -> None:
-        """Stops listening; clients go on trying to connect."""
+        """Stop listening; clients keep trying to connect."""
         if self._session is not None:
-            self._session.close()
+            self._session.close()  # type: ignore[no-untyped-call]  # zenoh declares no return type
             self._session = None
 
 
 class ZenohTransport(Transport):
-    """A client of a hub. It reconnects by itself; what is sent while the hub is away is lost, retained values aside."""
+    """Client of a hub. It reconnects by itself; while the hub is away, everything except retained values is lost."""
 
     def __init__(
         self, endpoint: str, identity: Identity | None = None, *, connect_timeout_s: float = CONNECT_TIMEOUT_S
     ) -> None:
-        """Connects to the hub at `endpoint`.
+        """Connect to the hub at `endpoint`.
 
         Args:
             endpoint: of the hub.
-            identity: whom to show oneself as, at a `tls/` endpoint.
-            connect_timeout_s: how long to try.
+            identity: certificate of the client, for a `tls/` endpoint.
+            connect_timeout_s: time to keep trying.
 
         Raises:
-            TransportError: nobody listens there within `connect_timeout_s`, or the endpoint is malformed, or one of the
-                two certificates is not accepted by the other side.
+            TransportError: no hub answers in time, the endpoint is malformed, or one side does not accept the
+                certificate of the other.
         """
         _split(endpoint)
         self.endpoint = endpoint
         self._retained: dict[str, _Retained] = {}
         self._identity = secrets.token_bytes(_STAMP_IDENTITY)
-        self._entities: list[Any] = []  # subscribers, services and tokens live as long as they are referred to
+        self._entities: list[Any] = []  # subscribers, services and tokens, which live as long as they are referred to
         self._open = threading.Event()
         config = _config("client", connect=endpoint, connect_timeout_s=connect_timeout_s, identity=identity)
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
-            shown = f", or not to certificate {identity.certificate}" if identity else ""
+            shown = f", or it refuses certificate {identity.certificate}" if identity else ""
             raise TransportError(f"no hub answers at {endpoint} within {connect_timeout_s:g} s{shown}") from error
         self._open.set()
 
@@ -122,7 +122,7 @@ class ZenohTransport(Transport):
             stamp = self._identity + number.to_bytes(8, "big")
             self._retained[key] = _Retained(number, stamp, payload, encoding)
             if number == 1:
-                self._keep(lambda: self._session.declare_queryable(key, _direct(self._tell_retained)), key)
+                self._keep(lambda: self._session.declare_queryable(key, _direct(self._reply_retained)), key)
         self._try(
             lambda: self._session.put(key, payload, encoding=encoding, attachment=stamp, congestion_control=_DROP), key
         )
@@ -145,12 +145,12 @@ class ZenohTransport(Transport):
             if sample.attachment is None or newest.is_new(key, sample.attachment.to_bytes()):
                 self._put(mailbox, Message(key, sample.payload.to_bytes()))
 
-        def appeared(token: zenoh.Sample) -> None:  # a publisher that is there, comes, or comes back after the hub
+        def appeared(token: zenoh.Sample) -> None:  # a publisher exists, appears, or reconnects
             if token.kind == zenoh.SampleKind.PUT and self._open.is_set():
                 key = str(token.key_expr).removeprefix(RETAINED)
-                self._session.get(key, _direct(told), congestion_control=_DROP)
+                self._session.get(key, _direct(replied), congestion_control=_DROP)
 
-        def told(reply: zenoh.Reply) -> None:
+        def replied(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
                 arrived(reply.ok)
 
@@ -173,7 +173,7 @@ class ZenohTransport(Transport):
         """See `Transport.request`."""
 
         def answered(reply: zenoh.Reply) -> None:
-            if reply.ok is not None:  # a timeout comes as an error, and means no answer
+            if reply.ok is not None:  # a timeout is an error, which means no reply
                 self._put(mailbox, Message(key, reply.ok.payload.to_bytes()))
 
         self._try(
@@ -204,7 +204,7 @@ class ZenohTransport(Transport):
             self._open.clear()
             self._entities.clear()
             self._retained.clear()
-            self._session.close()
+            self._session.close()  # type: ignore[no-untyped-call]  # zenoh declares no return type
 
     def _put(self, mailbox: Mailbox, message: Message) -> None:
         if self._open.is_set():
@@ -215,12 +215,12 @@ class ZenohTransport(Transport):
 
         def reply(payload: bytes) -> None:
             if waiting:
-                with waiting.pop() as open_query:  # leaving it tells the asker that there is no more to come
+                with waiting.pop() as open_query:  # its end tells the client that no further reply follows
                     self._try(lambda: open_query.reply(open_query.key_expr, payload), str(open_query.key_expr))
 
         return reply
 
-    def _tell_retained(self, query: zenoh.Query) -> None:
+    def _reply_retained(self, query: zenoh.Query) -> None:
         kept = self._retained.get(str(query.key_expr))
         if kept is not None:
             query.reply(query.key_expr, kept.payload, encoding=kept.encoding, attachment=kept.stamp)
@@ -239,7 +239,7 @@ class ZenohTransport(Transport):
 
 @dataclass(frozen=True)
 class _Retained:
-    """The last value of a key, and the stamp by which a receiver knows it: sender, then number."""
+    """Last value of a key, and the stamp by which receivers recognise it: sender, then number."""
 
     number: int
     stamp: bytes
@@ -248,14 +248,14 @@ class _Retained:
 
 
 class _Newest:
-    """Tells retained values that are new from those that came before; used from zenoh's threads."""
+    """Distinguishes new retained values from known ones; used from zenoh's threads."""
 
     def __init__(self) -> None:
         self._stamps: dict[str, bytes] = {}
         self._lock = threading.Lock()
 
     def is_new(self, key: str, stamp: bytes) -> bool:
-        """Whether nothing as new has come from the same sender; another sender's value is always new."""
+        """Return whether a value is newer than all of the same sender; the value of another sender is always new."""
         with self._lock:
             last = self._stamps.get(key, b"")
             if last[:_STAMP_IDENTITY] == stamp[:_STAMP_IDENTITY] and stamp <= last:
@@ -273,9 +273,10 @@ def _config(
     identity: Identity | None = None,
     grants: Sequence[Grant] = (),
 ) -> zenoh.Config:
+    """Return the configuration of a session; raise `TransportError` if endpoint and identity do not fit."""
     if (identity is not None) != (connect or listen or "").startswith("tls/"):
         raise TransportError(
-            f"endpoint is {connect or listen!r}; with certificates it is tls/..., without them tcp/..."
+            f"endpoint is {connect or listen!r}; allowed is tls/HOST:PORT with certificates, tcp/HOST:PORT without"
         )
     settings = {
         "mode": mode,
@@ -287,7 +288,7 @@ def _config(
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/link/tx/lease": int(1000 * LEASE_S),
-        "transport/link/tx/queue/size/data": 16,  # batches of 64 KiB; the most that zenoh allows
+        "transport/link/tx/queue/size/data": 16,  # batches of 64 KiB; zenoh allows no more
         "transport/shared_memory/enabled": False,
         "adminspace/enabled": False,
         **_secure(identity, grants, "connect" if listen is None else "listen"),
@@ -302,7 +303,7 @@ def _config(
 
 
 def _secure(identity: Identity | None, grants: Sequence[Grant], end: str) -> dict[str, Any]:
-    """Both ends show a certificate and hold the other's against the authority; the hub's must be for its host."""
+    """Return settings with which both ends check the other's certificate; that of the hub must be for its host."""
     if identity is None:
         return {}
     tls = {
@@ -317,15 +318,16 @@ def _secure(identity: Identity | None, grants: Sequence[Grant], end: str) -> dic
     return {"transport/link/protocols": ["tls"], "transport/link/tls": tls, **listening}
 
 
-def _direct(callback: Callable[[Any], None]) -> zenoh.handlers.Callback:
-    """Has zenoh's own thread call back; `callback` must do no more than fill a mailbox.
+def _direct(callback: Callable[[Any], None]) -> "zenoh.handlers.Callback[Any]":
+    """Return a handler that is called on zenoh's own thread; `callback` may only fill a mailbox.
 
-    By default each callback has a queue without a bound and a Python thread that keeps its process from ending.
+    By default, each callback has an unbounded queue and a Python thread that keeps the process from ending.
     """
     return zenoh.handlers.Callback(callback, indirect=False)
 
 
 def _split(endpoint: str) -> tuple[str, int]:
+    """Return protocol and host, and the port, of an endpoint."""
     address, _, port = endpoint.rpartition(":")
     if "/" not in address or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65_536:
         raise TransportError(f"endpoint is {endpoint!r}; allowed is PROTOCOL/HOST:PORT, such as tcp/127.0.0.1:7447")
@@ -333,5 +335,5 @@ def _split(endpoint: str) -> tuple[str, int]:
 
 
 def _brief(error: Exception) -> str:
-    """What zenoh says, without the places in its sources."""
+    """Return zenoh's message without the positions in its source code."""
     return str(error).split(" at /")[0].strip()

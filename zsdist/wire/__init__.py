@@ -1,1 +1,1 @@
-"""What travels: one message per arrow, its bytes, and the keys it travels under. No input or output happens here."""
+"""Messages between roles, their bytes, and the keys under which they travel; without any input or output."""

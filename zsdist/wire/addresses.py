@@ -1,7 +1,7 @@
-"""Whether a message came under a key that is its own.
+"""Check that a message arrived under the key of its sender.
 
-A hub that asks for certificates binds keys to them, so what a message says of its sender holds only as far as its key
-says the same.
+A hub with certificates lets each certificate use certain keys only. A message's statement about its sender can
+therefore be trusted if the key agrees with it.
 """
 
 from collections.abc import Callable, Mapping
@@ -27,7 +27,7 @@ from zsdist.wire.messages import (
 
 
 def require(key: str, run: str, message: AnyMessage) -> None:
-    """Raises `DecodeError` with the reason `key` unless `message` may travel under `key` in the run of this name."""
+    """Raise `DecodeError` with the reason `key` unless `message` may travel under `key` in the run `run`."""
     parsed = keys.parse(key)
     kind, fields = _ADDRESSES[type(message)](message)
     if parsed is None or (parsed.run, parsed.kind) != (run, kind):
@@ -38,6 +38,7 @@ def require(key: str, run: str, message: AnyMessage) -> None:
 
 
 def _of_records(message: Records) -> tuple[str, dict[str, Any]]:
+    """Return the kind of key and its fields."""
     if message.stream == EPISODES:
         return "episodes", {"actor": message.actor, "epoch": message.epoch}
     return "evaluation", {"actor": message.actor}
@@ -49,9 +50,12 @@ _ADDRESSES: Mapping[type, Callable[[Any], tuple[str, dict[str, Any]]]] = {
     Ack: lambda ack: ("ack", {"actor": ack.actor}),
     SampleRequest: lambda request: ("sample", {"level": request.level}),
     SampleReply: lambda reply: ("sample", {"level": reply.level}),
-    Priorities: lambda found: ("priority", {"level": found.level}),
+    Priorities: lambda priorities: ("priority", {"level": priorities.level}),
     WeightsMessage: lambda message: ("weights", {"level": message.weights.level}),
-    Candidate: lambda one: ("candidate", {"level": one.level, "id": f"{one.merge}-{one.name}"}),
+    Candidate: lambda candidate: (
+        "candidate",
+        {"level": candidate.level, "id": f"{candidate.merge}-{candidate.name}"},
+    ),
     Orders: lambda orders: ("control", {"role": orders.role}),
     Jobs: lambda jobs: ("evaluation", {"actor": jobs.actor}),
     State: lambda state: ("control", {"role": state.role}),

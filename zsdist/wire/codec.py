@@ -1,6 +1,7 @@
-"""Messages to bytes and back. `decode` raises `DecodeError` and nothing else, whatever the bytes; there is no pickle.
+"""Conversion of messages to bytes and back, without pickle.
 
-`encode` holds what it is given against the same rules, so that nothing is sent that a receiver must refuse.
+For any bytes, `decode` returns a valid message or raises `DecodeError`, and nothing else. `encode` checks the same
+rules, so that nothing is sent that its receiver refuses.
 """
 
 import re
@@ -36,7 +37,7 @@ Meta = dict[str, Any]
 Columns = dict[str, np.ndarray]
 
 MIB = 2**20
-MAX_COUNT = 2**62  # of sequence numbers, totals, epochs and versions
+MAX_COUNT = 2**62  # sequence numbers, totals, epochs and versions are below it
 _LEVELS = tuple(str(level) for level in Level)
 _RECORD_STREAMS = (EPISODES, EVALUATION)
 _PARAMETER = re.compile(r"[A-Za-z0-9._/-]{1,200}")
@@ -44,9 +45,15 @@ _PARAMETER = re.compile(r"[A-Za-z0-9._/-]{1,200}")
 
 @dataclass(frozen=True)
 class _Kind:
-    """How one message travels: its number on the wire, the most it may inflate to, its three functions, its packing.
+    """Encoding of one type of message.
 
-    `check` raises `DecodeError`; `build` is only called on what has passed it.
+    Attributes:
+        number: identifies the type on the wire.
+        limit: most bytes that its content may have once inflated.
+        split: returns JSON fields and columns of a message.
+        check: raises `DecodeError` unless fields and columns are valid.
+        build: makes the message from fields and columns that have passed `check`.
+        packing: of the content, see `zsdist.wire.frame`.
     """
 
     number: int
@@ -58,14 +65,14 @@ class _Kind:
 
 
 def encode(message: AnyMessage, *, packing: int | None = None) -> bytes:
-    """The bytes of a message.
+    """Return the bytes of a message.
 
     Args:
-        message: what to send.
-        packing: one of `zsdist.wire.frame`; None: its kind's own.
+        message: to be sent.
+        packing: `PLAIN` or `ZSTD` of `zsdist.wire.frame`; None: the packing of its type.
 
     Raises:
-        ProtocolError: the message is one that `decode` would refuse; says why.
+        ProtocolError: `decode` would refuse the message.
     """
     kind = _KINDS[type(message)]
     try:
@@ -77,14 +84,14 @@ def encode(message: AnyMessage, *, packing: int | None = None) -> bytes:
 
 
 def decode(payload: bytes, *, expect: type | tuple[type, ...] | None = None) -> AnyMessage:
-    """The message in `payload`; arrays are its own and may be written to.
+    """Return the message in `payload`; its arrays share no memory with others and may be written to.
 
     Args:
         payload: any bytes.
-        expect: the kinds of message allowed here; others are refused before anything is inflated.
+        expect: types of message that are allowed; others are refused before anything is inflated.
 
     Raises:
-        DecodeError: with a short `reason`, where the bytes are no sound message.
+        DecodeError: the bytes are not a valid message; `reason` says why in a word.
     """
     number = frame.read_kind(payload)
     if number not in _BY_NUMBER:
@@ -97,7 +104,7 @@ def decode(payload: bytes, *, expect: type | tuple[type, ...] | None = None) -> 
     return kind.build(meta, columns)
 
 
-# Checks of single fields. All raise DecodeError.
+# Checks of single fields. All raise `DecodeError`.
 
 
 def _fields(meta: Meta, *names: str) -> None:
@@ -131,7 +138,7 @@ def _one_of(meta: Meta, name: str, allowed: tuple[str, ...]) -> None:
 
 def _json_object(meta: Meta, name: str) -> None:
     if not isinstance(meta[name], dict):
-        raise DecodeError("field", f"{name} is no JSON object")
+        raise DecodeError("field", f"{name} is not a JSON object")
 
 
 def _batches(meta: Meta, rows: int) -> None:
@@ -150,11 +157,11 @@ def _parameters(columns: Columns) -> None:
         if _PARAMETER.fullmatch(name) is None:
             raise DecodeError("name", f"parameter {name!r}"[:80])
         if column.dtype != np.float32:
-            raise DecodeError("dtype", f"parameter {name!r} is {column.dtype}; it must be float32")
+            raise DecodeError("dtype", f"parameter {name!r} is {column.dtype}; allowed is float32")
         column_codec.require_finite(column, name)
 
 
-# Each message: split, check, build.
+# The functions `split`, `check` and `build` of each type of message.
 
 _NUMBERED = ("stream", "actor", "epoch", "sequence", "produced", "closes")
 
@@ -167,7 +174,7 @@ def _check_numbered(meta: Meta, count: int) -> None:
     _names(meta, "actor")
     _counts(meta, "epoch", "sequence", "produced")
     if type(meta["closes"]) is not bool:
-        raise DecodeError("field", "closes is no boolean")
+        raise DecodeError("field", "closes is not a boolean")
     if not count and not meta["closes"]:
         raise DecodeError("empty", "only a closing frame may be empty")
     if meta["produced"] < count:
@@ -201,7 +208,7 @@ def _check_records(meta: Meta, columns: Columns) -> None:
     _fields(meta, *_NUMBERED, "records")
     _one_of(meta, "stream", _RECORD_STREAMS)
     if not isinstance(meta["records"], list) or not all(isinstance(record, dict) for record in meta["records"]):
-        raise DecodeError("field", "records are no list of JSON objects")
+        raise DecodeError("field", "records are not a list of JSON objects")
     _check_numbered(meta, len(meta["records"]))
 
 
@@ -244,7 +251,7 @@ def _check_sample_reply(meta: Meta, columns: Columns) -> None:
         column_codec.check_batch(columns, meta["actions"])
         _batches(meta, len(columns["actions"]))
     elif meta["actions"]:
-        raise DecodeError("actions", "no batch, yet actions")
+        raise DecodeError("actions", "number of actions without a batch")
 
 
 def _build_sample_reply(meta: Meta, columns: Columns) -> SampleReply:
@@ -340,7 +347,7 @@ def _build_state(meta: Meta, columns: Columns) -> State:
 
 
 def _plain(message: AnyMessage) -> tuple[Meta, Columns]:
-    """Of a message that is all JSON fields."""
+    """Return the fields of a message that has no arrays."""
     return {name: str(value) if isinstance(value, Level) else value for name, value in vars(message).items()}, {}
 
 
@@ -349,7 +356,7 @@ _KINDS: Mapping[type, _Kind] = {
     Records: _Kind(2, 4 * MIB, _split_records, _check_records, _build_records),
     Ack: _Kind(3, 4096, _plain, _check_ack, lambda meta, columns: Ack(**meta)),
     SampleRequest: _Kind(4, 4096, _plain, _check_sample_request, _build_sample_request),
-    # Rows drawn at random shrink by a third, and shrinking them takes longer than all the rest of an answer.
+    # Not compressed: random rows shrink by a third only, and compression takes longer than the rest of the reply.
     SampleReply: _Kind(5, 64 * MIB, _split_sample_reply, _check_sample_reply, _build_sample_reply, frame.PLAIN),
     WeightsMessage: _Kind(6, 256 * MIB, _split_weights, _check_weights, _build_weights),
     Candidate: _Kind(7, 256 * MIB, _split_candidate, _check_candidate, _build_candidate),

@@ -1,7 +1,7 @@
-"""Trajectories and batches as columns, and what must hold of such columns.
+"""Conversion of trajectories and batches to columns and back, and checks of such columns.
 
-States travel as float16: 11 significant bits, magnitudes up to 65504, below 6e-8 rounded to zero. Both ends of a run
-see the rounded values, whatever the transport, and rounding twice changes nothing. Rewards and discounts are float32.
+States travel as float16: 11 significant bits, magnitudes up to 65504, and values below 6e-8 are rounded to zero. With
+every transport both ends use the rounded values, and rounding again changes nothing. Rewards and discounts are float32.
 Masks are packed, eight to a byte.
 """
 
@@ -15,9 +15,11 @@ from zsdist.types import NO_GUIDE, Batch, Behaviour, Level, Trajectories, Trajec
 
 MAX_ACTIONS = 64
 MAX_STATE_SIZE = 65_536
-MAX_VERSION = 2**62
+MAX_VERSION = 2**62  # weight versions are below it
 
-TRAJECTORY_COLUMNS = {
+Schema = Mapping[str, tuple[np.dtype, int]]  # dtype and number of dimensions by name
+
+TRAJECTORY_COLUMNS: Schema = {
     "states": (np.dtype("float16"), 2),
     "actions": (np.dtype("uint8"), 1),
     "rewards": (np.dtype("float32"), 1),
@@ -29,7 +31,7 @@ TRAJECTORY_COLUMNS = {
     "lengths": (np.dtype("uint16"), 1),
     "versions": (np.dtype("uint64"), 1),
 }
-BATCH_COLUMNS = {
+BATCH_COLUMNS: Schema = {
     "states": (np.dtype("float16"), 2),
     "actions": (np.dtype("uint8"), 1),
     "rewards": (np.dtype("float32"), 1),
@@ -40,26 +42,30 @@ BATCH_COLUMNS = {
     "guides": (np.dtype("int8"), 1),
 }
 
-PRIORITISED_BATCH_COLUMNS = BATCH_COLUMNS | {"weights": (np.dtype("float32"), 1), "serials": (np.dtype("int64"), 1)}
-PRIORITY_COLUMNS = {"serials": (np.dtype("int64"), 1), "errors": (np.dtype("float32"), 1)}
+PRIORITISED_BATCH_COLUMNS: Schema = {
+    **BATCH_COLUMNS,
+    "weights": (np.dtype("float32"), 1),
+    "serials": (np.dtype("int64"), 1),
+}
+PRIORITY_COLUMNS: Schema = {"serials": (np.dtype("int64"), 1), "errors": (np.dtype("float32"), 1)}
 
 
 def from_trajectories(trajectories: Sequence[Trajectory], level: Level) -> tuple[dict[str, np.ndarray], int]:
-    """Columns of trajectories one after the other, and how many actions there are; raises `DecodeError`."""
+    """Return the columns of trajectories, one after the other, and the number of actions; raise `DecodeError`."""
     if not trajectories:
         return {}, 0
     state_size, actions = trajectories[0].states.shape[-1], trajectories[0].masks.shape[-1]
     for trajectory in trajectories:
         rows = len(trajectory) + 1
         if trajectory.level != level:
-            raise DecodeError("level", f"a {trajectory.level} trajectory on the {level} stream")
+            raise DecodeError("level", f"a trajectory of level {trajectory.level} in the stream of level {level}")
         if trajectory.states.shape != (rows, state_size) or trajectory.masks.shape != (rows, actions):
             raise DecodeError("shape", f"states {trajectory.states.shape}, masks {trajectory.masks.shape}, {rows=}")
         if rows > np.iinfo(np.uint16).max or not 0 <= trajectory.weight_version < MAX_VERSION:
             raise DecodeError("range", f"{rows - 1} transitions of weight version {trajectory.weight_version}")
 
     def join(name: str, dtype: type) -> np.ndarray:
-        return _narrow(np.concatenate([getattr(trajectory, name) for trajectory in trajectories]), name, dtype)
+        return _to_wire_dtype(np.concatenate([getattr(trajectory, name) for trajectory in trajectories]), name, dtype)
 
     columns = {
         "states": join("states", np.float16),
@@ -77,10 +83,10 @@ def from_trajectories(trajectories: Sequence[Trajectory], level: Level) -> tuple
 
 
 def check_trajectories(columns: Mapping[str, np.ndarray], actions: int) -> int:
-    """Raises `DecodeError` unless the columns hold sound trajectories; returns the number of transitions."""
+    """Return the number of transitions; raise `DecodeError` unless the columns hold valid trajectories."""
     if not columns:
         if actions:
-            raise DecodeError("actions", "no trajectories, yet actions")
+            raise DecodeError("actions", "number of actions without trajectories")
         return 0
     require_columns(columns, TRAJECTORY_COLUMNS)
     lengths = columns["lengths"].astype(np.int64)
@@ -96,39 +102,40 @@ def check_trajectories(columns: Mapping[str, np.ndarray], actions: int) -> int:
         raise DecodeError("range", "weight version")
     if columns["behaviours"].max() > max(Behaviour):
         raise DecodeError("behaviour")
-    successors = columns["successors"] + (ends - lengths).repeat(lengths)  # among all transitions
+    successors = columns["successors"] + (ends - lengths).repeat(lengths)  # indices among all transitions
     if (successors <= np.arange(transitions)).any() or (successors > ends.repeat(lengths)).any():
-        raise DecodeError("successor", "outside its trajectory, or not ahead")
-    if (successors[1:] < successors[:-1]).any():  # the next trajectory's lie beyond this one's
+        raise DecodeError("successor", "outside its trajectory, or not after its transition")
+    if (successors[1:] < successors[:-1]).any():  # those of the next trajectory are larger anyway
         raise DecodeError("successor", "decreasing")
     return transitions
 
 
 def to_trajectories(columns: Mapping[str, np.ndarray], actions: int, level: Level) -> Sequence[Trajectory]:
-    """The trajectories of checked columns, their states half floats as they came."""
+    """Return the trajectories of checked columns; their states stay float16."""
     if not columns:
         return ()
-    own = {name: columns[name] for name in ("actions", "rewards", "discounts", "successors", "guides", "behaviours")}
-    own |= {"states": columns["states"], "masks": _unpack_masks(columns["masks"], actions)}
-    return Trajectories(level, own, columns["lengths"].astype(np.int64), columns["versions"].astype(np.int64))
+    rows = {name: columns[name] for name in ("actions", "rewards", "discounts", "successors", "guides", "behaviours")}
+    rows |= {"states": columns["states"], "masks": _unpack_masks(columns["masks"], actions)}
+    return Trajectories(level, rows, columns["lengths"].astype(np.int64), columns["versions"].astype(np.int64))
 
 
 def from_batch(batch: Batch) -> tuple[dict[str, np.ndarray], int]:
-    """Columns of a batch and its number of actions; raises `DecodeError`."""
+    """Return the columns of a batch and its number of actions; raise `DecodeError`."""
     columns = {
-        name: _narrow(getattr(batch, name), name, dtype.type)
+        name: _to_wire_dtype(getattr(batch, name), name, dtype.type)
         for name, (dtype, _) in BATCH_COLUMNS.items()
         if "masks" not in name
     }
     for name in ("masks", "next_masks"):
-        columns[name] = np.packbits(_narrow(getattr(batch, name), name, np.bool_), axis=1)
+        columns[name] = np.packbits(_to_wire_dtype(getattr(batch, name), name, np.bool_), axis=1)
     if batch.serials is not None:
+        assert batch.weights is not None, "a prioritised batch has both"
         columns |= {"weights": batch.weights, "serials": batch.serials}
     return columns, batch.masks.shape[1]
 
 
 def check_batch(columns: Mapping[str, np.ndarray], actions: int) -> None:
-    """Raises `DecodeError` unless the columns are a sound batch of one row or more."""
+    """Raise `DecodeError` unless the columns are a valid batch of one row or more."""
     prioritised = "serials" in columns
     require_columns(columns, PRIORITISED_BATCH_COLUMNS if prioritised else BATCH_COLUMNS)
     rows = len(columns["actions"])
@@ -141,16 +148,16 @@ def check_batch(columns: Mapping[str, np.ndarray], actions: int) -> None:
     _check_decisions(columns, actions, "next_states", "next_masks")
     if prioritised:
         _check_serials(columns)
-        if not (columns["weights"].min() > 0 and columns["weights"].max() <= 1):  # of NaN neither holds
+        if not (columns["weights"].min() > 0 and columns["weights"].max() <= 1):  # false for NaN
             raise DecodeError("weight", "outside 0 to 1")
 
 
 def check_priorities(columns: Mapping[str, np.ndarray]) -> None:
-    """Raises `DecodeError` unless the columns are the errors of one row or more."""
+    """Raise `DecodeError` unless the columns are valid errors of one row or more."""
     require_columns(columns, PRIORITY_COLUMNS)
     rows = len(columns["serials"])
     if not rows:
-        raise DecodeError("lengths", "priorities of no rows")
+        raise DecodeError("lengths", "no priorities")
     _require_rows(columns, dict.fromkeys(columns, rows))
     _check_serials(columns)
     require_finite(columns["errors"], "errors")
@@ -159,7 +166,7 @@ def check_priorities(columns: Mapping[str, np.ndarray]) -> None:
 
 
 def to_batch(columns: Mapping[str, np.ndarray], actions: int) -> Batch:
-    """The batch of checked columns."""
+    """Return the batch of checked columns."""
     return Batch(
         states=half_precision.from_half(columns["states"]),
         actions=columns["actions"].astype(np.int64),
@@ -174,25 +181,25 @@ def to_batch(columns: Mapping[str, np.ndarray], actions: int) -> Batch:
     )
 
 
-def require_columns(columns: Mapping[str, np.ndarray], schema: Mapping[str, tuple[np.dtype, int]]) -> None:
-    """Raises `DecodeError` unless exactly the columns of a schema are there, of its dtypes and dimensions."""
+def require_columns(columns: Mapping[str, np.ndarray], schema: Schema) -> None:
+    """Raise `DecodeError` unless the columns are exactly those of a schema, with its dtypes and dimensions."""
     if set(columns) != set(schema):
         raise DecodeError("column", ", ".join(sorted(set(columns) ^ set(schema)))[:120])
     for name, (dtype, dimensions) in schema.items():
         if columns[name].dtype != dtype:
-            raise DecodeError("dtype", f"column {name!r} is {columns[name].dtype}; it must be {dtype}")
+            raise DecodeError("dtype", f"column {name!r} is {columns[name].dtype}; allowed is {dtype}")
         if columns[name].ndim != dimensions:
-            raise DecodeError("shape", f"column {name!r} has {columns[name].ndim} dimensions, not {dimensions}")
+            raise DecodeError("shape", f"column {name!r} has {columns[name].ndim} dimensions; allowed are {dimensions}")
 
 
 def require_finite(column: np.ndarray, name: str) -> None:
-    """Raises `DecodeError` where a float column holds NaN or infinity."""
+    """Raise `DecodeError` if a float column holds NaN or infinity."""
     if not (half_precision.all_finite(column) if column.dtype == np.float16 else np.isfinite(column).all()):
         raise DecodeError("nonfinite", f"column {name!r}")
 
 
-def _narrow(column: np.ndarray, name: str, dtype: type) -> np.ndarray:
-    """`column` as the dtype it travels in; raises `DecodeError` where a value would change beyond rounding."""
+def _to_wire_dtype(column: np.ndarray, name: str, dtype: type) -> np.ndarray:
+    """Return a column in the dtype it travels in; raise `DecodeError` if a value changes by more than rounding."""
     if column.dtype == dtype:
         return column
     if not np.issubdtype(dtype, np.floating):
@@ -205,18 +212,18 @@ def _narrow(column: np.ndarray, name: str, dtype: type) -> np.ndarray:
         raise DecodeError("dtype", f"{name} is {column.dtype}")
     elif column.dtype == np.float32 and dtype == np.float16:
         return half_precision.to_half(column)
-    with np.errstate(over="ignore"):  # what overflows becomes infinite, and the check for that follows
+    with np.errstate(over="ignore"):  # an overflow becomes infinite, which is checked later
         return column.astype(dtype)
 
 
 def _require_rows(columns: Mapping[str, np.ndarray], rows: Mapping[str, int]) -> None:
     for name, column in columns.items():
         if len(column) != rows[name]:
-            raise DecodeError("shape", f"column {name!r} has {len(column)} rows, not {rows[name]}")
+            raise DecodeError("shape", f"column {name!r} has {len(column)} rows; expected are {rows[name]}")
 
 
 def _check_decisions(columns: Mapping[str, np.ndarray], actions: int, states: str, masks: str) -> None:
-    """What holds of the columns of trajectories and batches alike."""
+    """Check the columns that trajectories and batches have in common."""
     if not 1 <= actions <= MAX_ACTIONS:
         raise DecodeError("actions", f"{actions}; allowed are 1 to {MAX_ACTIONS}")
     if not 1 <= columns[states].shape[1] <= MAX_STATE_SIZE:
@@ -226,10 +233,10 @@ def _check_decisions(columns: Mapping[str, np.ndarray], actions: int, states: st
     if columns["guides"].min() < NO_GUIDE or columns["guides"].max() >= actions:
         raise DecodeError("guide")
     if columns[masks].shape[1] != -(-actions // 8) or (columns[masks][:, -1] & (0xFF >> ((actions - 1) % 8 + 1))).any():
-        raise DecodeError("mask", f"not {actions} bits a row")
+        raise DecodeError("mask", f"not {actions} bits per row")
     for name in (states, "rewards"):
         require_finite(columns[name], name)
-    if not (columns["discounts"].min() >= 0 and columns["discounts"].max() <= 1):  # of NaN neither holds
+    if not (columns["discounts"].min() >= 0 and columns["discounts"].max() <= 1):  # false for NaN
         raise DecodeError("discount", "outside 0 to 1")
 
 

@@ -1,16 +1,16 @@
-"""The envelope of every message: a checked header, then JSON and named columns, as they are or as one zstd frame.
+"""Frame of every message: a header with a checksum, then JSON and named columns, plain or as one zstd frame.
 
 Layout, little-endian:
 
-    magic (4) | version (1) | kind (1) | packing (1) | zero (1) | size of the body (4) | CRC-32 of all the rest (4)
-    body: packing 0: the content; packing 1: one zstd frame of it, its content size declared
+    magic (4) | version (1) | kind (1) | packing (1) | zero (1) | size of the body (4) | CRC-32 of all other bytes (4)
+    body: packing 0: the content; packing 1: one zstd frame of it that declares the content's size
     content: size of the JSON (4) | JSON | columns, each padded with zeros to a multiple of 8 bytes
 
-where the JSON is `{"meta": ..., "columns": [[name, dtype, shape], ...]}`, filled up with spaces so that the columns
-begin at a multiple of 8 bytes: they are read where they lie, without a copy each.
+The JSON is `{"meta": ..., "columns": [[name, dtype, shape], ...]}`, padded with spaces so that the columns begin at a
+multiple of 8 bytes and can be read in place, without a copy of each.
 
-`unpack` trusts nothing: it raises `DecodeError` and nothing else, whatever the bytes, and inflates nothing before the
-declared size is found to be within the limit of its kind.
+`unpack` trusts no byte: it raises `DecodeError` and nothing else, and inflates nothing before the declared size is
+found to be within the limit.
 """
 
 import json
@@ -35,9 +35,9 @@ MAX_COLUMN_NAME = 200
 
 _HEADER = struct.Struct("<4sBBBBII")
 _SIZE = struct.Struct("<I")
-_CHECKED = _HEADER.size - _SIZE.size  # bytes of the header that the checksum covers
-_PACKING_AT = 6  # offset in the header
-_ALIGNMENT = 8  # bytes; the largest item of a column
+_CHECKED = _HEADER.size - _SIZE.size  # bytes of the header that the checksum covers: all before itself
+_PACKING_AT = 6  # offset of the packing in the header
+_ALIGNMENT = 8  # bytes of the largest item of a column
 _ZSTD_LEVEL = 1  # level 3 gains under 3.5 % here
 _INTEGERS = ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64")
 _DTYPES = {name: np.dtype(name).newbyteorder("<") for name in ("bool", *_INTEGERS, "float16", "float32", "float64")}
@@ -46,26 +46,33 @@ _local = threading.local()
 
 
 def pack(kind: int, meta: dict[str, Any], columns: Mapping[str, np.ndarray], limit: int, packing: int = ZSTD) -> bytes:
-    """The bytes of one message.
+    """Return the bytes of a message.
+
+    Args:
+        kind: number of its type, 0 to 255.
+        meta: JSON object.
+        columns: arrays by name.
+        limit: most bytes that the content may have.
+        packing: `PLAIN` or `ZSTD`.
 
     Raises:
-        DecodeError: its receiver would refuse it (too large, a dtype that does not travel, not JSON).
+        DecodeError: the receiver would refuse it: too large, a dtype that is not allowed, or not JSON.
     """
-    described = []
-    parts: list[bytes | np.ndarray] = [b""]
+    descriptions = []
+    parts: list[bytes | memoryview] = [b""]
     for name, column in columns.items():
         dtype = _DTYPE_NAMES.get(column.dtype)
         if dtype is None:
             raise DecodeError("dtype", f"column {name!r} is {column.dtype}")
-        described.append([name, dtype, list(column.shape)])
-        parts += (np.ascontiguousarray(column, dtype=_DTYPES[dtype]), bytes(-column.nbytes % _ALIGNMENT))
+        descriptions.append([name, dtype, list(column.shape)])
+        parts += (np.ascontiguousarray(column, dtype=_DTYPES[dtype]).data, bytes(-column.nbytes % _ALIGNMENT))
     require_json(meta)
-    text = json.dumps({"meta": meta, "columns": described}, separators=(",", ":")).encode()
+    text = json.dumps({"meta": meta, "columns": descriptions}, separators=(",", ":")).encode()
     text += b" " * (-(_SIZE.size + len(text)) % _ALIGNMENT)
     parts[0] = _SIZE.pack(len(text)) + text
     size = sum(len(part) if isinstance(part, bytes) else part.nbytes for part in parts)
     if size > limit:
-        raise DecodeError("size", f"{size} bytes; at most {limit}")
+        raise DecodeError("size", f"{size} bytes; allowed are at most {limit}")
     if packing == ZSTD:
         return seal(kind, _compressor().compress(b"".join(parts)))
     header = _header(kind, size, PLAIN, VERSION)
@@ -76,25 +83,25 @@ def pack(kind: int, meta: dict[str, Any], columns: Mapping[str, np.ndarray], lim
 
 
 def seal(kind: int, body: bytes, packing: int = ZSTD, *, version: int = VERSION) -> bytes:
-    """A header with its checksum before a body that is packed already."""
+    """Return a message whose body is packed already, with its header and checksum."""
     header = _header(kind, len(body), packing, version)
     return b"".join((header, _SIZE.pack(zlib.crc32(body, zlib.crc32(header))), body))
 
 
 def _header(kind: int, size: int, packing: int, version: int) -> bytes:
-    """What of a header its checksum covers."""
+    """Return the part of a header that the checksum covers."""
     return _HEADER.pack(MAGIC, version, kind, packing, 0, size, 0)[:_CHECKED]
 
 
 def read_kind(payload: bytes) -> int:
-    """The kind of a message, once its header and checksum are found right; raises `DecodeError`."""
+    """Return the number of a message's type; raise `DecodeError` if its header or checksum is wrong."""
     if len(payload) < _HEADER.size:
         raise DecodeError("short", f"{len(payload)} bytes")
     magic, version, kind, packing, zero, size, checksum = _HEADER.unpack_from(payload)
     if magic != MAGIC:
         raise DecodeError("magic")
     if version != VERSION:
-        raise DecodeError("version", f"{version}; this is version {VERSION}")
+        raise DecodeError("version", f"{version}; allowed is {VERSION}")
     if size != len(payload) - _HEADER.size:
         raise DecodeError("length", f"{len(payload) - _HEADER.size} bytes where {size} were declared")
     view = memoryview(payload)
@@ -102,21 +109,21 @@ def read_kind(payload: bytes) -> int:
         raise DecodeError("checksum")
     if zero or packing not in (PLAIN, ZSTD):
         raise DecodeError("header")
-    return kind
+    return int(kind)
 
 
 def unpack(payload: bytes, limit: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """JSON and columns of a message whose header `read_kind` has found right.
+    """Return meta object and columns of a message whose header `read_kind` has checked.
 
     Args:
         payload: the whole message.
-        limit: the most bytes it may inflate to.
+        limit: most bytes that its content may have.
 
     Returns:
-        The meta object, and the columns by name: parts of one buffer that is theirs alone and may be written to.
+        The meta object, and the columns by name. They are parts of one buffer that belongs to the caller.
 
     Raises:
-        DecodeError: whatever else is wrong with it.
+        DecodeError: the body is not valid.
     """
     body = memoryview(payload)[_HEADER.size :]
     content = _inflate(body, limit) if payload[_PACKING_AT] == ZSTD else _copied(body, limit)
@@ -126,12 +133,12 @@ def unpack(payload: bytes, limit: int) -> tuple[dict[str, Any], dict[str, np.nda
     start = _SIZE.size + size
     if start > len(content):
         raise DecodeError("content")
-    meta, listed = _parse_json(content[_SIZE.size : start])
+    meta, descriptions = _parse_json(content[_SIZE.size : start])
     if start % _ALIGNMENT:
         raise DecodeError("alignment", f"columns begin at byte {start}")
     columns: dict[str, np.ndarray] = {}
-    for item in listed:
-        name, dtype, shape = _describe(item)
+    for item in descriptions:
+        name, dtype, shape = _read_description(item)
         if name in columns:
             raise DecodeError("column", f"{name!r} twice")
         count = math.prod(shape)
@@ -152,70 +159,74 @@ def unpack(payload: bytes, limit: int) -> tuple[dict[str, Any], dict[str, np.nda
 
 
 def require_json(value: object) -> None:
-    """Raises `DecodeError` unless `value` comes back from JSON as it went: string keys, finite numbers, no tuples."""
+    """Raise `DecodeError` unless JSON preserves `value` exactly: string keys, finite numbers, no tuples."""
     if value is None or isinstance(value, bool | str):
         return
     if isinstance(value, int):
-        if abs(value) >= 2**127:  # room for the state of a random generator; digits without end are an attack
+        if abs(value) >= 2**127:  # enough for the state of a random generator; more digits are an attack
             raise DecodeError("json", "an integer of more than 127 bits")
     elif isinstance(value, float):
         if not math.isfinite(value):
-            raise DecodeError("json", f"{value} is no JSON number")
+            raise DecodeError("json", f"{value} is not a JSON number")
     elif isinstance(value, list):
         for item in value:
             require_json(item)
     elif isinstance(value, dict):
         for key, item in value.items():
             if not isinstance(key, str):
-                raise DecodeError("json", f"key {key!r} is no string")
+                raise DecodeError("json", f"key {key!r} is not a string")
             require_json(item)
     else:
-        raise DecodeError("json", f"a {type(value).__name__} is no JSON value")
+        raise DecodeError("json", f"a {type(value).__name__} is not a JSON value")
 
 
 def _copied(body: memoryview, limit: int) -> bytearray:
-    """Content that came as it is."""
+    """Return a copy of content that travelled plain."""
     if len(body) > limit:
-        raise DecodeError("size", f"{len(body)} bytes; at most {limit}")
+        raise DecodeError("size", f"{len(body)} bytes; allowed are at most {limit}")
     return bytearray(body)
 
 
 def _inflate(frame: memoryview, limit: int) -> bytearray:
-    """The content of exactly one zstd frame. The library ignores an output limit where a frame declares its size."""
+    """Return the content of exactly one zstd frame.
+
+    The size is checked first, since the library ignores an output limit for a frame that declares its size.
+    """
     try:
         declared = zstandard.get_frame_parameters(frame).content_size
         if declared in (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR):
             raise DecodeError("size", "no declared content size")
         if declared > limit:
-            raise DecodeError("size", f"{declared} bytes declared; at most {limit}")
+            raise DecodeError("size", f"{declared} bytes declared; allowed are at most {limit}")
         content = _decompressor().decompress(frame, allow_extra_data=False)
     except zstandard.ZstdError as error:
         raise DecodeError("zstd", str(error)) from error
     if len(content) != declared:
-        raise DecodeError("zstd", "content is not of the declared size")
+        raise DecodeError("zstd", "the content does not have the declared size")
     return bytearray(content)
 
 
 def _parse_json(text: bytearray) -> tuple[dict[str, Any], list[Any]]:
-    """The meta object, all sound JSON, and the list that describes the columns, of which nothing is known yet."""
+    """Return the checked meta object, and the list that describes the columns, still unchecked."""
 
     def refuse(word: str) -> None:
-        raise DecodeError("json", f"{word} is no JSON number")
+        raise DecodeError("json", f"{word} is not a JSON number")
 
     try:
-        described = json.loads(text.decode(), parse_constant=refuse)
-        if not isinstance(described, dict) or set(described) != {"meta", "columns"}:
+        tree = json.loads(text.decode(), parse_constant=refuse)
+        if not isinstance(tree, dict) or set(tree) != {"meta", "columns"}:
             raise DecodeError("meta")
-        meta, listed = described["meta"], described["columns"]
-        if not isinstance(meta, dict) or not isinstance(listed, list) or len(listed) > MAX_COLUMNS:
+        meta, descriptions = tree["meta"], tree["columns"]
+        if not isinstance(meta, dict) or not isinstance(descriptions, list) or len(descriptions) > MAX_COLUMNS:
             raise DecodeError("meta")
         require_json(meta)
     except (ValueError, RecursionError) as error:
         raise DecodeError("json", str(error)) from error
-    return meta, listed
+    return meta, descriptions
 
 
-def _describe(item: object) -> tuple[str, np.dtype, tuple[int, ...]]:
+def _read_description(item: object) -> tuple[str, np.dtype, tuple[int, ...]]:
+    """Return name, dtype and shape of a column."""
     if not isinstance(item, list) or len(item) != 3:
         raise DecodeError("column")
     name, dtype, shape = item
@@ -232,13 +243,16 @@ def _describe(item: object) -> tuple[str, np.dtype, tuple[int, ...]]:
 
 
 def _compressor() -> zstandard.ZstdCompressor:
-    """This thread's compression context; contexts are costly to make and not to be shared between threads."""
+    """Return the compressor of this thread: it is costly to make and may not be shared between threads."""
     if not hasattr(_local, "compressor"):
         _local.compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL, write_content_size=True)
-    return _local.compressor
+    compressor: zstandard.ZstdCompressor = _local.compressor
+    return compressor
 
 
 def _decompressor() -> zstandard.ZstdDecompressor:
+    """Return the decompressor of this thread."""
     if not hasattr(_local, "decompressor"):
         _local.decompressor = zstandard.ZstdDecompressor()
-    return _local.decompressor
+    decompressor: zstandard.ZstdDecompressor = _local.decompressor
+    return decompressor

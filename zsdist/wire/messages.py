@@ -1,7 +1,7 @@
-"""One frozen dataclass per arrow between roles.
+"""Messages between roles, one frozen dataclass each.
 
-`sender_epoch` numbers the incarnation of the sending role: a receiver ignores messages older than the newest it has
-heard, so that a process that was replaced and wakes up again can do no harm.
+`sender_epoch` is the incarnation of the sending role. A receiver ignores messages of an incarnation older than the
+newest it has heard, so a process that was replaced and wakes up again does no harm.
 """
 
 from collections.abc import Sequence
@@ -12,23 +12,23 @@ import numpy as np
 
 from zsdist.types import Ack, Batch, Level, Parameters, Trajectory, Weights, count_transitions
 
-EPISODES = "episodes"  # stream of how each episode ended
-EVALUATION = "evaluation"  # stream of the results of greedy drives
-MAX_BATCHES = 16  # of an answer
+EPISODES = "episodes"  # stream of records of finished episodes
+EVALUATION = "evaluation"  # stream of results of greedy drives
+MAX_BATCHES = 16  # in a reply
 
 
 @dataclass(frozen=True)
 class Push:
-    """A numbered frame of trajectories, actor to replay.
+    """Numbered frame of trajectories, actor to replay.
 
     Attributes:
-        stream: the level whose transitions these are.
+        stream: level of the trajectories.
         actor: name of the actor.
         epoch: incarnation of the actor, never used twice.
-        sequence: number of the frame within (stream, actor, epoch), from 0, contiguous.
+        sequence: number of the frame within (stream, actor, epoch), from 0 without gaps.
         produced: running total of transitions of (stream, actor, epoch), this frame included.
-        closes: this is the last frame of the epoch; only such a frame may be empty.
-        trajectories: what it carries; all have the same state size and number of actions.
+        closes: true for the last frame of the epoch; only this one may be empty.
+        trajectories: content of the frame; all have the same state size and number of actions.
     """
 
     stream: Level
@@ -41,13 +41,13 @@ class Push:
 
     @property
     def count(self) -> int:
-        """Transitions in this frame."""
+        """Number of transitions in this frame."""
         return count_transitions(self.trajectories)
 
 
 @dataclass(frozen=True)
 class Records:
-    """A numbered frame of JSON records, actor to scheduler; acknowledged like a push.
+    """Numbered frame of JSON records, actor to scheduler; acknowledged like a `Push`, whose other attributes it shares.
 
     Attributes:
         stream: `EPISODES` or `EVALUATION`.
@@ -65,17 +65,17 @@ class Records:
 
     @property
     def count(self) -> int:
-        """Records in this frame."""
+        """Number of records in this frame."""
         return len(self.records)
 
 
 @dataclass(frozen=True)
 class SampleRequest:
-    """A learner asks for batches.
+    """Request of a learner for batches.
 
     Attributes:
-        updates: how many it has made so far.
-        batches: how many it can take, 1 to `MAX_BATCHES`.
+        updates: updates that the learner has made so far.
+        batches: most batches that it accepts, 1 to `MAX_BATCHES`.
     """
 
     sender_epoch: int
@@ -86,13 +86,13 @@ class SampleRequest:
 
 @dataclass(frozen=True)
 class SampleReply:
-    """The replay's answer.
+    """Reply of the replay.
 
     Attributes:
-        batch: None where there is none to be had: too little is stored, or the learner is ahead of the data.
+        batch: the sampled transitions; None if too few are stored, or the learner is ahead of the data.
         held: transitions that the replay holds.
-        waited_s: how long the request waited until there was one to be had.
-        batches: so many equal parts of `batch` are a batch each, as many as there were to be had at once.
+        waited_s: time until the request could be served.
+        batches: number of batches that were available, which are equal parts of `batch`.
     """
 
     level: Level
@@ -104,10 +104,10 @@ class SampleReply:
 
 @dataclass(frozen=True)
 class Priorities:
-    """What a learner found of the rows of a batch that were drawn by priority.
+    """Priorities of transitions that were sampled by priority, learner to replay.
 
     Attributes:
-        serials: `(B,)` int64, as the batch has them.
+        serials: `(B,)` int64, serial numbers of the transitions as in the batch.
         errors: `(B,)` float32, absolute temporal-difference errors.
     """
 
@@ -119,12 +119,12 @@ class Priorities:
 
 @dataclass(frozen=True)
 class WeightsMessage:
-    """A learner's weights for every actor.
+    """Weights of a level, learner to all actors.
 
     Attributes:
-        merge: promotions so far.
-        sha256: of the parameters.
-        made_s: unix seconds at which this version came to be, by the learner's clock.
+        merge: number of promotions so far.
+        sha256: hash of the parameters.
+        made_s: unix seconds at which this version was made, by the learner's clock.
     """
 
     sender_epoch: int
@@ -136,7 +136,7 @@ class WeightsMessage:
 
 @dataclass(frozen=True)
 class Candidate:
-    """Parameters under the name `name` that stand for promotion in merge number `merge`."""
+    """Parameters of the candidate `name` for promotion in merge number `merge`."""
 
     sender_epoch: int
     level: Level
@@ -147,7 +147,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Orders:
-    """The scheduler's word to one role: an absolute state (a JSON object), sent again from time to time."""
+    """Orders of the scheduler to a role: the complete wanted state, a JSON object, sent again from time to time."""
 
     sender_epoch: int
     role: str
@@ -156,7 +156,7 @@ class Orders:
 
 @dataclass(frozen=True)
 class Jobs:
-    """Greedy drives the scheduler asks one actor for: an absolute state (a JSON object)."""
+    """Greedy drives that an actor should make for the scheduler: the complete wanted state, a JSON object."""
 
     sender_epoch: int
     actor: str
@@ -165,14 +165,14 @@ class Jobs:
 
 @dataclass(frozen=True)
 class State:
-    """A role's checkpoint: `meta` is a JSON object; `arrays` are kept bit for bit, NaN and infinity included."""
+    """Checkpoint of a role: `meta` is a JSON object, and `arrays` are kept bit for bit, NaN and infinity included."""
 
     role: str
     meta: dict[str, Any]
     arrays: dict[str, np.ndarray]
 
     def part(self, prefix: str) -> dict[str, np.ndarray]:
-        """The arrays whose names begin with `prefix`, under the rest of their names."""
+        """Return the arrays whose names begin with `prefix`, under the rest of their names."""
         return {name.removeprefix(prefix): array for name, array in self.arrays.items() if name.startswith(prefix)}
 
 

@@ -48,14 +48,14 @@ def test_ctrl_c_is_status_130():
     assert leave(interrupt) == 130
 
 
-def test_sigterm_means_what_ctrl_c_means_and_only_while_the_command_runs():
+def test_sigterm_acts_like_ctrl_c_while_the_command_runs():
     before = signal.getsignal(signal.SIGTERM)
     assert leave(lambda options: os.kill(os.getpid(), signal.SIGTERM)) == 130
     assert signal.getsignal(signal.SIGTERM) is before
 
 
 @pytest.mark.parametrize(("kind", "least"), [(cli.count, 1), (cli.natural, 0)])
-def test_whole_numbers_below_the_least_are_refused_with_it(kind, least):
+def test_whole_numbers_below_the_minimum_are_refused(kind, least):
     assert kind(str(least)) == least
     for wrong in (str(least - 1), "many", "1.5", ""):
         with pytest.raises(argparse.ArgumentTypeError, match=f"allowed is a whole number of {least} or more"):

@@ -1,21 +1,34 @@
-import ast
-import shutil
-from pathlib import Path
+import itertools
 
-import zsdist
+import pytest
+
 from zsdist.common import code_hash
 
-PACKAGE = Path(zsdist.__file__).parent
+
+@pytest.fixture
+def hash_of(tmp_path):
+    """Hash of `zsdist.top` in a package of the given files."""
+    numbers = itertools.count()
+
+    def make(files: dict[str, str]) -> str:
+        package = tmp_path / f"package-{next(numbers)}"
+        for name, text in files.items():
+            file = package / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(text)
+        return code_hash.sha256("zsdist.top", package=package)
+
+    return make
 
 
-def test_words_and_layout_change_no_hash_and_statements_do():
-    plain = ast.parse("def f(x):\n    return x + 1")
-    worded = ast.parse('"""Of a module."""\ndef f(x):  # adds\n    """Adds."""\n\n    return (x + 1)')
-    assert code_hash._statements(plain) == code_hash._statements(worded)
-    assert code_hash._statements(plain) != code_hash._statements(ast.parse("def f(x):\n    return x + 2"))
+def test_words_and_layout_change_no_hash_and_statements_do(hash_of):
+    plain = hash_of({"top.py": "def f(x):\n    return x + 1"})
+    worded = '"""Module."""\ndef f(x):  # adds\n    """Add."""\n\n    return (x + 1)'
+    assert hash_of({"top.py": worded}) == plain
+    assert hash_of({"top.py": "def f(x):\n    return x + 2"}) != plain
 
 
-def test_a_hash_is_of_the_modules_below_its_roots():
+def test_a_hash_covers_the_modules_that_its_roots_import():
     camera, vision = code_hash.modules("zsdist.sim.env"), code_hash.modules("zsdist.vision.visual_act")
     assert "zsdist.sim.camera.shading" in camera and "zsdist.vision.encoders.lite0" in vision
     assert "zsdist.sim.camera.shading" not in vision and "zsdist.config" not in camera | vision
@@ -23,36 +36,27 @@ def test_a_hash_is_of_the_modules_below_its_roots():
     assert len({code_hash.sha256("zsdist.sim.env"), code_hash.sha256("zsdist.vision.visual_act")}) == 2
 
 
-def made(tmp_path, monkeypatch, files: dict[str, str]) -> str:
-    """Hash of `zsdist.top` in a package of these files."""
-    shutil.rmtree(tmp_path / "package", ignore_errors=True)
-    for name, text in files.items():
-        file = tmp_path / "package" / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text)
-    monkeypatch.setattr(code_hash, "_PACKAGE", tmp_path / "package")
-    for cached in (code_hash.sha256, code_hash._module_hash):
-        cached.cache_clear()
-    return code_hash.sha256("zsdist.top")
+def test_a_module_that_does_not_exist_has_no_hash():
+    with pytest.raises(ModuleNotFoundError, match=r"zsdist\.nowhere"):
+        code_hash.sha256("zsdist.nowhere")
 
 
-def test_a_module_may_move_and_imports_be_sorted_anew_but_no_content_may_change(tmp_path, monkeypatch):
+def test_a_module_may_move_and_imports_be_sorted_anew_but_no_content_may_change(hash_of):
     here = {"top.py": "from zsdist.a import f\nfrom zsdist.b import g\n", "a.py": "def f(): return 1", "b.py": "g = 2"}
-    before = made(tmp_path, monkeypatch, here)
+    before = hash_of(here)
     moved = {
         "top.py": "from zsdist.b import g\nfrom zsdist.far.off import f\n",
         "far/off.py": "def f(): return 1",
         "b.py": "g = 2",
     }
-    assert made(tmp_path, monkeypatch, moved) == before
-    assert made(tmp_path, monkeypatch, here | {"a.py": "def f(): return 2"}) != before
+    assert hash_of(moved) == before
+    assert hash_of(here | {"a.py": "def f(): return 2"}) != before
     swapped = {"top.py": "from zsdist.a import g as f\nfrom zsdist.a import f as g\n", "a.py": "f = g = 1"}
     straight = {"top.py": "from zsdist.a import f\nfrom zsdist.a import g\n", "a.py": "f = g = 1"}
-    assert made(tmp_path, monkeypatch, swapped) != made(tmp_path, monkeypatch, straight)
+    assert hash_of(swapped) != hash_of(straight)
 
 
-def test_an_import_is_of_the_content_that_it_names(tmp_path, monkeypatch):
+def test_an_import_is_hashed_by_the_content_that_it_names(hash_of):
     both = {"a.py": "def f(): return 1", "b.py": "def f(): return 2"}
     use = "from zsdist.{} import f\nfrom zsdist.{} import f as other\n"
-    first = made(tmp_path, monkeypatch, both | {"top.py": use.format("a", "b")})
-    assert made(tmp_path, monkeypatch, both | {"top.py": use.format("b", "a")}) != first
+    assert hash_of(both | {"top.py": use.format("a", "b")}) != hash_of(both | {"top.py": use.format("b", "a")})

@@ -13,7 +13,7 @@ def bits(column):
     return column.view(np.uint16 if column.dtype == np.float16 else np.uint32)
 
 
-def test_every_half_float_is_widened_to_its_value_and_narrowed_back_to_itself():
+def test_every_half_float_is_converted_to_its_value_and_back_to_itself():
     with np.errstate(invalid="ignore"):
         expected = EVERY.astype(np.float32)
     wide, numbers = half_precision.from_half(EVERY), ~np.isnan(EVERY)
@@ -23,7 +23,7 @@ def test_every_half_float_is_widened_to_its_value_and_narrowed_back_to_itself():
 
 
 @pytest.mark.filterwarnings("ignore:overflow")
-def test_what_lies_between_is_rounded_to_the_nearest_and_of_two_to_the_even_one():
+def test_values_between_are_rounded_to_the_nearest_and_ties_to_even():
     finite = np.sort(EVERY[np.isfinite(EVERY)].astype(np.float32))
     middles = ((finite[1:].astype(np.float64) + finite[:-1]) / 2).astype(np.float32)
     beside = [np.nextafter(middles, np.float32(side)) for side in (-np.inf, np.inf)]
@@ -33,7 +33,7 @@ def test_what_lies_between_is_rounded_to_the_nearest_and_of_two_to_the_even_one(
         assert np.array_equal(bits(half_precision.to_half(values)), bits(values.astype(np.float16)))
 
 
-def test_shapes_are_kept_and_columns_need_not_lie_together():
+def test_shapes_are_kept_and_columns_need_not_be_contiguous():
     column = np.random.default_rng(0).random((6, 4, 8), np.float32)[::2, :, ::2]
     assert np.array_equal(half_precision.to_half(column), column.astype(np.float16))
     assert np.array_equal(
@@ -43,6 +43,6 @@ def test_shapes_are_kept_and_columns_need_not_lie_together():
 
 
 @pytest.mark.parametrize("module", ["zsdist.run.ray", "zsdist.launch", "zsdist.evaluation.workers", "zsdist.monitor"])
-def test_who_does_not_learn_does_without_torch(module):
+def test_modules_that_do_not_learn_do_not_import_torch(module):
     found = f"import sys, {module}; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", found], check=False).returncode == 0

@@ -27,8 +27,8 @@ def work(item):
         os._exit(3)
     if item == "refuse":
         raise ConfigError("the item is wrong")
-    deaf = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
-    return item * Begun.number, os.getpid(), deaf, os.environ.get("OMP_NUM_THREADS")
+    blocked = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    return item * Begun.number, os.getpid(), blocked, os.environ.get("OMP_NUM_THREADS")
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -38,30 +38,30 @@ def test_every_item_is_worked_on_by_processes_that_have_begun(count):
     assert (os.getpid() in {process for _, process, *_ in made}) == (count == 1)
 
 
-def test_workers_are_deaf_to_ctrl_c_and_take_one_thread_each_and_nothing_of_it_stays_here(monkeypatch):
+def test_workers_ignore_ctrl_c_and_use_one_thread_and_the_parent_is_left_as_it_was(monkeypatch):
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [])
     made = list(each(work, [1, 2, 3], 2, begin, (1,)))
-    assert {(deaf, threads) for *_, deaf, threads in made} == {(True, "1")}
+    assert {(blocked, threads) for *_, blocked, threads in made} == {(True, "1")}
     assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == before and "OMP_NUM_THREADS" not in os.environ
 
 
-def test_a_ctrl_c_at_the_moment_in_which_work_is_handed_out_is_not_lost(hears_ctrl_c):
+def test_a_ctrl_c_while_an_item_is_submitted_is_not_lost(hears_ctrl_c):
     class Pool:
         def submit(self, work, item):
             signal.raise_signal(signal.SIGINT)  # to this thread: another one of the process would answer it later
 
     with pytest.raises(KeyboardInterrupt):
-        process_pool._submit(Pool(), work, 1)
+        process_pool.submit(Pool(), work, 1)
 
 
-def test_where_no_more_are_to_be_taken_the_first_ones_are_done():
+def test_when_no_more_items_are_started_the_first_ones_are_done():
     answers = itertools.chain([True, True], itertools.repeat(False))
     assert [value for value, *_ in each(work, [1, 2, 3, 4], 1, begin, (1,), lambda: next(answers))] == [1, 2]
 
 
 def test_a_worker_that_died_and_an_error_of_the_work_end_it_in_one_line():
-    with pytest.raises(RunError, match="a worker died; with --workers 1 its own message is seen"):
+    with pytest.raises(RunError, match="a worker process died; run with --workers 1 to see its own message"):
         list(each(work, ["die", 1], 2, begin, (1,)))
     with pytest.raises(ConfigError, match="the item is wrong"):
         list(each(work, ["refuse", 1], 2, begin, (1,)))
@@ -77,7 +77,7 @@ def test_a_closed_generator_ends_its_processes():
 
 def test_workers_end_with_a_parent_that_was_killed():
     code = (
-        "import os, test_workers as t; from zsdist.common.process_pool import each\n"
+        "import os, test_process_pool as t; from zsdist.common.process_pool import each\n"
         "if __name__ == '__main__':\n"
         "    for made in each(t.work, list(range(10**6)), 2, t.begin, (1,)):\n"
         "        print(made[1], flush=True); os.kill(os.getpid(), 9)"

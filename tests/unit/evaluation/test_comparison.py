@@ -6,7 +6,7 @@ from fakes import RECORD
 from zsdist.config import Config
 from zsdist.dqn import network
 from zsdist.errors import RunError
-from zsdist.evaluation import episode_store
+from zsdist.evaluation import comparison, episode_store
 from zsdist.evaluation.comparison import compare
 from zsdist.evaluation.contenders import Contender
 from zsdist.roles.shapes import SHAPES
@@ -40,12 +40,12 @@ def put(file, records, contender, policy, weights_sha256, seed):
 def test_differences_are_of_the_same_scenes(tmp_path):
     a = write(tmp_path / "a", [RECORD] * 4 + [FAILED] * 2)
     b = write(tmp_path / "b", [RECORD] * 2 + [FAILED] * 2, "random")
-    comparison = compare(a, b)
-    success = comparison.result["figures"]["success"]
+    compared = compare(a, b)
+    success = compared.result["figures"]["success"]
     assert (success["pairs"], success["a"], success["b"], success["difference"]) == (4, 1.0, 0.5, 0.5)
     assert success["confidence_95"][0] >= 0 and success["confidence_95"][1] <= 1
-    assert comparison.result["figures"]["spl"]["difference"] == pytest.approx(0.5 * 0.75)
-    assert comparison.notes == [f"{a}: 2 episodes have no partner and are left out"]
+    assert compared.result["figures"]["spl"]["difference"] == pytest.approx(0.5 * 0.75)
+    assert compared.notes == [f"{a}: 2 episodes have no partner and are left out"]
 
 
 def test_pairing_takes_what_is_common_to_all_scenes_out_of_the_interval(tmp_path):
@@ -58,26 +58,26 @@ def test_of_several_training_seeds_in_a_file_a_scene_counts_with_their_mean(tmp_
     a = write_learned(tmp_path / "a", [RECORD] * 6, "runs/1", weights=1)
     write_learned(a, [FAILED] * 6, "runs/2", weights=2)
     b = write(tmp_path / "b", [FAILED] * 6, "random")
-    comparison = compare(a, b)
-    assert (comparison.result["figures"]["success"]["a"], comparison.notes) == (0.5, [])
+    compared = compare(a, b)
+    assert (compared.result["figures"]["success"]["a"], compared.notes) == (0.5, [])
 
 
 def test_what_a_policy_was_driven_with_before_it_was_trained_on_does_not_count_and_is_said(tmp_path):
     a = write_learned(tmp_path / "a", [FAILED] * 6, "runs/1", weights=1)
     write_learned(a, [RECORD] * 4, "runs/1", weights=2)
-    comparison = compare(a, write(tmp_path / "b", [RECORD] * 6, "random"))
-    assert (comparison.result["figures"]["success"]["a"], comparison.result["episodes"]) == (1.0, 4)
-    assert f"{a}: 6 lines of older weights or settings are left out" in comparison.notes
+    compared = compare(a, write(tmp_path / "b", [RECORD] * 6, "random"))
+    assert (compared.result["figures"]["success"]["a"], compared.result["episodes"]) == (1.0, 4)
+    assert f"{a}: 6 lines of older weights or settings are left out" in compared.notes
 
 
 def test_drives_without_the_shield_do_not_count_beside_those_under_it_and_count_alone(tmp_path):
     bare = write_learned(tmp_path / "bare", [FAILED] * 6, "runs/1", shielded=False)
     both = write_learned(tmp_path / "both", [RECORD] * 6, "runs/1")
     write_learned(both, [FAILED] * 6, "runs/1", shielded=False)
-    comparison = compare(both, bare)
-    success = comparison.result["figures"]["success"]
+    compared = compare(both, bare)
+    success = compared.result["figures"]["success"]
     assert (success["a"], success["b"]) == (1.0, 0.0)
-    assert comparison.notes == [f"{both}: 6 lines without the shield are left out"]
+    assert compared.notes == [f"{both}: 6 lines without the shield are left out"]
 
 
 def test_a_file_of_different_methods_is_refused(tmp_path):
@@ -100,9 +100,20 @@ def test_lines_of_older_code_are_left_out_and_said(tmp_path, monkeypatch):
     a = write(tmp_path / "a", [FAILED] * 6)
     monkeypatch.setattr(episode_store, "code_sha256", lambda: "newer")
     write(a, [RECORD] * 3)
-    comparison = compare(a, write(tmp_path / "b", [RECORD] * 6, "random"))
-    assert comparison.result["figures"]["success"]["a"] == 1.0 and comparison.result["episodes"] == 3
-    assert any("6 lines of other code than newer" in note for note in comparison.notes)
+    compared = compare(a, write(tmp_path / "b", [RECORD] * 6, "random"))
+    assert compared.result["figures"]["success"]["a"] == 1.0 and compared.result["episodes"] == 3
+    assert any("6 lines of other code than newer" in note for note in compared.notes)
+
+
+def test_lines_of_equivalent_code_count(tmp_path, monkeypatch):
+    monkeypatch.setattr(comparison, "equivalent", lambda code: {"older", "newer"} if code == "newer" else {code})
+    monkeypatch.setattr(episode_store, "code_sha256", lambda: "older")
+    a, b = write(tmp_path / "a", [RECORD] * 6), write(tmp_path / "b", [FAILED] * 6, "random")
+    monkeypatch.setattr(episode_store, "code_sha256", lambda: "newer")
+    write(a, [FAILED] * 3)
+    compared = compare(a, b)
+    assert (compared.result["figures"]["success"]["a"], compared.result["episodes"]) == (0.5, 6)
+    assert compared.notes == []
 
 
 def test_files_without_a_common_scene_are_refused(tmp_path):

@@ -9,14 +9,15 @@ from zsdist.errors import RunError
 from zsdist.evaluation import episode_store
 from zsdist.evaluation.contenders import Contender
 from zsdist.evaluation.episode_store import EpisodeStore
+from zsdist.evaluation.fingerprint import code_sha256
 from zsdist.sim.scenes import families
 
 ASTAR = Contender(Config(), baseline="astar")
 SCENES = [families.draw("iid", "test", index) for index in range(3)]
 
 
-def opened(file, contender=ASTAR, seed=0, chosen=SCENES, policy="astar", scenes="iid"):
-    return EpisodeStore(file, contender, policy, None, scenes, seed, list(chosen))
+def opened(file, contender=ASTAR, seed=0, chosen=SCENES, policy="astar", scenes="iid", **options):
+    return EpisodeStore(file, contender, policy, None, scenes, seed, list(chosen), **options)
 
 
 @pytest.fixture
@@ -40,6 +41,22 @@ def test_fewer_scenes_take_what_there_is_of_them(file):
 def test_other_code_makes_lines_stale(file, monkeypatch):
     monkeypatch.setattr(episode_store, "code_sha256", lambda: "another")
     assert (opened(file).known, opened(file).stale) == ({}, 2)
+
+
+def test_lines_of_code_that_is_listed_as_equivalent_are_known_and_new_ones_name_the_code_in_use(
+    file, tmp_path, monkeypatch
+):
+    newer = "0123456789abcdef"
+    listed, unlisted = tmp_path / "listed.yaml", tmp_path / "unlisted.yaml"
+    entry = '- {{commit: 1a2b3c4, hashes: ["{}", "{}"], proof: equal episodes}}'
+    listed.write_text(entry.format(code_sha256(), newer))
+    unlisted.write_text(entry.format("f" * 16, newer))
+    monkeypatch.setattr(episode_store, "code_sha256", lambda: newer)
+    resumed, refused = opened(file, equivalents=listed), opened(file, equivalents=unlisted)
+    assert (list(resumed.known), resumed.stale) == ([0, 2], 0)
+    assert (list(refused.known), refused.stale) == ([], 2)
+    resumed.add(1, RECORD)
+    assert [line.about["code"] for line in episode_store.read(file)] == [code_sha256(), code_sha256(), newer]
 
 
 def test_other_settings_make_lines_stale(file):

@@ -39,26 +39,26 @@ def numbers(examples):
     return np.asarray(examples.tokens)[:, 0, 0, 0].tolist()
 
 
-def test_scenes_of_pictures_whole_and_masked_are_kept_out_of_the_validation(tmp_path):
+def test_scenes_of_whole_and_masked_pictures_are_kept_out_of_the_validation(tmp_path):
     hidden = masked([5, 5], [-1, 0], [False, True])
     made = pictures(tmp_path, act_0000=views([1, 2]), validation_0000=views([2, 3, 5, 6]), masked_0000=hidden)
     assert numbers(made.examples()) == [1, 2] and numbers(made.validation()) == [3, 6]
 
 
-def test_masked_pictures_of_before_scenes_were_noted_are_read_and_keep_nothing_out(tmp_path):
+def test_masked_pictures_without_scene_numbers_are_read_and_keep_nothing_out(tmp_path):
     hidden = masked([5, 5], [-1, 0], [False, True])
     del hidden["scene"]
     made = pictures(tmp_path, act_0000=views([1]), validation_0000=views([1, 5]), masked_0000=hidden)
     assert numbers(made.validation()) == [5] and len(made.masked()[1]) == 1
 
 
-def test_a_validation_of_trained_scenes_alone_is_refused(tmp_path):
+def test_a_validation_of_trained_scenes_only_is_refused(tmp_path):
     made = pictures(tmp_path, act_0000=views([1, 2]), validation_0000=views([2, 1]))
     with pytest.raises(RunError, match="no picture of 'validation' is of a scene that is not trained on"):
         made.validation()
 
 
-def test_masked_pictures_find_their_originals_whatever_shard_they_are_of(tmp_path):
+def test_masked_pictures_find_their_originals_in_any_shard(tmp_path):
     first = masked([1, 1, 2], [-1, 0, -1], [False, True, False])
     second = masked([3, 3, 3], [-1, 0, 0], [False, False, True])
     originals, parts = pictures(tmp_path, masked_0000=first, masked_0001=second).masked()

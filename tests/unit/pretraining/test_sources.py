@@ -11,7 +11,7 @@ def job(**changes):
     return Job(**{**whole, "stages": ("words", "head", "student"), "config": Config(), "command": "", **changes})
 
 
-def test_wherever_one_stops_every_source_has_about_its_share():
+def test_every_source_advances_evenly_so_that_work_may_stop_anywhere():
     wanted = sources(job())
     order = shards(wanted)
     assert sum(shard.count for shard in order) == sum(source.pictures for source in wanted.values())
@@ -21,7 +21,7 @@ def test_wherever_one_stops_every_source_has_about_its_share():
         assert 0.25 < made / wanted[name].pictures < 0.75
 
 
-def test_pictures_are_made_only_for_the_stages_that_are_asked_for():
+def test_pictures_are_made_only_for_the_wanted_stages():
     assert set(sources(job(stages=("words",)))) == {"described", "described-validation"}
     assert set(sources(job(stages=("head",)))) == {"act", "validation"}
 
@@ -34,7 +34,7 @@ class MeanColours:
         return images.reshape(-1, 8, part, 8, part, 3).mean((2, 4), dtype=np.float32)
 
 
-def test_masked_pictures_stand_behind_their_original_with_its_scene_and_differ_where_they_are_hidden(monkeypatch):
+def test_masked_pictures_follow_their_original_with_its_scene_and_differ_where_they_are_hidden(monkeypatch):
     made, real = [], masked.masked_view
     monkeypatch.setattr(masked, "masked_view", lambda *arguments: made.append(real(*arguments)) or made[-1])
     small = job(config=Config(camera=CameraConfig(size_px=64)))

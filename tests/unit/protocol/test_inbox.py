@@ -1,4 +1,4 @@
-"""The receiving half by itself: what it accepts, when it answers, and what its books say."""
+"""Receiving half alone: accepted frames, times of acknowledgements, and counts."""
 
 import json
 
@@ -43,7 +43,7 @@ def test_frames_come_out_in_order_each_once() -> None:
     assert not inbox.refused
 
 
-def test_only_issued_epochs_are_listened_to() -> None:
+def test_only_frames_of_issued_epochs_are_accepted() -> None:
     inbox = listening(a0=5)
     inbox.receive(frame(0, actor="stranger"), 0.0)
     inbox.receive(frame(0, epoch=6), 0.0)
@@ -63,7 +63,7 @@ def test_a_frame_too_far_ahead_is_refused_rather_than_held() -> None:
     assert sequences(inbox.receive(frame(0), 0.0)) == [0, 1, 2, 3]
 
 
-def test_a_frame_whose_total_contradicts_the_books_is_refused_and_the_true_one_taken() -> None:
+def test_a_frame_with_a_wrong_total_is_refused_and_the_right_one_accepted() -> None:
     inbox = listening()
     inbox.receive(frame(1, total=99), 0.0)
     assert sequences(inbox.receive(frame(0), 0.0)) == [0]
@@ -111,7 +111,7 @@ def test_a_closed_epoch_is_acknowledged_again_when_its_last_frame_comes_again() 
     assert inbox.refused == {"after_close": 1}
 
 
-def test_a_newer_epoch_closes_the_older_at_its_last_frame_in_order() -> None:
+def test_a_newer_epoch_abandons_the_older_at_its_last_frame_in_order() -> None:
     inbox = listening()
     inbox.receive(frame(0), 0.0)
     inbox.receive(frame(2), 0.0)
@@ -125,7 +125,7 @@ def test_a_newer_epoch_closes_the_older_at_its_last_frame_in_order() -> None:
     assert inbox.abandoned_at_most == 2, "its frame 2 told that three were produced, one arrived"
 
 
-def test_what_a_dead_actor_may_have_lost_is_what_it_was_granted_minus_what_arrived() -> None:
+def test_a_dead_actor_has_lost_at_most_its_credit_minus_what_arrived() -> None:
     inbox = Inbox(Level.LOW)
     inbox.issue("a0", 1)
     inbox.acks(0.0, lambda actor, epoch: 50)
@@ -143,7 +143,7 @@ def test_what_a_dead_actor_may_have_lost_is_what_it_was_granted_minus_what_arriv
     assert inbox.closed
 
 
-def test_its_state_survives_json_and_goes_on_where_it_was() -> None:
+def test_its_state_survives_json_and_is_resumed() -> None:
     inbox = listening(a0=1, a1=3)
     inbox.receive(frame(0), 0.0)
     inbox.receive(frame(2), 0.0)

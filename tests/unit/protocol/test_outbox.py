@@ -1,4 +1,4 @@
-"""The sending half by itself: when what goes out, and what credit allows."""
+"""Sending half alone: times of frames, and the effect of credit."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def give(outbox: Outbox, *sizes: int) -> None:
     outbox.offer([trajectory(size) for size in sizes])
 
 
-def test_small_trajectories_travel_together_and_wait_for_company_only_so_long() -> None:
+def test_small_trajectories_travel_together_and_wait_for_others_for_a_limited_time() -> None:
     outbox = pushes()
     give(outbox, 5, 5)
     assert outbox.poll(1.0) == []
@@ -64,15 +64,6 @@ def test_small_trajectories_travel_together_and_wait_for_company_only_so_long() 
     assert outbox.poll(2.0) == []
     (frame,) = outbox.poll(2.0 + LINGER_S)
     assert (frame.sequence, frame.produced, frame.count) == (1, 19, 3)
-
-
-def test_flush_sends_what_waits_at_once() -> None:
-    outbox = pushes()
-    give(outbox, 1)
-    outbox.flush()
-    assert [frame.count for frame in outbox.poll(0.0)] == [1]
-    give(outbox, 1)
-    assert outbox.poll(0.0) == []
 
 
 def test_records_travel_at_once_and_need_no_credit() -> None:
@@ -96,7 +87,7 @@ def test_frames_stay_below_a_size_and_within_the_window() -> None:
     assert [frame.sequence for frame in outbox.poll(0.1)] == [2]
 
 
-def test_an_unacknowledged_frame_is_sent_again_by_its_age_less_and_less_often() -> None:
+def test_an_unacknowledged_frame_is_sent_again_at_growing_intervals() -> None:
     outbox = pushes()
     give(outbox, 16)
     (frame,) = outbox.poll(0.0)
@@ -129,7 +120,7 @@ def test_a_stalled_receiver_is_not_flooded() -> None:
     assert sent <= 64 * 14
 
 
-def test_a_new_receiver_is_sent_at_once_what_its_predecessor_did_not_acknowledge() -> None:
+def test_a_new_receiver_gets_at_once_what_its_predecessor_did_not_acknowledge() -> None:
     outbox = pushes()
     give(outbox, 200, 200)
     first, second = outbox.poll(0.0)
@@ -153,7 +144,7 @@ def test_acks_for_others_from_the_past_or_of_frames_never_sent_are_ignored() -> 
     assert outbox.statistics()["unacknowledged_frames"] == 0
 
 
-def test_nothing_can_be_reserved_before_the_receiver_has_spoken() -> None:
+def test_nothing_can_be_reserved_before_the_receiver_has_answered() -> None:
     outbox = Outbox(
         Level.LOW, "a0", 3, window_frames=4, resend_after_s=RESEND_S, give_up_after_s=GIVE_UP_S, make_frame=Push
     )
@@ -163,7 +154,7 @@ def test_nothing_can_be_reserved_before_the_receiver_has_spoken() -> None:
     assert not outbox.reserve(1)
 
 
-def test_credit_is_an_absolute_total_of_which_the_unneeded_is_given_back() -> None:
+def test_credit_is_an_absolute_total_and_unneeded_credit_is_returned() -> None:
     outbox = pushes(credit=30)
     assert outbox.reserve(24)
     assert not outbox.reserve(7)
@@ -179,7 +170,7 @@ def test_credit_is_an_absolute_total_of_which_the_unneeded_is_given_back() -> No
         outbox.offer([trajectory(12)])
 
 
-def test_acks_that_overtake_each_other_leave_the_credit_of_the_latest() -> None:
+def test_acks_that_overtake_each_other_leave_the_highest_credit() -> None:
     outbox = pushes(credit=None)
     outbox.on_ack(ack(0, 40), 0.0)
     outbox.on_ack(ack(0, None), 0.0)
@@ -194,7 +185,7 @@ def test_acks_that_overtake_each_other_leave_the_credit_of_the_latest() -> None:
 def test_closing_sends_everything_and_marks_the_last_frame() -> None:
     outbox = pushes(window_frames=2)
     give(outbox, *[200] * 3, 1)
-    outbox.close(0.0)
+    outbox.close()
     assert [(frame.count, frame.closes) for frame in outbox.poll(0.0)] == [(200, False), (200, False)]
     outbox.on_ack(ack(2), 0.0)
     assert [(frame.count, frame.closes) for frame in outbox.poll(0.0)] == [(201, True)]
@@ -208,13 +199,13 @@ def test_closing_sends_everything_and_marks_the_last_frame() -> None:
 
 def test_closing_with_nothing_left_sends_an_empty_frame() -> None:
     outbox = pushes()
-    outbox.close(0.0)
+    outbox.close()
     assert outbox.next_wake(0.0) == 0.0
     (frame,) = outbox.poll(0.0)
     assert (frame.count, frame.closes, frame.sequence) == (0, True, 0)
 
 
-def test_stuck_is_said_only_of_a_receiver_that_lives_and_never_takes_the_oldest() -> None:
+def test_an_outbox_is_stuck_only_if_a_live_receiver_never_acknowledges_the_oldest_frame() -> None:
     outbox = pushes()
     give(outbox, 16)
     outbox.poll(0.0)

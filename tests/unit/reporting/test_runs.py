@@ -141,6 +141,19 @@ def test_episodes_in_a_file_are_summarised_by_driver_and_scenes_without_older_co
     assert (evaluation.result["episodes"], evaluation.result["success"]) == (2, 1.0)
 
 
+def test_episodes_of_equivalent_code_are_summed_up_together(tmp_path, monkeypatch):
+    monkeypatch.setattr(runs, "equivalent", lambda code: {"0" * 16, code_sha256()})
+    scenes = [families.draw("iid", "test", index) for index in range(2)]
+    file, contender = tmp_path / "episodes.jsonl", Contender(Config(), baseline="random")
+    record = EpisodeRecord("made", Outcome.SUCCESS, 10, 8, 6.0, 5.0, 0.0, 0.4, True, (1.0,) * 10, 0, ())
+    book = episode_store.EpisodeStore(file, contender, "random", None, "iid", 0, scenes)
+    book.add(0, replace(record, outcome=Outcome.COLLISION))
+    file.write_text(file.read_text().replace(code_sha256(), "0" * 16))
+    book.add(1, record)
+    (evaluation,) = runs.read([file]).evaluations
+    assert (evaluation.result["episodes"], evaluation.result["success"]) == (2, 0.5)
+
+
 @pytest.mark.parametrize("place", ["nowhere", "empty"])
 def test_a_path_with_nothing_to_report_on_is_refused_by_name(tmp_path, place):
     (tmp_path / "empty").mkdir()

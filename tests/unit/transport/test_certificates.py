@@ -1,4 +1,4 @@
-"""What a folder of certificates must be for a process to show itself by it."""
+"""Checks of a folder of certificates before a process uses it."""
 
 import stat
 
@@ -24,12 +24,12 @@ def test_each_name_has_a_sound_identity_and_only_the_servers_is_for_hosts(folder
         assert identity.hosts() == (HOSTS if name == "hub" else [])
 
 
-def test_keys_and_folder_are_their_owners_alone(folder):
+def test_only_their_owner_may_read_keys_and_folder(folder):
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     assert {stat.S_IMODE(path.stat().st_mode) for path in folder.glob("*.key")} == {0o600}
 
 
-def test_what_is_there_is_left_and_what_is_missing_is_made(folder):
+def test_existing_certificates_stay_and_missing_ones_are_made(folder):
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     assert certificates.make(folder, "hub", ["a", "b", "c"], ["other"], days=1) == ["c"]
     assert {path.name: path.read_bytes() for path in folder.iterdir() if path.stem != "c"} == before
@@ -45,13 +45,13 @@ def swap(folder, name, other, suffix):
     [
         (lambda folder: (folder / "a.pem").unlink(), "a.pem: No such file"),
         (lambda folder: (folder / "a.key").unlink(), "a.key: No such file"),
-        (lambda folder: (folder / "ca.pem").write_text("nonsense"), "ca.pem is no certificate"),
-        (lambda folder: (folder / "a.key").write_text("nonsense"), "a.key is no private key"),
-        (lambda folder: swap(folder, "a", "b", ".key"), "is not that of certificate"),
-        (lambda folder: swap(folder, "a", "b", ".pem"), "is of 'b'; allowed is 'a'"),
+        (lambda folder: (folder / "ca.pem").write_text("nonsense"), "ca.pem is not a certificate"),
+        (lambda folder: (folder / "a.key").write_text("nonsense"), "a.key is not a private key"),
+        (lambda folder: swap(folder, "a", "b", ".key"), "does not belong to certificate"),
+        (lambda folder: swap(folder, "a", "b", ".pem"), "is for 'b'; allowed is 'a'"),
     ],
 )
-def test_an_identity_that_does_not_hold_together_is_refused_by_name(folder, spoil, telling):
+def test_an_identity_whose_files_do_not_fit_is_refused_by_name(folder, spoil, telling):
     spoil(folder)
     with pytest.raises(TransportError) as refused:
         Identity.load(folder, "a")
@@ -62,14 +62,14 @@ def test_a_certificate_of_another_authority_is_refused(folder, tmp_path):
     certificates.make(tmp_path / "other", "hub", ["a"], HOSTS, days=1)
     for file in ("a.pem", "a.key"):
         (folder / file).write_bytes((tmp_path / "other" / file).read_bytes())
-    with pytest.raises(TransportError, match="is not of the authority"):
+    with pytest.raises(TransportError, match="is not signed by the authority"):
         Identity.load(folder, "a")
 
 
 def test_a_certificate_out_of_date_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(certificates, "_BEFORE", certificates.datetime.timedelta(days=9))
+    monkeypatch.setattr(certificates, "CLOCK_DIFFERENCE", certificates.datetime.timedelta(days=9))
     certificates.make(tmp_path, "hub", ["a"], HOSTS, days=-1)
-    with pytest.raises(TransportError, match="and not today"):
+    with pytest.raises(TransportError, match="but not now"):
         Identity.load(tmp_path, "a")
 
 

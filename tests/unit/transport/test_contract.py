@@ -1,4 +1,4 @@
-"""One suite of laws for every transport; nothing above a transport may rely on more than these."""
+"""Contract of every transport; the layers above rely on nothing else."""
 
 import json
 import os
@@ -12,11 +12,11 @@ from collections.abc import Callable, Iterator
 
 import pytest
 import zenoh
+from faulty import FaultyTransport
 from sockets import PATIENCE_S, Inbox, free_endpoint
 
 from zsdist.errors import TransportError
 from zsdist.transport.base import Mailbox, Message, Transport
-from zsdist.transport.faulty import FaultyTransport
 from zsdist.transport.memory import MemoryBroker, MemoryTransport, matches
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 
@@ -138,7 +138,7 @@ def test_a_plain_value_is_not_kept_for_late_subscribers(connect: Connect, root: 
     assert not box.wait(1, 0.1)
 
 
-def test_a_request_is_answered_once_by_whoever_serves(connect: Connect, root: str) -> None:
+def test_a_request_gets_one_reply_of_its_server(connect: Connect, root: str) -> None:
     asker, server = connect(), connect()
     asked, answers = Inbox(), Inbox()
     server.serve(f"{root}/sample/*", asked)
@@ -154,7 +154,7 @@ def test_a_request_is_answered_once_by_whoever_serves(connect: Connect, root: st
     assert len(answers.wait(2, 0.1)) == 1
 
 
-def test_a_request_that_nobody_serves_brings_nothing(connect: Connect, root: str) -> None:
+def test_a_request_without_a_server_gets_no_reply(connect: Connect, root: str) -> None:
     answers = Inbox()
     connect().request(f"{root}/sample/low", b"question", answers, timeout_s=0.1)
     assert not answers.wait(1, 0.3)
@@ -173,7 +173,7 @@ def test_requests_may_be_answered_later_and_out_of_order(connect: Connect, root:
     assert sorted(message.payload for message in answers.wait(8)) == [b"%d" % number for number in range(8)]
 
 
-def test_liveliness_shows_who_is_there_who_comes_and_who_goes(connect: Connect, root: str) -> None:
+def test_liveliness_shows_tokens_that_exist_appear_and_disappear(connect: Connect, root: str) -> None:
     first, second, watcher = connect(), connect(), connect()
     first.declare_alive(f"{root}/alive/actor/0")
     box = Inbox()
@@ -213,7 +213,7 @@ def test_a_full_mailbox_drops_and_counts_and_publishing_never_waits(connect: Con
     assert small.peak_bytes <= 10_000
 
 
-def test_an_empty_mailbox_takes_a_message_above_its_budget() -> None:
+def test_an_empty_mailbox_accepts_a_message_above_its_budget() -> None:
     box = Mailbox(10)
     assert box.append(Message("k", bytes(100)))
     assert not box.append(Message("k", b""))
@@ -271,7 +271,7 @@ def test_bare_zenoh_sees_statistics_as_json_and_the_liveliness_tokens(hub: Zenoh
     transport.close()
 
 
-def test_an_absent_hub_is_one_clear_line_that_names_the_endpoint() -> None:
+def test_an_absent_hub_is_reported_in_one_line_with_the_endpoint() -> None:
     endpoint = free_endpoint()
     started = time.monotonic()
     with pytest.raises(TransportError) as caught:
@@ -293,7 +293,7 @@ def test_a_hub_whose_port_is_taken_listens_at_the_next_free_one(hub: ZenohHub) -
         ZenohTransport(second.endpoint).close()
 
 
-def test_a_hub_that_must_listen_where_its_predecessor_did_takes_no_other_port(hub: ZenohHub) -> None:
+def test_a_hub_that_may_try_one_port_takes_no_other(hub: ZenohHub) -> None:
     with pytest.raises(TransportError) as caught:
         ZenohHub(hub.endpoint, ports_tried=1)
     assert str(caught.value) == f"cannot listen at {hub.endpoint}: it is taken"
@@ -328,7 +328,7 @@ def test_a_process_that_forgets_to_close_its_transport_still_ends(hub: ZenohHub,
     subprocess.run([sys.executable, "-c", program, hub.endpoint, root], check=True, timeout=30)
 
 
-def test_the_token_of_a_killed_process_goes(hub: ZenohHub, root: str) -> None:
+def test_the_token_of_a_killed_process_disappears(hub: ZenohHub, root: str) -> None:
     program = (
         "import sys, threading; from zsdist.transport.zenoh import ZenohTransport; t = ZenohTransport(sys.argv[1]);"
         "t.declare_alive(sys.argv[2]); threading.Event().wait(60)"

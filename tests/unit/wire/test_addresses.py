@@ -1,4 +1,4 @@
-"""A message is heard only under the key that says of its sender what the message says."""
+"""A message is accepted only under a key that agrees with it about the sender."""
 
 import numpy as np
 import pytest

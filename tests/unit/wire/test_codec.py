@@ -1,4 +1,4 @@
-"""What is decoded equals what was encoded, and values that no receiver may take are refused on both sides."""
+"""Decoding returns what was encoded, and both sides refuse values that are not allowed."""
 
 import dataclasses
 
@@ -31,7 +31,7 @@ def reseal(payload: bytes, meta: dict, columns: dict[str, np.ndarray]) -> bytes:
 
 
 @pytest.mark.parametrize("index", range(len(every_message(np.random.default_rng(0)))))
-def test_every_message_comes_back_as_it_went(index: int) -> None:
+def test_every_message_is_decoded_to_an_equal_one(index: int) -> None:
     message = every_message(np.random.default_rng(index))[index]
     assert plain(decode(encode(message))) == plain(message)
 
@@ -187,7 +187,7 @@ def test_weights_must_be_finite_float32_under_a_hash() -> None:
         sent("0" * 63)
 
 
-def test_what_json_would_change_in_silence_is_refused_by_the_sender() -> None:
+def test_the_sender_refuses_values_that_json_would_silently_change() -> None:
     for content in ({1: "key"}, {"x": (1, 2)}, {"x": float("nan")}, {"x": np.float32(1)}, {"x": np.int64(1)}):
         with pytest.raises(ProtocolError, match="json"):
             encode(Orders(1, "actor", content))
@@ -209,7 +209,7 @@ def test_every_half_float_widens_and_rounds_as_numpy_does() -> None:
         assert received.states.tobytes() == states.astype(np.float16).astype(np.float32).tobytes()
 
 
-def test_only_answers_to_the_learner_travel_uncompressed() -> None:
+def test_only_replies_to_the_learner_travel_uncompressed() -> None:
     rng = np.random.default_rng(0)
     assert encode(SampleReply(Level.LOW, batch(rng), 16, 0.0))[6] == frame.PLAIN
     assert encode(push(rng))[6] == frame.ZSTD

@@ -1,4 +1,4 @@
-"""Bytes that are not ours raise `DecodeError` and nothing else, each way of being wrong under a word of its own."""
+"""Invalid bytes raise `DecodeError` and nothing else, with a reason for each kind of fault."""
 
 import json
 import struct
@@ -36,7 +36,7 @@ def test_ten_thousand_mutated_frames_raise_only_decode_error_or_are_equal() -> N
     assert refused > 8_000
 
 
-def test_mutated_contents_under_a_right_envelope_raise_only_decode_error_or_are_sound() -> None:
+def test_mutated_contents_in_a_valid_frame_raise_only_decode_error_or_are_valid() -> None:
     rng = np.random.default_rng(8)
     frames = [encode(message) for message in every_message(rng)]
     refused = 0
@@ -82,7 +82,7 @@ def checksum(payload: bytes) -> int:
     return zlib.crc32(payload[16:], zlib.crc32(payload[:12]))
 
 
-def test_a_wrong_envelope_is_refused_by_reason() -> None:
+def test_a_wrong_header_is_refused_by_reason() -> None:
     payload = encode(push(np.random.default_rng(0)))
     body = payload[16:]
     assert reason(b"") == "short"
@@ -117,7 +117,7 @@ def test_anything_but_one_whole_zstd_frame_is_refused() -> None:
     assert reason(frame.seal(3, b"")) == "zstd"
 
 
-def test_content_of_any_other_length_is_refused_and_so_is_what_no_sender_pads_with() -> None:
+def test_content_of_a_wrong_length_or_with_wrong_padding_is_refused() -> None:
     sound = content(encode(Ack(1, "a", 0, "low", 0, None)))
     assert reason(frame.seal(3, sound + b"x", frame.PLAIN)) == "trailing"
     assert reason(frame.seal(3, sound[:3], frame.PLAIN)) == "content"
@@ -128,7 +128,7 @@ def test_content_of_any_other_length_is_refused_and_so_is_what_no_sender_pads_wi
     )
 
 
-def test_what_comes_as_it_is_has_the_same_limit_and_an_unknown_packing_is_refused() -> None:
+def test_plain_content_has_the_same_limit_and_an_unknown_packing_is_refused() -> None:
     assert reason(frame.seal(3, bytes(5000), frame.PLAIN)) == "size"
     assert reason(frame.seal(3, bytes(16), 2)) == "header"
 

@@ -1,4 +1,4 @@
-"""The key space is the one that others rely on, and each key is read back to what made it."""
+"""Keys have the published form, and parsing returns the parts that made them."""
 
 import pytest
 
@@ -16,9 +16,9 @@ EXAMPLES = [
     (keys.sample(RUN, Level.HIGH, 2), "sample/high/2", {"level": "high", "shard": "2"}),
     (keys.priority(RUN, Level.LOW, 12), "priority/low/12", {"level": "low", "shard": "12"}),
     (keys.weights(RUN, Level.LOW), "weights/low", {"level": "low"}),
-    (keys.candidate(RUN, Level.LOW, "best"), "candidate/low/best", {"level": "low", "id": "best"}),
+    (keys.candidate(RUN, Level.LOW, "3-best"), "candidate/low/3-best", {"level": "low", "id": "3-best"}),
     (keys.evaluation(RUN, "a0"), "evaluation/a0", {"actor": "a0"}),
-    (keys.control(RUN, "actor.3"), "control/actor.3", {"role": "actor.3"}),
+    (keys.control(RUN, "learner-low"), "control/learner-low", {"role": "learner-low"}),
     (keys.stats(RUN, "replay", "0"), "stats/replay/0", {"role": "replay", "id": "0"}),
     (keys.events(RUN), "events", {}),
     (keys.alive(RUN, "learner", "low"), "alive/learner/low", {"role": "learner", "id": "low"}),
@@ -31,7 +31,7 @@ def test_each_key_is_as_published_and_reads_back(key: str, expected: str, fields
     assert keys.parse(key) == (RUN, expected.split("/")[0], fields)
 
 
-def test_patterns_put_a_star_for_any_name() -> None:
+def test_patterns_have_a_star_for_any_name() -> None:
     assert keys.push(RUN, Level.LOW, keys.ANY, keys.ANY) == "zsdist/default/push/low/*/*"
     assert keys.stats(keys.ANY, keys.ANY, keys.ANY) == "zsdist/*/stats/*/*"
 
@@ -59,7 +59,7 @@ def test_patterns_put_a_star_for_any_name() -> None:
         "zsdist/default/ack/" + "a" * 65,
     ],
 )
-def test_foreign_keys_are_not_taken_for_ours(key: str) -> None:
+def test_foreign_keys_are_not_parsed(key: str) -> None:
     assert keys.parse(key) is None
 
 

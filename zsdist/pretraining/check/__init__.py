@@ -1,1 +1,1 @@
-"""Check of trained vision on pictures that nothing was trained or chosen on."""
+"""Check of a trained vision model on pictures that were not used for training or any choice."""

@@ -1,4 +1,4 @@
-"""A trained visual-act model beside yardsticks that know less or more than it does, on pictures never used to choose.
+"""Check of a trained visual-act model beside yardsticks that know less or more, on pictures not used for any choice.
 
 A part for which the folder of weights lacks something is left out and named under "left_out" with the reason.
 """
@@ -7,6 +7,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from zsdist.config import CameraConfig, Config, VisionConfig
 from zsdist.errors import RunError, WeightsError
 from zsdist.evaluation.statistics import wilson_95
 from zsdist.pretraining.check import objects, words
-from zsdist.pretraining.check.predictions import CALIBRATED_SHARE, Readings, read
+from zsdist.pretraining.check.predictions import CALIBRATED_SHARE, Predictions, predict
 from zsdist.pretraining.check.sets import SETS, Sample, of_set, wilderness
 from zsdist.sim.scenes.kinds import SIGHT_HEIGHT_M
 from zsdist.vision.encoders import open_encoder
@@ -28,9 +29,9 @@ from zsdist.vision.visual_act import VisualAct
 FIGURES = ("best_action_accuracy", "regret", "mae", "miss_rate", "false_alarm_rate")
 YARDSTICKS = ("always_forward", "goal_only", "depth_oracle")
 SET_FIGURES = ("best_action_accuracy", "miss_rate", "false_alarm_rate", "calibration_10", "calibration_10_all_rays")
-OBJECTS = 60
-_TIMED = 40  # pictures, one at a time
-_UNTIMED = 5  # before them, until caches are warm
+OBJECTS = 60  # driven up to
+_TIMED = 40  # pictures whose time is measured, one at a time
+_UNTIMED = 5  # pictures before them, to warm up
 
 
 def check(
@@ -42,56 +43,57 @@ def check(
     objects_file: Path | None = None,
     unseen_kinds: bool = False,
 ) -> dict[str, Any]:
-    """Figures of the trained model and of three yardsticks on the same fresh pictures, printed and written as JSON.
+    """Return figures of the trained model and of three yardsticks on the same new pictures; print and write them.
 
-    The goals are random and mostly ahead, as they are to a car that drives to one. The yardsticks:
+    The goals are random and mostly ahead, as for a car that drives to its goal. The yardsticks:
 
-    * `always_forward` says that everything is free and the goal straight ahead, whatever is there;
-    * `goal_only` knows the goal and looks at nothing: every direction is equally open and every ray free;
-    * `depth_oracle` has the true depth image instead of the picture and takes everything to stand still: what
-      remains is what no look at distances from there could tell.
+    * `always_forward` predicts that everything is free and the goal straight ahead;
+    * `goal_only` knows the goal but no picture: every direction is equally open and every ray free;
+    * `depth_oracle` has the true depth image and assumes that nothing moves: its errors are those that distances from
+      this viewpoint cannot avoid.
 
     Args:
-        config: of weights, camera and grid.
-        images: of the wilderness, and of each set.
-        seed: of all that is drawn.
+        config: has weights, camera and grid.
+        images: number of pictures of the wilderness and of each set.
+        seed: of all random choices.
         out: JSON file to write; None: none.
-        object_count: objects to drive up to; 0: none.
-        objects_file: where each of them is noted, and from where a measurement goes on.
-        unseen_kinds: whether to train projections without some kinds and measure them on those.
+        object_count: number of objects to drive up to; 0: none.
+        objects_file: records each of these objects, so that a measurement can be resumed; None: none.
+        unseen_kinds: also train projections without some kinds and measure them on those.
 
     Raises:
         WeightsError: the weights cannot be used.
-        RunError: a file cannot be written, or an objects file be gone on with.
+        RunError: a file cannot be written, or the objects file cannot be resumed.
     """
     if out is not None and (out.is_dir() or not out.resolve().parent.is_dir()):
         raise RunError(f"--json is {str(out)!r}; allowed is a file in a folder that exists")
     model = VisualAct.load(config.vision, config.camera)
-    depth_rays, left_out = [], {}
-    looks = words.Observations.of(model, config, left_out)
+    depth_rays: list[np.ndarray] = []
+    left_out: dict[str, str] = {}
+    observations = words.Observations.create(model, config, left_out)
     rng = np.random.default_rng([seed, 3])
 
-    def also(batch: list[Sample]) -> None:
+    def on_batch(batch: list[Sample]) -> None:
         depth_rays.extend(_depth_rays(sample.depth_m, config.camera) for sample in batch)
-        if looks is not None:
-            looks.take(batch)
+        if observations is not None:
+            observations.add(batch)
 
-    wild = read(model, wilderness(images, seed, config.camera), config.vision.ray_quantile, rng, also)
-    say(f"wilderness: {images} pictures read")
+    wild = predict(model, wilderness(images, seed, config.camera), config.vision.ray_quantile, rng, on_batch)
+    log(f"wilderness: {images} pictures done")
     sets = {}
     for name in SETS:
         pictures = of_set(name, images, seed, config.camera)
-        sets[name] = read(model, pictures, config.vision.ray_quantile, rng)
-        say(f"{SETS[name].title}: {images} pictures read")
+        sets[name] = predict(model, pictures, config.vision.ray_quantile, rng)
+        log(f"{SETS[name].title}: {images} pictures done")
     result = {
         "images": images,
         **wild.scores(),
         **yardsticks(wild, np.stack(depth_rays), config.camera),
         "families": {family: wild.scores(wild.families == family) for family in dict.fromkeys(wild.families.tolist())},
-        "sets": over_sets({name: readings.set_scores() for name, readings in sets.items()}),
-        "objects": {"one_look": one_look([wild, *sets.values()])},
-        **(looks.figures() if looks is not None else {}),
-        **words.words(config, seed, images, unseen_kinds, left_out),
+        "sets": summarise_sets({name: predictions.set_scores() for name, predictions in sets.items()}),
+        "objects": {"one_look": unseen_in_one_picture([wild, *sets.values()])},
+        **(observations.figures() if observations is not None else {}),
+        **words.naming(config, seed, images, unseen_kinds, left_out),
         "ms_per_image": milliseconds(config, seed, left_out),
         "seed": seed,
         "network": config.vision.network,
@@ -100,12 +102,12 @@ def check(
         "weights_sha256": model.weights_sha256,
     }
     if object_count:
-        driven = objects.measure(model, config, object_count, seed, objects_file, say)
+        driven = objects.measure(model, config, object_count, seed, objects_file, log)
         result["objects"]["after_drive_up"] = driven
     else:
         left_out["objects.after_drive_up"] = "--objects 0"
     result["left_out"] = left_out
-    result = finite(result)
+    result = without_nan(result)
     show(result)
     if out is not None:
         try:
@@ -115,26 +117,26 @@ def check(
     return result
 
 
-def yardsticks(wild: Readings, depth_rays: np.ndarray, camera: CameraConfig) -> dict[str, dict[str, float]]:
-    """The figures of those who do not look, and of the one who measures `depth_rays` `(N, R)`, as of `check`."""
+def yardsticks(wild: Predictions, depth_rays: np.ndarray, camera: CameraConfig) -> dict[str, dict[str, float]]:
+    """Return the figures of the yardsticks of `check`; `depth_rays` `(N, R)` are those of the depth oracle."""
     gain, goal_m = progress(wild.goal_bearing_rad, wild.goal_distance_m), wild.goal_distance_m[:, None]
     angles = ray_angles_rad(RAYS, math.radians(camera.field_of_view_deg))
     clearance_m, still = nearest(depth_rays, np.zeros(depth_rays.shape, bool), angles)
     free = np.full_like(wild.true_rays_m, camera.range_m)
-    straight = np.tile(reward_label(1.0, progress(0.0, 10.0)), (len(free), 1))
-    readings = (
+    straight = np.tile(reward_label(np.array(1.0, np.float32), progress(np.array(0.0), np.array(10.0))), (len(free), 1))
+    predictions = (
         (straight, free),
-        (reward_label(0.5, gain), free),
+        (reward_label(np.array(0.5, np.float32), gain), free),
         (reward_label(openness(clearance_m, still, goal_m), gain), depth_rays),
     )
     return {
         name: action_scores(rewards, wild.labels) | ray_scores(rays, wild.true_rays_m)
-        for name, (rewards, rays) in zip(YARDSTICKS, readings, strict=True)
+        for name, (rewards, rays) in zip(YARDSTICKS, predictions, strict=True)
     }
 
 
-def over_sets(scores: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
-    """The figures of each set, and their median and worst: of calibration, the one farthest from what it should be."""
+def summarise_sets(scores: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+    """Return the figures of each set, their median and the worst: for calibration the one farthest from its aim."""
 
     def badness(key: str, value: float) -> float:
         if key == "best_action_accuracy":
@@ -145,23 +147,22 @@ def over_sets(scores: dict[str, dict[str, float]]) -> dict[str, dict[str, float]
     known = {key: values for key, values in columns.items() if values}
     return scores | {
         "median": {key: float(np.median(values)) for key, values in known.items()},
-        "worst": {key: max(values, key=lambda value, key=key: badness(key, value)) for key, values in known.items()},
+        "worst": {key: max(values, key=partial(badness, key)) for key, values in known.items()},
     }
 
 
-def one_look(readings: Iterable[Readings]) -> dict[str, Any]:
-    """Whole objects near by that one look does not see at the working quantile, over all pictures given."""
-    near, unseen = np.sum([each.unseen() for each in readings], axis=0).tolist()
+def unseen_in_one_picture(predictions: Iterable[Predictions]) -> dict[str, Any]:
+    """Return how many near objects are completely unseen in a single picture at the working quantile."""
+    near, unseen = np.sum([each.unseen() for each in predictions], axis=0).tolist()
     return {"objects": near, "unseen": unseen} | (
         {"share": unseen / near, "confidence_95": list(wilson_95(unseen, near))} if near else {}
     )
 
 
 def milliseconds(config: Config, seed: int, left_out: dict[str, str]) -> dict[str, float]:
-    """Median milliseconds of a picture that comes alone and was not read before.
+    """Return the median milliseconds for one new picture at a time.
 
-    `trunk` is the encoder alone, `head` the whole reading by encoder and head, `student` the whole reading by the
-    student.
+    `trunk` is the encoder alone, `head` the whole prediction by encoder and head, `student` that by the student.
     """
     pictures = [sample.image[None] for sample in wilderness(_TIMED + _UNTIMED, seed + 1, config.camera)]
     times = {}
@@ -178,22 +179,24 @@ def milliseconds(config: Config, seed: int, left_out: dict[str, str]) -> dict[st
     return times
 
 
-def finite(tree: Any) -> Any:
-    """The same figures without those that are not known (NaN)."""
+def without_nan(tree: Any) -> Any:
+    """Return a tree of figures without those that are unknown (NaN)."""
     if isinstance(tree, Mapping):
         return {
-            key: finite(value) for key, value in tree.items() if not (isinstance(value, float) and math.isnan(value))
+            key: without_nan(value)
+            for key, value in tree.items()
+            if not (isinstance(value, float) and math.isnan(value))
         }
     return tree
 
 
-def say(line: str) -> None:
-    """Progress."""
+def log(line: str) -> None:
+    """Print a line of progress."""
     print(line, flush=True)
 
 
 def show(result: dict[str, Any]) -> None:
-    """Prints the figures."""
+    """Print the figures."""
     rows = {"model": result} | {name: result[name] for name in YARDSTICKS} | result["families"]
     _table(rows, FIGURES)
     _table(result["sets"], SET_FIGURES)
@@ -212,6 +215,7 @@ def show(result: dict[str, Any]) -> None:
 
 
 def _table(rows: dict[str, dict[str, float]], keys: tuple[str, ...]) -> None:
+    """Print figures, one row per name."""
     print("\n" + " " * 22 + "".join(f"{key:>24}" for key in keys))
     for name, row in rows.items():
         print(f"{name:22}" + "".join(f"{row[key]:24.3f}" if key in row else f"{'-':>24}" for key in keys))
@@ -227,6 +231,7 @@ def _median_ms(forward: Callable[[np.ndarray], Any], images: list[np.ndarray]) -
 
 
 def _depth_rays(depth_m: np.ndarray, camera: CameraConfig) -> np.ndarray:
+    """Return the distances `(R,)` along the rays in a depth image."""
     return depth_rays_m(
         depth_m, RAYS, math.radians(camera.field_of_view_deg), camera.height_m, camera.range_m, SIGHT_HEIGHT_M
     )

@@ -1,4 +1,4 @@
-"""Pictures of what trained vision does, as files: JPEG where they show pictures of the camera, else PNG."""
+"""Figures of a trained vision model: JPEG files if they show pictures of the camera, else PNG."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,10 +18,10 @@ from zsdist.vision.rays import BIN_EDGES_M, RANGE_M
 
 matplotlib.use("Agg")
 
-TRUE_COLOUR, SAID_COLOUR = "#18b66a", "#ff2e88"
+TRUE_COLOUR, PREDICTED_COLOUR = "#18b66a", "#ff2e88"
 TRAINING_COLOUR, VALIDATION_COLOUR = "#9aa5b1", "#1f5fa8"
 ACTION_TITLES = tuple(f"{name} ($I_{number}$)" for number, name in enumerate(DIRECTIONS, 1))
-CONFUSION_EDGES_M = BIN_EDGES_M[::2]  # two bins of the distributions are one of the heat map
+CONFUSION_EDGES_M = BIN_EDGES_M[::2]  # a bin of the heat map is two bins of the distributions
 _TICKS_M = (0.25, 0.5, 1.0, 2.0, 4.0)
 _DPI = 130
 _JPEG_QUALITY = 90  # of figures made of pictures, a quarter of the size of a PNG
@@ -29,24 +29,25 @@ _JPEG_QUALITY = 90  # of figures made of pictures, a quarter of the size of a PN
 
 @dataclass(frozen=True)
 class Miss:
-    """A picture with its rays, true and said, and the name of its set.
+    """Picture with missed rays.
 
     Attributes:
         image: `(px, px, 3)` uint8.
-        true_m, said_m: `(R,)`, at most the camera's range.
-        worst: the ray whose said distance exceeds the true one most.
+        true_m: `(R,)` true distances, at most the camera's range.
+        predicted_m: `(R,)` predicted distances, likewise.
+        worst: index of the ray whose prediction exceeds the true distance most.
         title: of the set.
     """
 
     image: np.ndarray
     true_m: np.ndarray
-    said_m: np.ndarray
+    predicted_m: np.ndarray
     worst: int
     title: str
 
 
 def draw_losses(history: Sequence[Mapping[str, Any]], file: Path) -> None:
-    """Loss over the epochs of each stage, in training and validation, one panel a stage (Fig. 5 of the paper).
+    """Draw the loss over the epochs in training and validation, one panel per stage (Fig. 5 of the paper).
 
     Args:
         history: objects of `training.jsonl`, at least one.
@@ -74,12 +75,12 @@ def draw_losses(history: Sequence[Mapping[str, Any]], file: Path) -> None:
 
 
 def draw_attention(images: Sequence[np.ndarray], attention: np.ndarray, titles: Sequence[str], file: Path) -> None:
-    """Where each action looked on pictures: a row a picture, the picture itself first.
+    """Draw the attention of each action on pictures: one row per picture, the picture itself first.
 
     Args:
         images: N pictures `(px, px, 3)` uint8.
         attention: `(N, 3, side * side)`.
-        titles: of the pictures.
+        titles: one per picture.
         file: JPEG to write.
     """
     side = round(attention.shape[-1] ** 0.5)
@@ -100,50 +101,50 @@ def draw_attention(images: Sequence[np.ndarray], attention: np.ndarray, titles: 
     _save(figure, file)
 
 
-def confusion(true_m: np.ndarray, said_m: np.ndarray, edges_m: np.ndarray = CONFUSION_EDGES_M) -> np.ndarray:
-    """Share of each true bin that was said to be in each bin, `(bins, bins)` with the last one for "free".
+def confusion(true_m: np.ndarray, predicted_m: np.ndarray, edges_m: np.ndarray = CONFUSION_EDGES_M) -> np.ndarray:
+    """Return the confusion of true and predicted distances, `(bins, bins)`; the last bin means "free".
 
-    Rows are true and sum to 1, or to 0 where no truth falls into the bin.
+    Rows are true bins. Each holds the shares of predictions and sums to 1, or to 0 if the true bin is empty.
 
     Args:
-        true_m: at most the range.
-        said_m: of the same shape.
-        edges_m: rising, the last one the range; what is nearer than the first counts into the first bin.
+        true_m: true distances, at most the range.
+        predicted_m: predicted distances of the same shape.
+        edges_m: increasing edges, the last one the range; distances below the first one count into the first bin.
     """
     bins = len(edges_m)
     true = np.clip(np.searchsorted(edges_m, true_m.ravel(), side="right") - 1, 0, bins - 1)
-    said = np.clip(np.searchsorted(edges_m, said_m.ravel(), side="right") - 1, 0, bins - 1)
-    counts = np.bincount(true * bins + said, minlength=bins * bins).reshape(bins, bins)
+    predicted = np.clip(np.searchsorted(edges_m, predicted_m.ravel(), side="right") - 1, 0, bins - 1)
+    counts = np.bincount(true * bins + predicted, minlength=bins * bins).reshape(bins, bins)
     return counts / np.maximum(counts.sum(1, keepdims=True), 1)
 
 
 def draw_confusion(panels: Mapping[str, tuple[np.ndarray, np.ndarray]], file: Path) -> None:
-    """Said against true distance as heat maps, a column a true distance.
+    """Draw predicted against true distance as heat maps, one column per true distance.
 
     Args:
-        panels: `(true_m, said_m)` by title.
+        panels: `(true_m, predicted_m)` by title.
         file: PNG to write.
     """
     figure = Figure(figsize=(4.1 * len(panels) + 0.6, 4.1), layout="constrained")
     grid = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
     edges = np.append(CONFUSION_EDGES_M, RANGE_M * CONFUSION_EDGES_M[1] / CONFUSION_EDGES_M[0])
-    for axes, (title, (true_m, said_m)) in zip(grid, panels.items(), strict=True):
-        shares = confusion(true_m, said_m)
+    for axes, (title, (true_m, predicted_m)) in zip(grid, panels.items(), strict=True):
+        shares = confusion(true_m, predicted_m)
         mesh = axes.pcolormesh(edges, edges, shares.T, cmap="Blues", norm=PowerNorm(0.5, 0, 1))
         axes.plot(edges, edges, color="black", linewidth=0.6, alpha=0.5)
         axes.set(xscale="log", yscale="log", aspect="equal", xlabel="true distance (m)")
         axes.set_title(title, fontsize=9)
         _distance_ticks(axes, edges)
-    grid[0].set_ylabel("distance said (m)")
+    grid[0].set_ylabel("predicted distance (m)")
     figure.colorbar(mesh, ax=list(grid), label="share of the column", shrink=0.8, ticks=(0, 0.01, 0.05, 0.2, 0.5, 1))
     _save(figure, file)
 
 
 def draw_reliability(curves: Mapping[str, tuple[np.ndarray, np.ndarray]], file: Path) -> None:
-    """How often the truth lies under each quantile, a panel a set; the diagonal is what it should be.
+    """Draw how often the truth lies under each quantile, one panel per set; the diagonal is ideal.
 
     Args:
-        curves: shares of the quantiles and shares of truths under them, by title.
+        curves: quantiles and the shares of true distances under them, by title.
         file: PNG to write.
     """
     columns = min(4, len(curves))
@@ -165,7 +166,7 @@ def draw_reliability(curves: Mapping[str, tuple[np.ndarray, np.ndarray]], file: 
 
 
 def draw_misses(misses: Sequence[Miss], field_of_view_rad: float, camera_height_m: float, file: Path) -> None:
-    """Pictures with the feet of the rays on the ground, and below each the distances along its rays, true and said.
+    """Draw pictures with the ends of the rays on the ground, and below each the true and predicted distances.
 
     Args:
         misses: at least one.
@@ -181,14 +182,17 @@ def draw_misses(misses: Sequence[Miss], field_of_view_rad: float, camera_height_
         row, column = divmod(number, columns)
         picture, profile, px = grid[2 * row, column], grid[2 * row + 1, column], len(miss.image)
         picture.imshow(miss.image)
-        for distance, colour, label in ((miss.true_m, TRUE_COLOUR, "true"), (miss.said_m, SAID_COLOUR, "said")):
+        for distance, colour, label in (
+            (miss.true_m, TRUE_COLOUR, "true"),
+            (miss.predicted_m, PREDICTED_COLOUR, "predicted"),
+        ):
             across, down = feet_px(distance, px, field_of_view_rad, camera_height_m)
             picture.plot(across, np.where(distance < RANGE_M, down, np.nan), color=colour, linewidth=2)
             profile.plot(across, distance, color=colour, linewidth=1.6, drawstyle="steps-mid", label=label)
         for axes, colour in ((picture, "white"), (profile, "black")):
             axes.axvline(across[miss.worst], color=colour, linewidth=0.8, linestyle=":")
-        true, said = miss.true_m[miss.worst], miss.said_m[miss.worst]
-        picture.set_title(f"{miss.title}\ntrue {true:.1f} m, said {_distance(said)}", fontsize=8)
+        true_m, predicted_m = miss.true_m[miss.worst], miss.predicted_m[miss.worst]
+        picture.set_title(f"{miss.title}\ntrue {true_m:.1f} m, predicted {_distance(predicted_m)}", fontsize=8)
         picture.set(xlim=(0, px), ylim=(px, 0))
         _frame_only(picture)
         profile.set(xlim=(0, px), ylim=(0, 1.06 * RANGE_M), xticks=[], yticks=(0, RANGE_M / 2, RANGE_M))
@@ -204,10 +208,10 @@ def draw_misses(misses: Sequence[Miss], field_of_view_rad: float, camera_height_
 def feet_px(
     distance_m: np.ndarray, px: int, field_of_view_rad: float, camera_height_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where the rays' ends show on the ground, in pixels from the left and from the top, `(R,)` each.
+    """Return the pixels of the rays' ends on the ground, from the left and from the top, `(R,)` each.
 
     Args:
-        distance_m: `(R,)` horizontal distances, of equal pixel columns from the left.
+        distance_m: `(R,)` horizontal distances of rays that divide the picture's columns evenly, from the left.
         px: side of the picture.
         field_of_view_rad: of the level camera.
         camera_height_m: above the ground.
@@ -231,6 +235,7 @@ def _distance(metres: float) -> str:
 
 
 def _distance_ticks(axes: Axes, edges: np.ndarray) -> None:
+    """Label both axes with distances, and the last bin with "free"."""
     free = float(np.sqrt(edges[-2] * edges[-1]))
     names = {**{tick: f"{tick:g}" for tick in _TICKS_M}, free: "free"}
     for axis in (axes.xaxis, axes.yaxis):
@@ -241,6 +246,7 @@ def _distance_ticks(axes: Axes, edges: np.ndarray) -> None:
 
 
 def _plain(axes: Axes) -> None:
+    """Leave out the upper and right edge, and draw a light grid."""
     for edge in ("top", "right"):
         axes.spines[edge].set_visible(False)
     axes.tick_params(labelsize=8, length=2)
@@ -248,6 +254,7 @@ def _plain(axes: Axes) -> None:
 
 
 def _frame_only(axes: Axes) -> None:
+    """Leave out ticks and edges."""
     axes.set(xticks=[], yticks=[])
     for spine in axes.spines.values():
         spine.set_visible(False)

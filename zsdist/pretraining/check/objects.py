@@ -1,9 +1,9 @@
-"""Whole objects that stay unseen after the car has driven up to them with its belief map.
+"""Share of objects that stay completely unseen while the car drives up to them with its belief map.
 
-An object of a wilderness scene is driven up to in a straight line: `LOOKS` looks from `FIRST_M` to `LAST_M` between
-camera and surface, each a little off the line and turned a little away. Each look goes into a `BeliefMap` as it does
-when the car drives. The object is unseen if at the end no square is believed occupied within `AROUND_M` of the points
-at which the true rays of the looks met it, leaving out squares that another obstacle touches.
+The car drives up to an object of a wilderness scene in a straight line. It takes `OBSERVATIONS` pictures from `FIRST_M`
+to `LAST_M` between camera and surface, each a little off the line and turned a little away, and updates a `BeliefMap`
+as it does when it drives. The object is unseen if in the end no fine cell is believed occupied within `AROUND_M` of
+the points at which true rays meet it; fine cells that another obstacle touches do not count.
 """
 
 import contextlib
@@ -33,18 +33,18 @@ from zsdist.sim.scenes.scene import Obstacle, Scene
 from zsdist.types import Pose
 from zsdist.vision.visual_act import VisualAct
 
-LOOKS = 30
-FIRST_M, LAST_M = 5.0, 1.2  # from the camera to the object's surface
-ASIDE_M = 0.3  # standard deviation of a look's place across the line
-TURNED_RAD = 0.15  # and of its heading
+OBSERVATIONS = 30
+FIRST_M, LAST_M = 5.0, 1.2  # from the camera to the surface of the object
+ASIDE_M = 0.3  # standard deviation of a pose across the line
+TURNED_RAD = 0.15  # standard deviation of its heading
 AROUND_M = 0.4
-_TRIES = 200  # lines of approach drawn before another scene is taken
-_GOAL_M = 8.0  # a goal straight ahead; what is believed does not depend on it
+_TRIES = 200  # approaches that are drawn in a scene before the next scene is drawn
+_GOAL_M = 8.0  # to a goal straight ahead, which has no effect on the map
 
 
 @dataclasses.dataclass(frozen=True)
 class Approach:
-    """The poses from which the obstacle `index` of a scene is looked at."""
+    """Poses from which the obstacle `index` of a scene is observed."""
 
     scene: Scene
     index: int
@@ -52,7 +52,7 @@ class Approach:
 
 
 def approach(number: int, seed: int, camera: CameraConfig) -> Approach:
-    """The `number`-th approach of a seed, whatever others are made; no pose of it touches anything."""
+    """Return approach `number` of a seed, which does not depend on the others; no pose of it touches anything."""
     rng, angles_rad = np.random.default_rng([seed, 5, number]), camera_angles_rad(camera)
     for family in itertools.islice(itertools.cycle(OOD_FAMILIES), number % len(OOD_FAMILIES), None):
         scene = generate(family, split_seed("test", int(rng.integers(len(SPLITS["test"])))))
@@ -62,15 +62,15 @@ def approach(number: int, seed: int, camera: CameraConfig) -> Approach:
             poses = _poses(scene.obstacles[index], camera.forward_m, rng)
             if any(touching(pose, circles, boxes, arena_m=2 * ARENA_HALF_M) for pose in poses):
                 continue
-            if (rays_met(scene, poses[-1], camera, angles_rad).obstacle == ray_index(scene, index)).sum() >= 2:
+            if (rays_met(scene, poses[-1], camera, angles_rad).obstacle == obstacle_number(scene, index)).sum() >= 2:
                 return Approach(scene, index, poses)
-    raise AssertionError("families never end")
+    raise AssertionError("the cycle of families never ends")
 
 
 def drive_up(model: VisualAct, drive: Approach, config: Config) -> bool:
-    """Whether the map holds something of the object after all looks of the approach."""
-    with contextlib.closing(make_camera(config.camera)) as eye:
-        images = np.stack([eye.render(drive.scene, pose) for pose in drive.poses])
+    """Return whether the map shows some part of the object after all pictures of an approach."""
+    with contextlib.closing(make_camera(config.camera)) as camera:
+        images = np.stack([camera.render(drive.scene, pose) for pose in drive.poses])
     ahead = np.zeros(len(images), np.float32)
     belief = BeliefMap(Grid.from_config(config.grid))
     for pose, view in zip(drive.poses, model(images, ahead, ahead + _GOAL_M), strict=True):
@@ -79,10 +79,10 @@ def drive_up(model: VisualAct, drive: Approach, config: Config) -> bool:
 
 
 def visible_side(drive: Approach, grid: Grid, camera: CameraConfig) -> np.ndarray:
-    """Squares `(fine_size, fine_size)` bool within `AROUND_M` of where a look's ray meets the object, others' aside."""
+    """Return `(fine_size, fine_size)` bool, the fine cells at the object's visible surface without those of others."""
     angles_rad = camera_angles_rad(camera)
-    wanted, (xs, ys) = ray_index(drive.scene, drive.index), grid.fine_centres()
-    side = np.zeros((grid.fine_size, grid.fine_size), bool)
+    wanted, (xs, ys) = obstacle_number(drive.scene, drive.index), grid.fine_centres()
+    visible = np.zeros((grid.fine_size, grid.fine_size), bool)
     for pose in drive.poses:
         rays = rays_met(drive.scene, pose, camera, angles_rad)
         met = rays.obstacle == wanted
@@ -91,58 +91,58 @@ def visible_side(drive: Approach, grid: Grid, camera: CameraConfig) -> np.ndarra
         points_x = pose.x_m + camera.forward_m * math.cos(pose.heading_rad) + distance * np.cos(heading)
         points_y = pose.y_m + camera.forward_m * math.sin(pose.heading_rad) + distance * np.sin(heading)
         for x_m, y_m in zip(points_x, points_y, strict=True):
-            side |= (xs[None] - x_m) ** 2 + (ys[:, None] - y_m) ** 2 <= AROUND_M**2
+            visible |= (xs[None] - x_m) ** 2 + (ys[:, None] - y_m) ** 2 <= AROUND_M**2
     standing = tuple(
-        dataclasses.replace(other, path=(), speed_mps=0.0)  # walkers stand at their first place in these pictures
+        dataclasses.replace(other, path=(), speed_mps=0.0)  # people stand at their first position in these pictures
         for number, other in enumerate(drive.scene.obstacles)
         if number != drive.index
     )
-    return side & ~dataclasses.replace(drive.scene, obstacles=standing).occupancy(grid)
+    return visible & ~dataclasses.replace(drive.scene, obstacles=standing).occupancy(grid)
 
 
-def ray_index(scene: Scene, index: int) -> int:
-    """The number that `raycast.ray_distances` has for the scene's obstacle `index`: round ones come first."""
+def obstacle_number(scene: Scene, index: int) -> int:
+    """Return the number that `raycast.ray_distances` gives to obstacle `index` of a scene: round ones come first."""
     is_round = [obstacle.radius_m is not None for obstacle in scene.obstacles]
     same = sum(other == is_round[index] for other in is_round[:index])
     return same if is_round[index] else sum(is_round) + same
 
 
 def measure(
-    model: VisualAct, config: Config, count: int, seed: int, file: Path | None, say: Callable[[str], None]
+    model: VisualAct, config: Config, count: int, seed: int, file: Path | None, log: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Share of `count` objects that stay unseen, with Wilson's interval.
+    """Return the share of objects that stay unseen, with Wilson's interval.
 
     Args:
-        model: that looks.
-        config: of camera and grid.
-        count: objects to drive up to.
+        model: makes the predictions.
+        config: has camera and grid.
+        count: number of objects to drive up to.
         seed: of scenes and approaches.
-        file: one JSON line an object is appended here, and those that are there already count; None: none is kept.
-        say: progress, a line at a time.
+        file: gets one JSON line per object; objects that it already holds are not driven again. None: none is kept.
+        log: prints a line of progress.
 
     Raises:
         RunError: the file cannot be read or written, is damaged, or is of other weights, settings or seed.
     """
-    of = {
+    identity = {
         "seed": seed,
         "weights_sha256": model.weights_sha256,
         "camera": config.camera.back_end,
     }
-    done = [] if file is None else _resume(file, of)
+    done = [] if file is None else _resume(file, identity)
     for number in range(len(done), count):
         drive = approach(number, seed, config.camera)
         kind = drive.scene.obstacles[drive.index].kind
-        line = {"object": number, "scene": drive.scene.name, "kind": kind, "seen": drive_up(model, drive, config)} | of
-        done.append(line)
+        line = {"object": number, "scene": drive.scene.name, "kind": kind, "seen": drive_up(model, drive, config)}
+        done.append(line | identity)
         if file is not None:
-            _append(file, line)
+            _append(file, done[-1])
         if (number + 1) % 20 == 0 or number + 1 == count:
-            say(f"objects driven up to: {number + 1} of {count}, unseen {sum(not each['seen'] for each in done)}")
+            log(f"objects driven up to: {number + 1} of {count}, unseen {sum(not each['seen'] for each in done)}")
     return summary(done[:count])
 
 
 def summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
-    """Figures of objects driven up to, over all and by kind."""
+    """Return the figures of objects, over all and by kind."""
     unseen = sum(not line["seen"] for line in lines)
     kinds = sorted({line["kind"] for line in lines})
     return {
@@ -150,7 +150,7 @@ def summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
         "unseen": unseen,
         "share": unseen / len(lines),
         "confidence_95": list(wilson_95(unseen, len(lines))),
-        "looks": LOOKS,
+        "looks": OBSERVATIONS,
         "kinds": {
             kind: {
                 "objects": sum(line["kind"] == kind for line in lines),
@@ -162,12 +162,12 @@ def summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _poses(obstacle: Obstacle, forward_m: float, rng: np.random.Generator) -> tuple[Pose, ...]:
-    """A line of looks at an obstacle from a drawn side; some may touch things."""
+    """Return poses on a line towards an obstacle from a random side; they may touch others."""
     away = rng.uniform(-math.pi, math.pi)
     facing = away + math.pi
     reach = _reach_m(obstacle, away)
     poses = []
-    for distance in np.linspace(FIRST_M, LAST_M, LOOKS):
+    for distance in np.linspace(FIRST_M, LAST_M, OBSERVATIONS):
         centre, aside = reach + distance + forward_m, rng.normal(0, ASIDE_M)
         poses.append(
             Pose(
@@ -180,29 +180,35 @@ def _poses(obstacle: Obstacle, forward_m: float, rng: np.random.Generator) -> tu
 
 
 def _reach_m(obstacle: Obstacle, direction_rad: float) -> float:
-    """From an obstacle's centre to its surface."""
+    """Return the distance from the centre of an obstacle to its surface."""
     if obstacle.size_m is None:
+        assert obstacle.radius_m is not None, "an obstacle has a size or a radius"
         return obstacle.radius_m
     side = direction_rad - math.radians(obstacle.heading_deg)
     length, width, _ = obstacle.size_m
     return min(length / 2 / max(abs(math.cos(side)), 1e-9), width / 2 / max(abs(math.sin(side)), 1e-9))
 
 
-def _resume(file: Path, of: dict[str, Any]) -> list[dict[str, Any]]:
+def _resume(file: Path, identity: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the lines of a file; raise `RunError` unless they are of this measurement."""
     if not file.exists():
         return []
     try:
         lines = [json.loads(line) for line in file.read_text().splitlines()]
-        wrong = [key for line in lines for key in of if line[key] != of[key]]
+        wrong = [key for line in lines for key in identity if line[key] != identity[key]]
         _ = [(line["object"], line["seen"], line["kind"]) for line in lines]
     except OSError as error:
         raise RunError(f"--objects-file {file} cannot be read: {error.strerror or error}") from error
     except (ValueError, KeyError, TypeError) as error:
-        raise RunError(f"--objects-file {file} is damaged: {error}; name another file or mend it") from error
+        raise RunError(f"--objects-file {file} is damaged: {error}; allowed is an intact or a new file") from error
     if wrong:
-        raise RunError(f"--objects-file {file} is of another {wrong[0]}; allowed is {of[wrong[0]]!r}, or a new file")
+        raise RunError(
+            f"--objects-file {file} is of another {wrong[0]}; allowed is {identity[wrong[0]]!r}, or a new file"
+        )
     if [line["object"] for line in lines] != list(range(len(lines))):
-        raise RunError(f"--objects-file {file} lacks objects between its first and last; name another file")
+        raise RunError(
+            f"--objects-file {file} lacks objects between its first and last; allowed is an intact or a new file"
+        )
     return lines
 
 

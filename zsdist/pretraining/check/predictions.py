@@ -1,4 +1,4 @@
-"""What a model says of many pictures beside the truth about them, and the scores that follow from it."""
+"""Predictions of a model for many pictures beside the ground truth, and their scores."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -12,22 +12,22 @@ from zsdist.vision.rays import RANGE_M, quantile_m
 from zsdist.vision.scores import action_scores, calibration, ray_scores, unseen_objects
 from zsdist.vision.visual_act import VisualAct
 
-CALIBRATED_SHARE = 0.1  # the quantile under which the truth is counted
+CALIBRATED_SHARE = 0.1  # quantile of the predicted distance below which true distances are counted
 
 
 @dataclass(frozen=True)
-class Readings:
-    """What a model said of N pictures of R rays, distances in K bins, for goals drawn for them; and the truth.
+class Predictions:
+    """Predictions for N pictures with R rays, distances in K bins and random goals, and the ground truth.
 
     Attributes:
-        advice: `(N, 3)` R_p said.
-        clearance_m: `(N, 3)` said, at the working quantile.
-        ray_probabilities: `(N, R, K)` said.
-        rays_m: `(N, R)` said, at the working quantile.
+        advice: `(N, 3)` predicted R_p.
+        clearance_m: `(N, 3)` predicted, at the working quantile.
+        ray_probabilities: `(N, R, K)` predicted.
+        rays_m: `(N, R)` predicted, at the working quantile.
         labels: `(N, 3)` true R_p.
         true_clearance_m: `(N, 3)`.
         true_rays_m: `(N, R)`.
-        objects: `(N, R)` as of `Sample`.
+        objects: `(N, R)` as in `Sample`.
         families: `(N,)` str, of the scenes.
         goal_bearing_rad: `(N,)`.
         goal_distance_m: `(N,)`.
@@ -45,12 +45,13 @@ class Readings:
     goal_bearing_rad: np.ndarray
     goal_distance_m: np.ndarray
 
-    def scores(self, of: np.ndarray | slice = slice(None)) -> dict[str, float]:
-        """The five figures of actions and rays, for all pictures or those chosen by `of`."""
-        return action_scores(self.advice[of], self.labels[of]) | ray_scores(self.rays_m[of], self.true_rays_m[of])
+    def scores(self, chosen: np.ndarray | slice = slice(None)) -> dict[str, float]:
+        """Return the five figures of actions and rays, for all pictures or the chosen ones."""
+        actions = action_scores(self.advice[chosen], self.labels[chosen])
+        return actions | ray_scores(self.rays_m[chosen], self.true_rays_m[chosen])
 
     def set_scores(self) -> dict[str, float]:
-        """What a set of pictures is judged by."""
+        """Return the figures by which a set of pictures is judged."""
         scores = self.scores()
         quantile = quantile_m(self.ray_probabilities, CALIBRATED_SHARE)
         calibrated = calibration(quantile, self.true_rays_m, RANGE_M)
@@ -65,32 +66,32 @@ class Readings:
         }
 
     def unseen(self) -> tuple[int, int]:
-        """How many objects were near, and how many of them were not seen, as `scores.unseen_objects` counts."""
+        """Return the number of near objects and of the unseen ones among them, as `scores.unseen_objects` counts."""
         return unseen_objects(self.objects, self.rays_m, self.true_rays_m)
 
 
-def read(
+def predict(
     model: VisualAct,
     samples: Iterable[Sample],
     quantile: float,
     rng: np.random.Generator,
-    also: Callable[[list[Sample]], None] = lambda batch: None,
-) -> Readings:
-    """What `model` says of pictures; they are not kept.
+    on_batch: Callable[[list[Sample]], None] = lambda batch: None,
+) -> Predictions:
+    """Return the predictions of a model for pictures, which are not kept.
 
     Args:
-        model: that reads.
+        model: makes the predictions.
         samples: at least one.
-        quantile: at which distances are taken.
+        quantile: of the predicted distribution, used as the distance.
         rng: draws a goal for each picture, mostly ahead.
-        also: is shown each batch of pictures as it passes.
+        on_batch: called with each batch of pictures.
     """
-    said, truths = [], []
+    predicted, truths = [], []
     for batch in batched(samples, BATCH):
         bearing, distance = random_goals(len(batch), rng)
         views = model(np.stack([sample.image for sample in batch]), bearing, distance)
         probabilities = np.stack([view.ray_probabilities for view in views])
-        said.append(
+        predicted.append(
             (
                 np.stack([view.advice for view in views]),
                 np.stack([view.clearance_m for view in views]),
@@ -107,6 +108,6 @@ def read(
             np.array([sample.family for sample in batch]),
         )
         truths.append((labels, clearance_m, rays_m, objects, families, bearing, distance))
-        also(batch)
-    columns = [np.concatenate(column) for rows in (said, truths) for column in zip(*rows, strict=True)]
-    return Readings(*columns)
+        on_batch(batch)
+    columns = [np.concatenate(column) for rows in (predicted, truths) for column in zip(*rows, strict=True)]
+    return Predictions(*columns)

@@ -1,4 +1,4 @@
-"""Trained vision as a page of Markdown with pictures, all of it measured on fresh pictures of the test split."""
+"""Report on a trained vision model: a Markdown page with figures, all measured on new pictures of the test split."""
 
 import math
 from collections.abc import Sequence
@@ -10,9 +10,9 @@ import numpy as np
 from zsdist.config import Config
 from zsdist.errors import RunError
 from zsdist.pretraining.check import figures, words
-from zsdist.pretraining.check.check import FIGURES, SET_FIGURES, over_sets
+from zsdist.pretraining.check.check import FIGURES, SET_FIGURES, summarise_sets
 from zsdist.pretraining.check.figures import Miss
-from zsdist.pretraining.check.predictions import Readings, read
+from zsdist.pretraining.check.predictions import Predictions, predict
 from zsdist.pretraining.check.sets import SETS, WILDERNESS, Sample, of_set, wilderness
 from zsdist.reporting.markdown import table
 from zsdist.vision import folder
@@ -24,20 +24,20 @@ from zsdist.vision.visual_act import VisualAct
 from zsdist.vision.words.table3 import COLUMNS
 
 PAGE = "vision.md"
-SHARES = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95])  # of the reliability curves
-_MISSES = 8  # shown
-_MISSES_OF_A_SET = 2
+SHARES = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95])  # quantiles of the reliability curves
+_MISSES = 8  # pictures with misses that are shown
+_MISSES_OF_A_SET = 2  # of these, most of the same set
 _ATTENTION_KINDS = ("tree", "person", "sand_pile", "rock", "car")
 
 
 def write(config: Config, images: int, seed: int, out: Path) -> Path:
-    """Measures, draws and writes the page; returns its path.
+    """Measure, draw and write the page; return its path.
 
     Args:
-        config: of weights and camera.
-        images: of the wilderness, and of each set.
-        seed: of them.
-        out: folder of the page and its pictures; made if it is not there.
+        config: has weights and camera.
+        images: number of pictures of the wilderness and of each set.
+        seed: of the pictures.
+        out: folder of the page and its figures; made if it does not exist.
 
     Raises:
         WeightsError: the weights cannot be used.
@@ -53,16 +53,16 @@ def write(config: Config, images: int, seed: int, out: Path) -> Path:
 
 def _write(model: VisualAct, config: Config, images: int, seed: int, out: Path) -> Path:
     left_out: dict[str, str] = {}
-    looks = words.Observations.of(model, config, left_out)
+    observations = words.Observations.create(model, config, left_out)
     quantile, rng = config.vision.ray_quantile, np.random.default_rng([seed, 3])
     samples = list(wilderness(images, seed, config.camera))
-    wild = read(model, samples, quantile, rng, looks.take if looks is not None else lambda batch: None)
+    wild = predict(model, samples, quantile, rng, observations.add if observations is not None else lambda batch: None)
     misses = worst_misses(wild, samples, WILDERNESS.title, _MISSES_OF_A_SET)
     sets = {}
     for name, pictures in SETS.items():
-        of_it = list(of_set(name, images, seed, config.camera))
-        sets[name] = read(model, of_it, quantile, rng)
-        misses += worst_misses(sets[name], of_it, pictures.title, _MISSES_OF_A_SET)
+        set_samples = list(of_set(name, images, seed, config.camera))
+        sets[name] = predict(model, set_samples, quantile, rng)
+        misses += worst_misses(sets[name], set_samples, pictures.title, _MISSES_OF_A_SET)
     page = [
         "# Vision",
         "",
@@ -72,8 +72,8 @@ def _write(model: VisualAct, config: Config, images: int, seed: int, out: Path) 
         *_losses(config, out),
         *_actions(wild),
         *_sets(sets),
-        *_table3(looks.figures() if looks is not None else None, left_out),
-        *_attention(model, samples, looks is not None, left_out, out),
+        *_table3(observations.figures() if observations is not None else None, left_out),
+        *_attention(model, samples, observations is not None, left_out, out),
         *_clearance(wild, sets, out),
         *_reliability(wild, sets, out),
         *_misses(misses, config, out),
@@ -83,22 +83,22 @@ def _write(model: VisualAct, config: Config, images: int, seed: int, out: Path) 
     return path
 
 
-def worst_misses(readings: Readings, samples: Sequence[Sample], title: str, count: int) -> list[Miss]:
-    """Up to `count` pictures with missed rays (as `ray_scores` counts), those of which most was missed first."""
-    missed = (readings.true_rays_m < MISS_M[0]) & (readings.rays_m > MISS_M[1])
-    beyond = np.where(missed, readings.rays_m - readings.true_rays_m, 0.0)
+def worst_misses(predictions: Predictions, samples: Sequence[Sample], title: str, count: int) -> list[Miss]:
+    """Return up to `count` pictures with missed rays (as `ray_scores` counts them), the worst first."""
+    missed = (predictions.true_rays_m < MISS_M[0]) & (predictions.rays_m > MISS_M[1])
+    beyond = np.where(missed, predictions.rays_m - predictions.true_rays_m, 0.0)
     order = np.argsort(-beyond.sum(1), kind="stable")[:count]
     return [
-        Miss(samples[i].image, readings.true_rays_m[i], readings.rays_m[i], int(beyond[i].argmax()), title)
+        Miss(samples[i].image, predictions.true_rays_m[i], predictions.rays_m[i], int(beyond[i].argmax()), title)
         for i in order
         if missed[i].any()
     ]
 
 
-def reliability(readings: Readings) -> tuple[np.ndarray, np.ndarray]:
-    """Shares of quantiles, and of truths under them among the rays whose quantile is short of the range."""
+def reliability(predictions: Predictions) -> tuple[np.ndarray, np.ndarray]:
+    """Return quantiles, and the share of true distances under each among the rays whose quantile is below the range."""
     under = [
-        calibration(quantile_m(readings.ray_probabilities, share), readings.true_rays_m, RANGE_M)["short"]
+        calibration(quantile_m(predictions.ray_probabilities, share), predictions.true_rays_m, RANGE_M)["short"]
         for share in SHARES
     ]
     return SHARES, np.array(under)
@@ -122,17 +122,17 @@ def _losses(config: Config, out: Path) -> list[str]:
     ]
 
 
-def _actions(wild: Readings) -> list[str]:
+def _actions(wild: Predictions) -> list[str]:
     scores = wild.scores()
     rows = [["all", *(f"{scores[key]:.3f}" for key in FIGURES)]]
     for family in dict.fromkeys(wild.families.tolist()):
-        of_it = wild.scores(wild.families == family)
-        rows.append([family, *(f"{of_it[key]:.3f}" for key in FIGURES)])
+        family_scores = wild.scores(wild.families == family)
+        rows.append([family, *(f"{family_scores[key]:.3f}" for key in FIGURES)])
     return ["## Wilderness", "", *table(["family", *(key.replace("_", " ") for key in FIGURES)], rows)]
 
 
-def _sets(sets: dict[str, Readings]) -> list[str]:
-    scores = over_sets({name: readings.set_scores() for name, readings in sets.items()})
+def _sets(sets: dict[str, Predictions]) -> list[str]:
+    scores = summarise_sets({name: predictions.set_scores() for name, predictions in sets.items()})
     titles = {name: pictures.title for name, pictures in SETS.items()}
     rows = [
         [titles.get(name, f"**{name}**"), *(f"{row[key]:.3f}" if key in row else "-" for key in SET_FIGURES)]
@@ -141,10 +141,10 @@ def _sets(sets: dict[str, Readings]) -> list[str]:
     return [
         "## Sets of pictures",
         "",
-        "Each differs from what the head was trained on in one way. Miss: of the rays with an obstacle nearer than "
-        "1.5 m, those said to be beyond 2.5 m. False alarm: of those free for 3.5 m, said to be under 2 m. "
-        "Calibration: the truth under the 10% quantile, over rays whose quantile is short of the range; it should be "
-        "0.100.",
+        "Each set differs from the training data of the head in one way. Miss: share of the rays with an obstacle "
+        "nearer than 1.5 m that are predicted beyond 2.5 m. False alarm: share of the rays free for 3.5 m that are "
+        "predicted under 2 m. Calibration: share of true distances under the 10% quantile, over rays whose quantile is "
+        "below the range; it should be 0.100.",
         "",
         *table(["set", *(key.replace("_", " ") for key in SET_FIGURES)], rows),
     ]
@@ -161,7 +161,7 @@ def _table3(found: dict[str, Any] | None, left_out: dict[str, str]) -> list[str]
     shares = [
         [name.replace("_", " "), title, f"{each['share']:.3f}" if each["images"] else "-", str(each["images"])]
         for title, of in (
-            ("$I_a$ nearest where it is", "object_nearest_in_its_direction"),
+            ("$I_a$ most similar in its direction", "object_nearest_in_its_direction"),
             ("lower in $I_1$ to $I_3$ than in $I_0$", "background_lower_than_whole"),
         )
         for name, each in found["attention"][of].items()
@@ -169,13 +169,13 @@ def _table3(found: dict[str, Any] | None, left_out: dict[str, str]) -> list[str]
     return [
         "## Table 3",
         "",
-        "Similarity of the picture ($I_0$) and of what each action looked at ($I_1$ forward, $I_2$ left, $I_3$ right) "
-        "with the word. Ours are means over pictures with the object ahead and nowhere else, or on the ground; the "
-        "paper's are of one setting that its authors measured with CLIP. They stand beside each other and are not the "
-        "same test.",
+        "Similarity of the word with the whole picture ($I_0$) and with the attended part of each action "
+        "($I_1$ forward, $I_2$ left, $I_3$ right). Ours are means over pictures with the object ahead and nowhere else "
+        "or on the ground. The authors of the paper measured theirs with CLIP in one setting, so the two are different "
+        "tests.",
         "",
         *table(head, rows),
-        "Share of pictures in which attention goes where it should:",
+        "Share of pictures in which attention goes to the right place:",
         "",
         *table(["of", "what", "share", "pictures"], shares),
     ]
@@ -183,17 +183,17 @@ def _table3(found: dict[str, Any] | None, left_out: dict[str, str]) -> list[str]
 
 def _attention(model: VisualAct, samples: list[Sample], known: bool, left_out: dict[str, str], out: Path) -> list[str]:
     if not known:
-        return ["## Where each action looks", "", f"Left out: {left_out['attention']}.", ""]
+        return ["## Attention of each action", "", f"Left out: {left_out['attention']}.", ""]
     chosen = attention_examples(samples)
-    found = model.look(np.stack([sample.image for sample in chosen.values()]))
+    observed = model.look(np.stack([sample.image for sample in chosen.values()]))
     figures.draw_attention(
-        [sample.image for sample in chosen.values()], found.attention, list(chosen), out / "vision-attention.jpg"
+        [sample.image for sample in chosen.values()], observed.attention, list(chosen), out / "vision-attention.jpg"
     )
-    return ["## Where each action looks", "", "![attention of each action](vision-attention.jpg)", ""]
+    return ["## Attention of each action", "", "![attention of each action](vision-attention.jpg)", ""]
 
 
 def attention_examples(samples: Sequence[Sample]) -> dict[str, Sample]:
-    """By kind a picture of one near by, the first of those given in which it takes up six rays or more."""
+    """Return, by kind, the first sample in which an object of the kind covers six rays or more."""
     chosen = {}
     for kind in _ATTENTION_KINDS:
         segment = words.KINDS[kind].segment_id
@@ -205,49 +205,49 @@ def attention_examples(samples: Sequence[Sample]) -> dict[str, Sample]:
     return chosen or {samples[0].family: samples[0]}
 
 
-def _clearance(wild: Readings, sets: dict[str, Readings], out: Path) -> list[str]:
+def _clearance(wild: Predictions, sets: dict[str, Predictions], out: Path) -> list[str]:
     every = [wild, *sets.values()]
     median = np.concatenate([quantile_m(each.ray_probabilities, 0.5) for each in every])
-    true, said = (np.concatenate([getattr(each, name) for each in every]) for name in ("true_rays_m", "rays_m"))
+    true, predicted = (np.concatenate([getattr(each, name) for each in every]) for name in ("true_rays_m", "rays_m"))
     true_clearance, clearance = (
         np.concatenate([getattr(each, name) for each in every]) for name in ("true_clearance_m", "clearance_m")
     )
     panels = {
         f"nearest of {', '.join(DIRECTIONS)}, as planned with": (true_clearance, clearance),
-        "rays, as planned with": (true, said),
+        "rays, as planned with": (true, predicted),
         "rays, median": (true, median),
     }
     figures.draw_confusion(panels, out / "vision-clearance.png")
     return [
-        "## Clearance, true and said",
+        "## Clearance, true and predicted",
         "",
-        "![said against true clearance](vision-clearance.png)",
+        "![predicted against true clearance](vision-clearance.png)",
         "",
-        "All pictures together. What is planned with is the working quantile, which is cautious: it lies below the "
-        "diagonal by design.",
+        "All pictures together. Planning uses the working quantile, which is cautious: it lies below the diagonal by "
+        "design.",
         "",
     ]
 
 
-def _reliability(wild: Readings, sets: dict[str, Readings], out: Path) -> list[str]:
+def _reliability(wild: Predictions, sets: dict[str, Predictions], out: Path) -> list[str]:
     curves = {WILDERNESS.title: reliability(wild)} | {
         SETS[name].title: reliability(each) for name, each in sets.items()
     }
     figures.draw_reliability(curves, out / "vision-reliability.png")
     return [
-        "## Are the distributions honest?",
+        "## Reliability of the distributions",
         "",
-        "![share of truths under each quantile](vision-reliability.png)",
+        "![share of true distances under each quantile](vision-reliability.png)",
         "",
-        "Above the diagonal distances are said to be longer than they are, below it shorter.",
+        "Above the diagonal, predicted distances are too long; below it, they are too short.",
         "",
     ]
 
 
 def _misses(misses: list[Miss], config: Config, out: Path) -> list[str]:
     if not misses:
-        return ["## Worst misses", "", "None: no near ray was said to be beyond 2.5 m.", ""]
-    worst = sorted(misses, key=lambda miss: np.minimum(miss.true_m - miss.said_m, 0.0).sum())[:_MISSES]
+        return ["## Worst misses", "", "None: no near ray was predicted beyond 2.5 m.", ""]
+    worst = sorted(misses, key=lambda miss: np.minimum(miss.true_m - miss.predicted_m, 0.0).sum())[:_MISSES]
     angle = math.radians(config.camera.field_of_view_deg)
     figures.draw_misses(worst, angle, config.camera.height_m, out / "vision-misses.jpg")
     return [
@@ -255,8 +255,8 @@ def _misses(misses: list[Miss], config: Config, out: Path) -> list[str]:
         "",
         "![the worst misses with their rays](vision-misses.jpg)",
         "",
-        "In each picture the feet of the rays on the ground, left out where a ray is free and at the lower edge where "
-        "they are below it; under it the same distances. The dotted line is the ray that errs most. At most two "
-        "pictures a set.",
+        "The lines in a picture are the ends of the rays on the ground, without free rays, and at the lower edge if "
+        "they are below it. The same distances are plotted below. The dotted line is the ray with the largest error. "
+        "At most two pictures per set.",
         "",
     ]

@@ -1,13 +1,13 @@
-"""Pictures on which a trained model is checked: the wilderness, and sets that each differ from training in one way.
+"""Sets of pictures on which a trained model is checked: the wilderness, and sets that differ from training in one way.
 
-All scenes are of the test split, so that no choice was made on them.
+All scenes are of the test split, on which no choice is made.
 """
 
 import contextlib
 import dataclasses
 import itertools
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -21,20 +21,20 @@ from zsdist.sim.scenes.manifest import OOD_FAMILIES, TRAINED_GROUNDS, WITHHELD_G
 from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Pose
 
-_TILT_RAD = 0.05  # of the car in pictures that are varied as in training
+_TILT_RAD = 0.05  # largest roll and pitch of the car in varied pictures
 
 
 class Sample(NamedTuple):
-    """A picture, its depth image, where it was taken, and the truth about it.
+    """Picture with its depth image, scene, pose and ground truth.
 
     Attributes:
         image: `(px, px, 3)` uint8.
         depth_m: `(px, px)` float32.
-        scene: it is of, on the ground it stands on.
+        scene: with the ground that it is rendered on.
         family: of the scene.
         pose: of the car.
-        truth: as of `views.label`.
-        objects: `(R,)` int64, a number of the obstacle that each ray meets, negative where it is none.
+        truth: as `datasets.labelled.label` returns it.
+        objects: `(R,)` int64, number of the obstacle that each ray meets; negative: none.
     """
 
     image: np.ndarray
@@ -48,21 +48,21 @@ class Sample(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class PictureSet:
-    """What the pictures of a set are of.
+    """Definition of a set of pictures.
 
     Attributes:
         title: in tables and figures.
-        families: which take turns.
-        grounds: of the scenes in turn instead of their own; none: their own.
-        varied: looks, mount and wear drawn as in training; else each scene looks as when driven through.
-        back_end: of the camera instead of the configured one.
+        families: of the scenes; they take turns.
+        grounds: replace those of the scenes and take turns; empty: each scene keeps its own.
+        varied: draw appearance, camera mount and degradation as in training; else scenes look as when driven through.
+        back_end: renderer instead of the configured one.
     """
 
     title: str
     families: tuple[str, ...]
     grounds: tuple[str, ...] = ()
     varied: bool = False
-    back_end: str | None = None
+    back_end: Literal["caster", "pybullet"] | None = None
 
 
 SETS: dict[str, PictureSet] = {
@@ -81,17 +81,17 @@ WILDERNESS = PictureSet("wilderness", OOD_FAMILIES)
 
 
 def wilderness(count: int, seed: int, camera: CameraConfig) -> Iterator[Sample]:
-    """Pictures of scenes from the families and seeds that are kept for tests, as they look when driven through."""
+    """Yield pictures of test scenes of the test families, as the car sees them when it drives."""
     return samples(WILDERNESS, count, np.random.default_rng([seed, 2]), camera)
 
 
 def of_set(name: str, count: int, seed: int, camera: CameraConfig) -> Iterator[Sample]:
-    """Pictures of the set `name` of `SETS`, the same for the same arguments."""
+    """Yield pictures of a set of `SETS`, which follow from the arguments."""
     return samples(SETS[name], count, np.random.default_rng([seed, 4, list(SETS).index(name)]), camera)
 
 
 def samples(pictures: PictureSet, count: int, rng: np.random.Generator, camera: CameraConfig) -> Iterator[Sample]:
-    """`count` pictures of a set; the families take turns, a scene gives several."""
+    """Yield `count` pictures of a set; the families take turns, and a scene gives several pictures."""
     if pictures.back_end is not None:
         camera = camera.model_copy(update={"back_end": pictures.back_end})
     grounds = itertools.cycle(pictures.grounds or (None,))
@@ -99,27 +99,29 @@ def samples(pictures: PictureSet, count: int, rng: np.random.Generator, camera: 
         ground = next(grounds)
         if ground is not None:
             scene = dataclasses.replace(scene, ground=ground)
-        with contextlib.closing(varied_camera(camera, rng) if pictures.varied else make_camera(camera)) as eye:
+        open_camera = varied_camera(camera, rng) if pictures.varied else make_camera(camera)
+        with contextlib.closing(open_camera):
             for _ in range(number):
-                yield (_varied_shot if pictures.varied else _plain_shot)(eye, scene, family, rng)
+                yield (_varied_sample if pictures.varied else _plain_sample)(open_camera, scene, family, rng)
 
 
-def sample_at(eye: Camera, scene: Scene, family: str, pose: Pose, people: np.ndarray | None = None) -> Sample:
-    """What a level camera sees from a pose of the car."""
-    image, depth_m, _ = eye.render_labelled(scene, pose, people=people)
-    truth = label(scene, pose, eye.config, people)
-    objects = rays_met(scene, pose, eye.config, camera_angles_rad(eye.config), people).obstacle
+def sample_at(camera: Camera, scene: Scene, family: str, pose: Pose, people: np.ndarray | None = None) -> Sample:
+    """Return the sample of a level camera at a pose of the car."""
+    image, depth_m, _ = camera.render_labelled(scene, pose, people=people)
+    truth = label(scene, pose, camera.config, people)
+    objects = rays_met(scene, pose, camera.config, camera_angles_rad(camera.config), people).obstacle
     return Sample(image, depth_m, scene, family, pose, truth, objects)
 
 
-def _plain_shot(eye: Camera, scene: Scene, family: str, rng: np.random.Generator) -> Sample:
-    return sample_at(eye, scene, family, free_pose(scene, rng))
+def _plain_sample(camera: Camera, scene: Scene, family: str, rng: np.random.Generator) -> Sample:
+    return sample_at(camera, scene, family, free_pose(scene, rng))
 
 
-def _varied_shot(eye: Camera, scene: Scene, family: str, rng: np.random.Generator) -> Sample:
+def _varied_sample(camera: Camera, scene: Scene, family: str, rng: np.random.Generator) -> Sample:
     people = people_on_paths(scene, rng)
     pose = free_pose(scene, rng, people)
-    image, depth_m, _ = eye.render_labelled(scene, pose, *rng.uniform(-_TILT_RAD, _TILT_RAD, 2), people)
-    truth = label(scene, pose, eye.config, people)
-    objects = rays_met(scene, pose, eye.config, camera_angles_rad(eye.config), people).obstacle
+    roll_rad, pitch_rad = rng.uniform(-_TILT_RAD, _TILT_RAD, 2)
+    image, depth_m, _ = camera.render_labelled(scene, pose, roll_rad, pitch_rad, people)
+    truth = label(scene, pose, camera.config, people)
+    objects = rays_met(scene, pose, camera.config, camera_angles_rad(camera.config), people).obstacle
     return Sample(degrade(image, rng), depth_m, scene, family, pose, truth, objects)

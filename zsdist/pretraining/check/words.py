@@ -1,4 +1,4 @@
-"""What the check says of words: Table 3, where attention goes, and how well pictures are named."""
+"""Part of the check about words: Table 3, the targets of attention, and the naming of pictures."""
 
 import math
 from collections.abc import Callable
@@ -34,15 +34,21 @@ PAPER_TABLE3 = {
     "sand": (0.3001, 0.1727, 0.0931, 0.1127),
     "grass": (0.2131, 0.1981, 0.1703, 0.0689),
 }
-"""Similarities of the paper's Table 3 by our concept; of one setting that its authors measured with CLIP."""
+"""Similarities in the paper's Table 3, by our concepts. The authors measured them with CLIP in one setting."""
 
 UNSEEN_IMAGES = 1600  # described pictures to train on for the figure of unseen kinds
 UNSEEN_EPOCHS = 8
-_HELD_OUT = 160
+_HELD_OUT = 160  # described pictures for validation
 
 
 class Observations:
-    """Gathers where each action looked on pictures as they pass, for Table 3 and the shares of attention."""
+    """Embeddings that each action attends to, collected over pictures, for Table 3 and the shares of attention.
+
+    Args:
+        model: whose attention is measured.
+        words: `(D,)` embedding of each kind and ground.
+        angles_rad: `(R,)` of the rays.
+    """
 
     def __init__(self, model: VisualAct, words: dict[str, np.ndarray], angles_rad: np.ndarray) -> None:
         self._model, self._words, self._angles = model, words, angles_rad
@@ -52,23 +58,23 @@ class Observations:
         self._grounds: list[str] = []
 
     @classmethod
-    def of(cls, model: VisualAct, config: Config, left_out: dict[str, str]) -> Self | None:
-        """One that is ready, or None, with the reason in `left_out`, where the weights cannot tell."""
-        reason = _why_not(config)
+    def create(cls, model: VisualAct, config: Config, left_out: dict[str, str]) -> Self | None:
+        """Return an empty collection; None, with the reason in `left_out`, if the weights have no words."""
+        reason = _reason_without_words(config)
         if reason is not None:
             left_out |= dict.fromkeys(("table3", "attention"), reason)
             return None
         return cls(model, word_rows(config), ray_angles_rad(RAYS, math.radians(config.camera.field_of_view_deg)))
 
-    def take(self, batch: list[Sample]) -> None:
-        """Looks at a batch of pictures."""
+    def add(self, batch: list[Sample]) -> None:
+        """Add a batch of pictures."""
         self._embeddings.append(self._model.look(np.stack([sample.image for sample in batch])).embeddings)
         self._segments += [sample.truth["ray_segment"] for sample in batch]
         self._distances += [sample.truth["ray_clearance_m"] for sample in batch]
         self._grounds += [sample.scene.ground for sample in batch]
 
     def figures(self) -> dict[str, Any]:
-        """`table3` beside the paper's figures, and `attention`: of objects and of grounds."""
+        """Return `table3` beside the paper's figures, and `attention` to objects and grounds."""
         embeddings = np.concatenate(self._embeddings)
         segments, distances = np.stack(self._segments), np.stack(self._distances)
         directions = {
@@ -76,40 +82,40 @@ class Observations:
             for kind in KIND_WORDS
         }
         grounds = {ground: np.array(self._grounds) == ground for ground in GROUND_WORDS}
-        shown = {kind: where for kind, where in directions.items() if kind in TABLE3_WORDS}
-        rows = table3(embeddings, self._words, shown, grounds)
+        table_directions = {kind: direction for kind, direction in directions.items() if kind in TABLE3_WORDS}
+        rows = table3(embeddings, self._words, table_directions, grounds)
         return {
             "table3": {name: row | {"paper": list(PAPER_TABLE3[name])} for name, row in rows.items()},
             "attention": {
                 "object_nearest_in_its_direction": {
                     kind: {
-                        "share": object_share(embeddings, self._words[kind], where),
-                        "images": int((where >= 0).sum()),
+                        "share": object_share(embeddings, self._words[kind], direction),
+                        "images": int((direction >= 0).sum()),
                     }
-                    for kind, where in directions.items()
+                    for kind, direction in directions.items()
                 },
                 "background_lower_than_whole": {
                     ground: {
-                        "share": background_share(embeddings, self._words[ground], where),
-                        "images": int(where.sum()),
+                        "share": background_share(embeddings, self._words[ground], pictures),
+                        "images": int(pictures.sum()),
                     }
-                    for ground, where in grounds.items()
+                    for ground, pictures in grounds.items()
                 },
             },
         }
 
 
 def word_rows(config: Config) -> dict[str, np.ndarray]:
-    """The word `(D,)` of each kind and ground in the space of pictures: the paper's where it has one."""
+    """Return the embedding `(D,)` of the word for each kind and ground; the paper's word if it has one."""
     weights = folder.read(folder.locate(config.vision.weights))
     vocabulary = Vocabulary.from_bytes(weights.content(VOCABULARY_FILE))
     names = {name: words.training[0] for name, words in (KIND_WORDS | GROUND_WORDS).items()} | TABLE3_WORDS
-    rows = _texts(shipped_projection(config))(vocabulary.rows(list(names.values())))
+    rows = _text_projector(shipped_projection(config))(vocabulary.rows(list(names.values())))
     return dict(zip(names, rows, strict=True))
 
 
 def shipped_projection(config: Config) -> "Projection":
-    """The projection of the weights in use; raises `WeightsError` where it is missing or damaged."""
+    """Return the projection of the configured weights; raise `WeightsError` if it is missing or damaged."""
     import safetensors
     import safetensors.torch
 
@@ -120,38 +126,39 @@ def shipped_projection(config: Config) -> "Projection":
         return projection_of(safetensors.torch.load(weights.content(PROJECTION_FILE)))
     except (safetensors.SafetensorError, KeyError, RuntimeError) as error:
         raise WeightsError(
-            f"weights {weights.path / PROJECTION_FILE} are not those of a projection: "
+            f"weights {weights.path / PROJECTION_FILE} do not belong to a projection: "
             f"{' '.join(str(error).split())[:200]}"
         ) from error
 
 
-def words(config: Config, seed: int, count: int, unseen_kinds: bool, left_out: dict[str, str]) -> dict[str, Any]:
-    """Accuracy of naming fresh pictures by one word of six, under `words`; chance is 1/6.
+def naming(config: Config, seed: int, count: int, unseen_kinds: bool, left_out: dict[str, str]) -> dict[str, Any]:
+    """Return under `words` the accuracy of naming new pictures by one word of six; chance is 1/6.
 
-    There is one with training words, one with words never seen, and, where it is asked for, one of kinds that the
+    There is one accuracy with training words, one with unseen words, and one, if it is wanted, for kinds that the
     projection has never seen.
 
     Args:
-        config: of weights, encoder and camera.
+        config: has weights, encoder and camera.
         seed: of pictures and choices.
-        count: pictures.
-        unseen_kinds: whether to train without some kinds, four times, until each was left out once.
-        left_out: takes the names of what cannot be told, with the reason.
+        count: number of pictures.
+        unseen_kinds: also train four projections, each without some kinds, so that each kind is left out once.
+        left_out: gets the names of the parts that cannot be measured, with the reason.
     """
-    reason = _why_not(config)
+    reason = _reason_without_words(config)
     if reason is not None:
         left_out["words"] = reason
         return {}
     encoder = open_encoder(config.vision.encoder)
-    tokens, dominant = [], []
+    token_batches: list[np.ndarray] = []
+    kinds: list[str] = []
     for batch in batched(
         captioned_views(MANIFEST["word-training"].families, "test", count, seed, config.camera), BATCH
     ):
-        tokens.append(encoder.tokens(np.stack([view.image for view in batch])).astype(np.float16))
-        dominant += [view.dominant for view in batch]
-    tokens, dominant = np.concatenate(tokens), np.array(dominant)
+        token_batches.append(encoder.tokens(np.stack([view.image for view in batch])).astype(np.float16))
+        kinds += [view.dominant for view in batch]
+    tokens, dominant = np.concatenate(token_batches), np.array(kinds)
     projection = shipped_projection(config)
-    images = _images(projection, tokens)
+    images = _image_embeddings(projection, tokens)
     figures = {}
     for name, use in (("training_words", "training"), ("words_never_seen", "test")):
         try:
@@ -168,7 +175,7 @@ def words(config: Config, seed: int, count: int, unseen_kinds: bool, left_out: d
 
 
 def show(result: dict[str, Any]) -> None:
-    """Prints what the check found of words."""
+    """Print the figures about words."""
     if "table3" in result:
         print("\nTable 3: similarity with the words, ours (the paper's: another setting, with CLIP)")
         for name, row in result["table3"].items():
@@ -187,7 +194,7 @@ def show(result: dict[str, Any]) -> None:
 def _unseen_kinds(
     config: Config, encoder: Encoder, seed: int, tokens: np.ndarray, dominant: np.ndarray
 ) -> dict[str, float]:
-    """Naming of kinds that four projections, each trained without some of them, have never seen."""
+    """Return the accuracy of four projections, each trained without some kinds, in naming these kinds."""
     from zsdist.vision.training.projection import WordRecipe, new_projection, train
 
     texts = shipped_words()
@@ -202,16 +209,17 @@ def _unseen_kinds(
         for _ in train(projection, examples, held_out, vocabulary, recipe, rng, lambda: 0.0):
             pass
         rows = _kind_rows(encoder, projection, "training")
-        parts.append(naming_accuracy(_images(projection, tokens), dominant, rows, rng, kinds))
+        parts.append(naming_accuracy(_image_embeddings(projection, tokens), dominant, rows, rng, kinds))
         print(f"unseen kinds {', '.join(kinds)}: {parts[-1]['accuracy']:.2f}", flush=True)
-    asked = [part for part in parts if part["images"]]
-    of_kinds = {kind: part[kind] for part in asked for kind in KIND_WORDS if kind in part}
-    images = sum(part["images"] for part in asked)
-    accuracy = sum(part["accuracy"] * part["images"] for part in asked) / images if images else float("nan")
+    measured = [part for part in parts if part["images"]]
+    of_kinds = {kind: part[kind] for part in measured for kind in KIND_WORDS if kind in part}
+    images = sum(part["images"] for part in measured)
+    accuracy = sum(part["accuracy"] * part["images"] for part in measured) / images if images else float("nan")
     return {"accuracy": accuracy, "images": images, **of_kinds}
 
 
 def _word_examples(encoder: Encoder, count: int, seed: int, camera: CameraConfig) -> "WordExamples":
+    """Return described pictures to train a projection on."""
     from zsdist.vision.training.projection import WordExamples
 
     purpose = MANIFEST["word-training"]
@@ -229,20 +237,24 @@ def _word_examples(encoder: Encoder, count: int, seed: int, camera: CameraConfig
     return WordExamples(*(np.concatenate(column) for column in zip(*columns, strict=True)))
 
 
-def _why_not(config: Config) -> str | None:
-    """Why the weights cannot tell of words; None where they can."""
+def _reason_without_words(config: Config) -> str | None:
+    """Return the reason why the weights have no words; None if they have."""
     if config.vision.network == "student":
-        return "the student has no attention and no words; vision.network=head has"
+        return "the student has no attention and no words; allowed is vision.network=head"
     weights = folder.read(folder.locate(config.vision.weights))
     missing = [file for file in (PROJECTION_FILE, VOCABULARY_FILE) if not weights.has(file)]
-    return f"weights {weights.path} hold no {' and no '.join(missing)}" if missing else None
+    return f"weights {weights.path} lack {' and '.join(missing)}" if missing else None
 
 
 def _kind_rows(encoder: Encoder, projection: "Projection", use: str) -> dict[str, np.ndarray]:
-    return {kind: _texts(projection)(encoder.embed_texts(texts)) for kind, texts in words_of_kinds(use).items()}
+    """Return the projected embeddings `(n, D)` of the words of each kind; `use` is `training` or `test`."""
+    return {
+        kind: _text_projector(projection)(encoder.embed_texts(texts)) for kind, texts in words_of_kinds(use).items()
+    }
 
 
-def _texts(projection: "Projection") -> Callable[[np.ndarray], np.ndarray]:
+def _text_projector(projection: "Projection") -> Callable[[np.ndarray], np.ndarray]:
+    """Return a function that projects embeddings of texts."""
     import torch
 
     def project(embeddings: np.ndarray) -> np.ndarray:
@@ -252,7 +264,8 @@ def _texts(projection: "Projection") -> Callable[[np.ndarray], np.ndarray]:
     return project
 
 
-def _images(projection: "Projection", tokens: np.ndarray) -> np.ndarray:
+def _image_embeddings(projection: "Projection", tokens: np.ndarray) -> np.ndarray:
+    """Return the embeddings `(N, D)` of pictures."""
     import torch
 
     from zsdist.vision.models.projection import image_embedding

@@ -54,7 +54,7 @@ class Purpose:
     families: tuple[str, ...]
     kinds: tuple[str, ...]
     grounds: tuple[str, ...]
-    split: str
+    split: Split
 
 
 MANIFEST: dict[str, Purpose] = {

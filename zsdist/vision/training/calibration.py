@@ -2,13 +2,16 @@
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
+from zsdist.vision.labels import nearest
 from zsdist.vision.rays import RANGE_M, quantile_m
 from zsdist.vision.scores import calibration
+from zsdist.vision.training.examples import Examples
 
 SHARE = 0.1  # of the quantile under which the truth is to lie as often
 TEMPERATURES = np.geomspace(0.125, 8.0, 61)  # allowed, 7% apart
+_BATCH = 64
 
 
 def fit(logits: Tensor, true_m: np.ndarray) -> float:
@@ -42,3 +45,30 @@ def fit(logits: Tensor, true_m: np.ndarray) -> float:
     if not np.isfinite(errors).any():
         raise ValueError("distances cannot be calibrated: every quantile is free; allowed are pictures with obstacles")
     return float(TEMPERATURES[int(np.argmin(errors))])
+
+
+def calibrate(network: nn.Module, examples: Examples) -> None:
+    """Set the temperatures of a head or a student from pictures on which it was not trained.
+
+    Args:
+        network: has the buffers `clearance_temperature` and `rays_temperature`, and returns a `HeadOutput` of raw
+            logits.
+        examples: their `tokens` are the input of the network.
+    """
+    clearance_m, _ = nearest(examples.ray_distance_m, examples.ray_dynamic, examples.ray_angles_rad)
+    clearance, rays = _logits(network, examples)
+    network.get_buffer("clearance_temperature").fill_(fit(clearance, clearance_m))
+    network.get_buffer("rays_temperature").fill_(fit(rays, examples.ray_distance_m))
+
+
+def _logits(network: nn.Module, examples: Examples) -> tuple[Tensor, Tensor]:
+    """Return the logits of clearance `(N, 3, BINS)` and of rays `(N, R, BINS)` for all examples."""
+    network.eval()
+    parts = []
+    with torch.no_grad():
+        for start in range(0, len(examples), _BATCH):
+            batch = examples.tokens[start : start + _BATCH].astype(np.float32)
+            output = network(torch.from_numpy(batch))
+            parts.append((output.clearance, output.rays))
+    clearance, rays = zip(*parts, strict=True)
+    return torch.cat(clearance), torch.cat(rays)

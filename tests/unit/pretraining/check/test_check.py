@@ -6,7 +6,7 @@ import pytest
 
 from zsdist.config import CameraConfig, Config
 from zsdist.errors import RunError, WeightsError
-from zsdist.pretraining.check.check import FIGURES, YARDSTICKS, check, finite, over_sets
+from zsdist.pretraining.check.check import FIGURES, YARDSTICKS, check, summarise_sets, without_nan
 from zsdist.pretraining.check.sets import SETS
 from zsdist.sim.scenes.manifest import OOD_FAMILIES
 
@@ -32,7 +32,7 @@ def test_each_set_of_pictures_has_its_figures_beside_median_and_worst(checked):
     assert checked["sets"]["worst"]["miss_rate"] == max(checked["sets"][name]["miss_rate"] for name in SETS)
 
 
-def test_the_model_beats_those_who_do_not_look_and_not_the_one_who_measures(checked):
+def test_the_model_beats_the_yardsticks_that_see_nothing(checked):
     assert checked["best_action_accuracy"] > checked["goal_only"]["best_action_accuracy"] + 0.05
     assert checked["best_action_accuracy"] > checked["always_forward"]["best_action_accuracy"] + 0.2
     assert checked["mae"] < 0.5 * checked["goal_only"]["mae"]
@@ -44,14 +44,14 @@ def test_yardsticks_that_see_everything_free_miss_everything_near(checked):
     assert checked["miss_rate"] < 0.15
 
 
-def test_objects_are_counted_in_one_look_and_noted_one_by_one_after_driving_up(checked):
+def test_objects_are_counted_in_single_pictures_and_recorded_one_by_one_after_driving_up(checked):
     assert checked["objects"]["one_look"]["objects"] > 50
     low, high = checked["objects"]["one_look"]["confidence_95"]
     assert low <= checked["objects"]["one_look"]["share"] <= high
     assert checked["objects"]["after_drive_up"]["objects"] == len(checked["lines"]) == 2
 
 
-def test_what_the_weights_or_the_command_lack_is_left_out_and_said(checked):
+def test_parts_that_weights_or_options_lack_are_left_out_and_reported(checked):
     for name in ("table3", "attention", "words"):
         assert (name in checked) != (name in checked["left_out"])
     assert "words" in checked["left_out"] or "words.unseen_kinds" in checked["left_out"]
@@ -60,7 +60,7 @@ def test_what_the_weights_or_the_command_lack_is_left_out_and_said(checked):
 
 def test_the_worst_calibration_is_the_one_farthest_from_its_share():
     row = {"best_action_accuracy": 0.9, "miss_rate": 0.1, "false_alarm_rate": 0.0, "calibration_10_all_rays": 0.1}
-    found = over_sets(
+    found = summarise_sets(
         {
             "a": row | {"calibration_10": 0.12},
             "b": row | {"calibration_10": 0.02, "best_action_accuracy": 0.7},
@@ -71,8 +71,8 @@ def test_the_worst_calibration_is_the_one_farthest_from_its_share():
     assert found["median"]["calibration_10"] == pytest.approx(0.07)
 
 
-def test_a_figure_that_is_not_known_is_left_out_of_the_file():
-    assert finite({"a": 1.0, "b": {"c": math.nan, "d": 2}}) == {"a": 1.0, "b": {"d": 2}}
+def test_an_unknown_figure_is_left_out_of_the_file():
+    assert without_nan({"a": 1.0, "b": {"c": math.nan, "d": 2}}) == {"a": 1.0, "b": {"d": 2}}
 
 
 def test_a_check_of_missing_weights_names_them():

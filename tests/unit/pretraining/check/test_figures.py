@@ -22,7 +22,7 @@ def test_a_confusion_without_errors_is_the_diagonal_and_its_rows_are_shares():
     assert mixed[:, -1].max() == 0.25
 
 
-def test_the_foot_of_a_ray_is_lower_the_nearer_it_is_and_at_the_edge_below_the_picture():
+def test_the_end_of_a_nearer_ray_is_lower_in_the_picture_and_at_most_at_its_edge():
     far, near, below = (feet_px(np.full(RAYS, d), 224, np.pi / 2, 1.0)[1] for d in (4.0, 2.0, 0.2))
     assert (far < near).all() and (far > 112).all() and (below == 224).all()
     across, down = feet_px(np.full(RAYS, 2.0), 224, np.pi / 2, 1.0)

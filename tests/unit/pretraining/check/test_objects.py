@@ -9,7 +9,15 @@ from zsdist.datasets.labelled import camera_angles_rad, label
 from zsdist.errors import RunError
 from zsdist.planning.grid import Grid
 from zsdist.pretraining.check import objects
-from zsdist.pretraining.check.objects import Approach, approach, drive_up, measure, ray_index, summary, visible_side
+from zsdist.pretraining.check.objects import (
+    Approach,
+    approach,
+    drive_up,
+    measure,
+    obstacle_number,
+    summary,
+    visible_side,
+)
 from zsdist.sim.ground_truth import rays_met
 from zsdist.sim.physics.collision import touching
 from zsdist.sim.scenes.scene import Obstacle, Scene, Start
@@ -29,11 +37,11 @@ SCENE = Scene(
         Obstacle("pole", 0.0, 5.0, radius_m=0.15),
     ),
 )
-DRIVE = Approach(SCENE, 1, tuple(Pose(x, 0.0, 0.0) for x in np.linspace(-6.0, -2.8, objects.LOOKS)))
+DRIVE = Approach(SCENE, 1, tuple(Pose(x, 0.0, 0.0) for x in np.linspace(-6.0, -2.8, objects.OBSERVATIONS)))
 
 
 class Model:
-    """Says the same of every ray of a look: the true distance, or that all is free."""
+    """Model that predicts the true distance of every ray, or that all rays are free."""
 
     weights_sha256 = "made up"
 
@@ -51,26 +59,26 @@ class Model:
         return View(nothing, nothing, nothing, np.eye(BINS, dtype=np.float32)[bins], angles, BIN_EDGES_M)
 
 
-def test_who_sees_puts_the_object_on_the_map_and_who_sees_nothing_does_not():
+def test_a_model_that_sees_puts_the_object_on_the_map_and_a_blind_one_does_not():
     assert drive_up(Model(sees=True), DRIVE, CONFIG)
     assert not drive_up(Model(sees=False), DRIVE, CONFIG)
 
 
-def test_the_visible_side_is_the_near_half_and_not_what_others_stand_on():
+def test_the_visible_side_is_the_near_half_without_cells_of_others():
     side = visible_side(DRIVE, GRID, CONFIG.camera)
     xs, ys = GRID.fine_centres()
     rows, columns = np.nonzero(side)
     assert side.any() and xs[columns].max() < 0.5 and np.abs(ys[rows]).max() < 1.0
     beside = Obstacle("rock", -0.5, 0.0, radius_m=0.3)
     crowded = Approach(with_also(beside), 1, DRIVE.poses)
-    assert not (visible_side(crowded, GRID, CONFIG.camera) & crowded_squares(beside)).any()
+    assert not (visible_side(crowded, GRID, CONFIG.camera) & occupied_cells(beside)).any()
 
 
 def with_also(obstacle):
     return Scene(SCENE.name, SCENE.ground, SCENE.start, SCENE.goal, (*SCENE.obstacles, obstacle))
 
 
-def crowded_squares(obstacle):
+def occupied_cells(obstacle):
     return Scene("alone", "grass", SCENE.start, SCENE.goal, (obstacle,)).occupancy(GRID)
 
 
@@ -78,23 +86,23 @@ def rays(scene, pose):
     return rays_met(scene, pose, CONFIG.camera, camera_angles_rad(CONFIG.camera))
 
 
-def test_the_number_of_a_ray_is_that_of_the_obstacle_it_meets():
-    assert [ray_index(SCENE, index) for index in range(3)] == [2, 0, 1]
-    assert (rays(SCENE, DRIVE.poses[-1]).obstacle == ray_index(SCENE, 1)).any()
+def test_a_ray_has_the_number_of_the_obstacle_that_it_meets():
+    assert [obstacle_number(SCENE, index) for index in range(3)] == [2, 0, 1]
+    assert (rays(SCENE, DRIVE.poses[-1]).obstacle == obstacle_number(SCENE, 1)).any()
 
 
 def test_approaches_come_near_touch_nothing_and_follow_from_their_number():
     for number in range(4):
         drive = approach(number, 7, CONFIG.camera)
         circles, boxes = drive.scene.circles(), drive.scene.boxes()
-        assert len(drive.poses) == objects.LOOKS
+        assert len(drive.poses) == objects.OBSERVATIONS
         assert not any(touching(pose, circles, boxes, arena_m=25.0) for pose in drive.poses)
         assert approach(number, 7, CONFIG.camera) == drive
-        met = rays(drive.scene, drive.poses[-1]).obstacle == ray_index(drive.scene, drive.index)
+        met = rays(drive.scene, drive.poses[-1]).obstacle == obstacle_number(drive.scene, drive.index)
         assert label(drive.scene, drive.poses[-1], CONFIG.camera)["ray_clearance_m"][met].min() < 2.5
 
 
-def test_a_measurement_goes_on_where_it_stopped(tmp_path, monkeypatch):
+def test_a_measurement_is_resumed_where_it_stopped(tmp_path, monkeypatch):
     driven = []
     monkeypatch.setattr(objects, "drive_up", lambda model, drive, config: not driven.append(drive.scene.name))
     file, quiet = tmp_path / "objects.jsonl", lambda line: None

@@ -12,7 +12,7 @@ def kinds(samples):
     return {obstacle.kind for sample in samples for obstacle in sample.scene.obstacles}
 
 
-def test_the_wilderness_is_the_same_for_a_seed_and_another_for_another():
+def test_the_wilderness_follows_from_its_seed():
     first, again, other = (list(wilderness(16, seed, CAMERA)) for seed in (0, 0, 1))
     assert all((a.image == b.image).all() for a, b in zip(first, again, strict=True))
     assert not any((a.image == b.image).all() for a, b in zip(first, other, strict=True))
@@ -28,7 +28,7 @@ def test_a_set_has_as_many_pictures_as_asked_for_each_with_its_truth(name):
         assert (near >= (sample.objects >= 0)).all()  # whatever is met is within the range
 
 
-def test_sets_differ_from_training_in_what_their_names_say():
+def test_sets_differ_from_training_as_their_names_say():
     trained = MANIFEST["vision-training"].kinds
     samples = {name: list(of_set(name, 32, 6, CAMERA)) for name in ("same", "new_kinds", "new_grounds", "both")}
     for name, new_ground in (("same", False), ("new_kinds", False), ("new_grounds", True), ("both", True)):

@@ -39,5 +39,5 @@ def test_the_first_shard_is_called_as_if_it_were_the_only_one():
 
 
 def test_a_shard_without_actors_is_refused():
-    with pytest.raises(ConfigError, match=r"replay\.shards is 3; allowed are at most as many as actors, 2"):
+    with pytest.raises(ConfigError, match=r"replay\.shards is 3; allowed is at most run\.actors, 2"):
         config(3, 2)

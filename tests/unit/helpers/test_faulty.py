@@ -1,12 +1,13 @@
-"""Faults come as ordered, by seed, and by the time that `tick` tells."""
+"""Faults occur as configured and follow from the seed and the time that `tick` sets."""
+
+from faulty import Faults, FaultyTransport
 
 from zsdist.transport.base import Mailbox
-from zsdist.transport.faulty import Faults, FaultyTransport
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 
 
 def sent_through(faults: Faults, seed: int = 0, count: int = 400) -> list[int]:
-    """What arrives of the numbers 0 to `count`, one sent each millisecond."""
+    """Return the numbers that arrive of 0 to `count`, one sent each millisecond."""
     broker = MemoryBroker()
     box = Mailbox(2**20)
     MemoryTransport(broker, "receiver").subscribe("k", box)
@@ -41,7 +42,7 @@ def test_delayed_messages_arrive_late_but_within_the_limit() -> None:
     assert max(abs(place - number) for place, number in enumerate(arrived)) <= 25
 
 
-def test_reordered_messages_change_places_with_the_next() -> None:
+def test_reordered_messages_are_swapped_with_the_next() -> None:
     broker, box = MemoryBroker(), Mailbox(2**20)
     MemoryTransport(broker, "receiver").subscribe("k", box)
     sender = FaultyTransport(MemoryTransport(broker, "sender"), 0, Faults(reorder=1.0))
@@ -56,7 +57,7 @@ def test_equal_seeds_give_equal_faults_and_others_do_not() -> None:
     assert sent_through(faults, 1) != sent_through(faults, 2)
 
 
-def test_a_dropped_question_is_never_asked() -> None:
+def test_a_dropped_request_never_arrives() -> None:
     broker, asked = MemoryBroker(), Mailbox(2**20)
     MemoryTransport(broker, "server").serve("q", asked)
     asker = FaultyTransport(MemoryTransport(broker, "asker"), 0, Faults(drop=1.0))

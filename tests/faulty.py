@@ -1,4 +1,4 @@
-"""A transport that does badly on purpose, repeatably: for tests of everything above it."""
+"""Transport that loses, repeats, delays and reorders messages reproducibly, for tests of everything above it."""
 
 import heapq
 from collections.abc import Callable
@@ -12,14 +12,14 @@ from zsdist.transport.base import Mailbox, Transport
 
 @dataclass(frozen=True)
 class Faults:
-    """What goes wrong with what is published or asked for; shares are of messages.
+    """Faults of publications and requests, as shares of messages.
 
     Attributes:
-        drop: share that vanishes.
+        drop: share that is lost.
         repeat: share that arrives twice.
-        delay: share that arrives late, by up to `delay_s`, so that later ones overtake it.
-        delay_s: the most that a late message is late by.
-        reorder: share that changes places with the next message sent.
+        delay: share that arrives late, so that later messages overtake it.
+        delay_s: longest delay.
+        reorder: share that is swapped with the next message.
     """
 
     drop: float = 0.0
@@ -30,14 +30,14 @@ class Faults:
 
 
 class FaultyTransport(Transport):
-    """Wraps a transport. What is delayed goes out in `tick`, which tells it the time; it reads no clock.
+    """Transport around another one; delayed messages are sent by `tick`, and no clock is read.
 
     Attributes:
-        faults: may be replaced while in use, by `Faults()` to end the trouble.
+        faults: may be replaced at any time; `Faults()` ends all faults.
     """
 
     def __init__(self, inner: Transport, seed: int, faults: Faults | None = None) -> None:
-        """Wraps `inner`; equal seeds and equal calls give equal faults."""
+        """Wrap `inner`; equal seeds and equal calls give equal faults."""
         self.faults = Faults() if faults is None else faults
         self._inner = inner
         self._rng = np.random.default_rng(seed)
@@ -47,19 +47,19 @@ class FaultyTransport(Transport):
         self._order = count()
 
     def tick(self, now: float) -> None:
-        """Lets time pass: sends what was delayed until `now`, and whatever still waits to change places."""
+        """Set the time: send messages that were delayed until `now`, and the one that waits to be swapped."""
         self._now = now
         self._release_swapped()
         while self._late and self._late[0][0] <= now:
             heapq.heappop(self._late)[2]()
 
     def publish(self, key: str, payload: bytes, *, retained: bool = False, json: bool = False) -> None:
-        """See `Transport.publish`; suffers all faults."""
+        """See `Transport.publish`; all faults occur."""
         payload = bytes(payload)
         self._send(lambda: self._inner.publish(key, payload, retained=retained, json=json))
 
     def request(self, key: str, payload: bytes, mailbox: Mailbox, *, timeout_s: float) -> None:
-        """See `Transport.request`; the question suffers all faults, its answer none."""
+        """See `Transport.request`; all faults occur for the request, none for the reply."""
         payload = bytes(payload)
         self._send(lambda: self._inner.request(key, payload, mailbox, timeout_s=timeout_s))
 
@@ -80,7 +80,7 @@ class FaultyTransport(Transport):
         self._inner.watch_alive(pattern, mailbox)
 
     def close(self) -> None:
-        """See `Transport.close`; what was delayed is lost."""
+        """See `Transport.close`; delayed messages are lost."""
         self._late.clear()
         self._swapped.clear()
         self._inner.close()
