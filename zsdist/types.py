@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, overload
 
 import numpy as np
 
@@ -46,7 +46,7 @@ class Outcome(StrEnum):
     TIMEOUT = "timeout"
 
 
-NO_GUIDE = -1  # value of a guide action where the guide policy has nothing to say
+NO_GUIDE = -1  # guide action where the guide policy has no advice
 
 
 class Pose(NamedTuple):
@@ -163,7 +163,15 @@ class Trajectories(Sequence[Trajectory]):
     def __len__(self) -> int:
         return len(self.lengths)
 
-    def __getitem__(self, index: int) -> Trajectory:
+    @overload
+    def __getitem__(self, index: int) -> Trajectory: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[Trajectory]: ...
+
+    def __getitem__(self, index: int | slice) -> Trajectory | list[Trajectory]:
+        if isinstance(index, slice):
+            return [self[each] for each in range(len(self))[index]]
         index = range(len(self))[index]
         start, length = int(self.lengths[:index].sum()), int(self.lengths[index])
         row = start + index  # each trajectory before this one has one more state than transitions
@@ -182,17 +190,8 @@ def count_transitions(trajectories: Iterable[Trajectory]) -> int:
 
 
 @dataclass(frozen=True)
-class Batch:
-    """A sample of one level's replay, uniform unless it has `weights`; these are the dtypes that a learner has.
-
-    Attributes:
-        states: `(B, D)` float32.            next_states: `(B, D)` float32.
-        actions: `(B,)` int64.               next_masks: `(B, A)` bool.
-        rewards: `(B,)` float32.             masks: `(B, A)` bool.
-        discounts: `(B,)` float32.           guides: `(B,)` int64.
-        weights: `(B,)` float32 in (0, 1], of each row in the loss, where rows were drawn by priority.
-        serials: `(B,)` int64, by which the replay knows its rows again; there are as many where there are weights.
-    """
+class _BatchColumns:
+    """Columns of `B` transitions, a row each; the subclasses state the dtypes."""
 
     states: np.ndarray
     actions: np.ndarray
@@ -209,13 +208,56 @@ class Batch:
         return len(self.actions)
 
     def parts(self, count: int) -> list[Self]:
-        """Equal parts, one after the other, which share its memory; `count` divides its length."""
+        """Return `count` equal parts, one after the other, which share its memory; `count` must divide its length."""
         size = len(self) // count
         columns = {name: column for name, column in vars(self).items() if column is not None}
         return [
             type(self)(**{name: column[start : start + size] for name, column in columns.items()})
             for start in range(0, len(self), size)
         ]
+
+
+class StoredBatch(_BatchColumns):
+    """A sample of one level's replay in the dtypes in which the replay holds it and in which it travels.
+
+    Attributes:
+        states: `(B, D)` float16.            next_states: `(B, D)` float16.
+        actions: `(B,)` uint8.               next_masks: `(B, A)` bool.
+        rewards: `(B,)` float32.             masks: `(B, A)` bool.
+        discounts: `(B,)` float32.           guides: `(B,)` int8.
+        weights: `(B,)` float32 in (0, 1], importance weights of rows drawn by priority; None: drawn uniformly.
+        serials: `(B,)` int64, numbers of the rows in the replay; None where `weights` is None.
+    """
+
+
+class Batch(_BatchColumns):
+    """A sample of one level's replay in the dtypes that a learner computes with.
+
+    Attributes:
+        states: `(B, D)` float32.            next_states: `(B, D)` float32.
+        actions: `(B,)` int64.               next_masks: `(B, A)` bool.
+        rewards: `(B,)` float32.             masks: `(B, A)` bool.
+        discounts: `(B,)` float32.           guides: `(B,)` int64.
+        weights: `(B,)` float32 in (0, 1], importance weights of rows drawn by priority; None: drawn uniformly.
+        serials: `(B,)` int64, numbers of the rows in the replay; None where `weights` is None.
+    """
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """Left-right reflection of a level's states and actions; applied twice it changes nothing.
+
+    The reflected state is `state_sign * state[state_index]`.
+
+    Attributes:
+        state_index: `(D,)` int64, feature that takes each feature's place.
+        state_sign: `(D,)` float32, +1 or -1.
+        action_index: `(A,)` int64, action that each action becomes.
+    """
+
+    state_index: np.ndarray
+    state_sign: np.ndarray
+    action_index: np.ndarray
 
 
 Parameters = dict[str, np.ndarray]  # a network's weights by name, float32

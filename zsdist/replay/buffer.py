@@ -15,7 +15,7 @@ from zsdist.common import half_precision
 from zsdist.errors import RunError
 from zsdist.replay import n_step_returns
 from zsdist.replay.priorities import RowPriorities
-from zsdist.types import NO_GUIDE, Batch, Behaviour, Trajectories, Trajectory, count_transitions
+from zsdist.types import NO_GUIDE, Behaviour, StoredBatch, Trajectories, Trajectory, count_transitions
 
 # Why a transition is refused, in the order in which it is looked for; each counts under the first that applies.
 REASONS = (
@@ -111,7 +111,7 @@ class RingBuffer:
         self._write(offer, chosen[-self.capacity :])
         return stored, rejected
 
-    def sample(self, rng: np.random.Generator, batch_size: int, batches: int = 1) -> Batch:
+    def sample(self, rng: np.random.Generator, batch_size: int, batches: int = 1) -> StoredBatch:
         """Stored transitions, drawn uniformly and independently, or by priority with weights and serials.
 
         Columns are of the dtypes in which they are held and travel; `zsdist.wire.codec` gives the learner its own.
@@ -135,7 +135,7 @@ class RingBuffer:
             places, weights = (np.concatenate(parts) for parts in zip(*draws, strict=True))
             drawn = {"weights": weights, "serials": self._written - 1 - (self._head - 1 - places) % self.capacity}
         taken = {name: column.take(places, axis=0) for name, column in self._columns.items() if name != "versions"}
-        return Batch(**taken, **drawn)
+        return StoredBatch(**taken, **drawn)
 
     def prioritise(self, serials: np.ndarray, errors: np.ndarray) -> int:
         """Draws rows by new errors from here on; those that were overwritten since are passed over.
