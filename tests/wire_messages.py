@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from zsdist.errors import DecodeError
-from zsdist.types import NO_GUIDE, Batch, Level, Trajectories, Trajectory, Weights
+from zsdist.types import NO_GUIDE, Level, StoredBatch, Trajectories, Trajectory, Weights
 from zsdist.wire.codec import decode
 from zsdist.wire.messages import (
     EPISODES,
@@ -65,21 +65,21 @@ def broken(rng: np.random.Generator, **columns: np.ndarray) -> Push:
     return push(rng, trajectories=(dataclasses.replace(trajectory(rng, 4), **columns),))
 
 
-def batch(rng: np.random.Generator, rows: int = 16) -> Batch:
-    states = rng.normal(size=(2, rows, STATE_SIZE)).astype(np.float16).astype(np.float32)
-    return Batch(
+def batch(rng: np.random.Generator, rows: int = 16) -> StoredBatch:
+    states = rng.normal(size=(2, rows, STATE_SIZE)).astype(np.float16)
+    return StoredBatch(
         states=states[0],
-        actions=rng.integers(0, ACTIONS, rows),
+        actions=rng.integers(0, ACTIONS, rows).astype(np.uint8),
         rewards=rng.normal(size=rows).astype(np.float32),
         discounts=rng.random(rows).astype(np.float32),
         next_states=states[1],
         next_masks=rng.random((rows, ACTIONS)) < 0.5,
         masks=rng.random((rows, ACTIONS)) < 0.5,
-        guides=rng.integers(NO_GUIDE, ACTIONS, rows),
+        guides=rng.integers(NO_GUIDE, ACTIONS, rows).astype(np.int8),
     )
 
 
-def drawn_by_priority(rng: np.random.Generator, rows: int = 16) -> Batch:
+def drawn_by_priority(rng: np.random.Generator, rows: int = 16) -> StoredBatch:
     weights = rng.uniform(0.1, 1.0, rows).astype(np.float32)
     return dataclasses.replace(batch(rng, rows), weights=weights, serials=rng.integers(0, 10**9, rows))
 

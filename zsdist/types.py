@@ -1,27 +1,27 @@
-"""The data that travels between packages: shapes, dtypes and units.
+"""Data that travels between packages: shapes, dtypes and units.
 
 Shape legend: `n` transitions of a trajectory, `D` state features, `A` actions, `B` batch, `R` camera rays,
-`K` distance bins of a ray, the last of which means "nothing within the camera's range".
+`K` distance bins of a ray. The last bin means that nothing is within the camera's range.
 """
 
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, overload
 
 import numpy as np
 
 
 class Level(StrEnum):
-    """The two levels of the hierarchy."""
+    """Level of the hierarchy."""
 
     HIGH = "high"
     LOW = "low"
 
 
 class Action(IntEnum):
-    """What the car can be told to do; never backward. The turn of an action comes before its advance."""
+    """Action of the car; there is none backward. An action turns first, then advances."""
 
     FORWARD = 0
     LEFT_45 = 1  # turn 45 degrees left, then move one cell
@@ -31,7 +31,7 @@ class Action(IntEnum):
 
 
 class Behaviour(IntEnum):
-    """Which policy chose an action (column `behaviours` of a trajectory)."""
+    """Policy that chose an action (column `behaviours` of a trajectory)."""
 
     GREEDY = 0
     GUIDE = 1
@@ -39,31 +39,31 @@ class Behaviour(IntEnum):
 
 
 class Outcome(StrEnum):
-    """How an episode ended."""
+    """Outcome of an episode."""
 
     SUCCESS = "success"
     COLLISION = "collision"
     TIMEOUT = "timeout"
 
 
-NO_GUIDE = -1  # value of a guide action where the guide policy has nothing to say
+NO_GUIDE = -1  # guide action where the guide policy has no advice
 
 
 class Pose(NamedTuple):
-    """A true pose: `x_m` east, `y_m` north of the arena's centre, `heading_rad` counter-clockwise from east."""
+    """True pose: `x_m` east and `y_m` north of the arena's centre, `heading_rad` counter-clockwise from east."""
 
     x_m: float
     y_m: float
     heading_rad: float
 
     def towards(self, x_m: float, y_m: float) -> tuple[float, float]:
-        """Bearing of a point from the car's axis in radians, left positive, within half a turn; distance in metres."""
+        """Return bearing (rad, from the car's axis, left positive, within half a turn) and distance (m) of a point."""
         east, north = x_m - self.x_m, y_m - self.y_m
         return math.remainder(math.atan2(north, east) - self.heading_rad, math.tau), math.hypot(east, north)
 
 
 class LatticeState(NamedTuple):
-    """A state of the planning lattice: column `ix` (east), row `iy` (north), `heading` in eighths of a turn."""
+    """State of the planning lattice: column `ix` (east), row `iy` (north), `heading` in eighths of a turn."""
 
     ix: int
     iy: int
@@ -72,7 +72,7 @@ class LatticeState(NamedTuple):
 
 @dataclass(frozen=True)
 class View:
-    """What the visual-act model says of one image.
+    """Output of the visual-act model for one image.
 
     Attributes:
         advice: `(3,)` float32, R_p for forward, left, right (Eq. 3's scale).
@@ -80,7 +80,7 @@ class View:
         dynamic: `(3,)` float32, probability that this obstacle is one that moves.
         ray_probabilities: `(R, K)` float32, rows sum to 1: distribution over the distance along each ray.
         ray_angles_rad: `(R,)` float32, angle of each ray from the camera's axis, left positive, leftmost first.
-        bin_edges_m: `(K,)` float32, edges of the first K - 1 bins; the last bin is everything beyond the last edge.
+        bin_edges_m: `(K,)` float32, edges of the first K - 1 bins; the last bin holds everything beyond the last edge.
     """
 
     advice: np.ndarray
@@ -100,16 +100,16 @@ class Trajectory:
     state in which the option ended.
 
     Attributes:
-        level: which DQN it is for.
+        level: the level whose DQN learns from it.
         states: `(n + 1, D)` float32.
         actions: `(n,)` uint8.
-        rewards: `(n,)` float32, as learned from (not the paper's literal reward unless so configured).
+        rewards: `(n,)` float32, the reward to learn from (the paper's literal one only if so configured).
         discounts: `(n,)` float32: 0 at goal and collision, else gamma (low) or gamma ** k (high).
-        successors: `(n,)` uint16, row of `states` that follows.
-        masks: `(n + 1, A)` bool, actions that may be taken in each state.
+        successors: `(n,)` uint16, row of the next state in `states`.
+        masks: `(n + 1, A)` bool, actions allowed in each state.
         guides: `(n,)` int8, the guide policy's action (`NO_GUIDE`: none).
         behaviours: `(n,)` uint8, `Behaviour`.
-        weight_version: version of the weights when the episode began; newer ones act as soon as they come.
+        weight_version: version of the weights when the episode began; the actor uses newer ones as soon as they arrive.
     """
 
     level: Level
@@ -132,12 +132,12 @@ TRAJECTORY_COLUMNS = ("states", "actions", "rewards", "discounts", "successors",
 
 @dataclass(frozen=True)
 class Trajectories(Sequence[Trajectory]):
-    """Trajectories of a level one after the other, column by column; taken apart only where one of them is asked for.
+    """Trajectories of one level joined column by column; split only where a single one is requested.
 
     Attributes:
-        level: which DQN they are for.
+        level: the level whose DQN learns from them.
         columns: the arrays of `Trajectory` by name, each joined along its first axis; states that have travelled are
-            float16 here.
+            float16.
         lengths: `(k,)` int64, transitions of each; 1 or more.
         versions: `(k,)` int64, version of the weights that acted.
     """
@@ -149,7 +149,7 @@ class Trajectories(Sequence[Trajectory]):
 
     @classmethod
     def join(cls, trajectories: Sequence[Trajectory]) -> Self:
-        """The same trajectories, at least one, joined."""
+        """Join one or more trajectories of one level."""
         return cls(
             level=trajectories[0].level,
             columns={
@@ -163,7 +163,15 @@ class Trajectories(Sequence[Trajectory]):
     def __len__(self) -> int:
         return len(self.lengths)
 
-    def __getitem__(self, index: int) -> Trajectory:
+    @overload
+    def __getitem__(self, index: int) -> Trajectory: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[Trajectory]: ...
+
+    def __getitem__(self, index: int | slice) -> Trajectory | list[Trajectory]:
+        if isinstance(index, slice):
+            return [self[each] for each in range(len(self))[index]]
         index = range(len(self))[index]
         start, length = int(self.lengths[:index].sum()), int(self.lengths[index])
         row = start + index  # each trajectory before this one has one more state than transitions
@@ -175,24 +183,15 @@ class Trajectories(Sequence[Trajectory]):
 
 
 def count_transitions(trajectories: Iterable[Trajectory]) -> int:
-    """How many transitions trajectories have together."""
+    """Return the number of transitions of all trajectories."""
     if isinstance(trajectories, Trajectories):
         return int(trajectories.lengths.sum())
     return sum(map(len, trajectories))
 
 
 @dataclass(frozen=True)
-class Batch:
-    """A sample of one level's replay, uniform unless it has `weights`; these are the dtypes that a learner has.
-
-    Attributes:
-        states: `(B, D)` float32.            next_states: `(B, D)` float32.
-        actions: `(B,)` int64.               next_masks: `(B, A)` bool.
-        rewards: `(B,)` float32.             masks: `(B, A)` bool.
-        discounts: `(B,)` float32.           guides: `(B,)` int64.
-        weights: `(B,)` float32 in (0, 1], of each row in the loss, where rows were drawn by priority.
-        serials: `(B,)` int64, by which the replay knows its rows again; there are as many where there are weights.
-    """
+class _BatchColumns:
+    """Columns of `B` transitions, one row each; the subclasses state the dtypes."""
 
     states: np.ndarray
     actions: np.ndarray
@@ -209,7 +208,7 @@ class Batch:
         return len(self.actions)
 
     def parts(self, count: int) -> list[Self]:
-        """Equal parts, one after the other, which share its memory; `count` divides its length."""
+        """Return `count` equal parts that share its memory, in order; `count` must divide its length."""
         size = len(self) // count
         columns = {name: column for name, column in vars(self).items() if column is not None}
         return [
@@ -218,12 +217,55 @@ class Batch:
         ]
 
 
+class StoredBatch(_BatchColumns):
+    """Sample of one level's replay in the dtypes of storage and transport.
+
+    Attributes:
+        states: `(B, D)` float16.            next_states: `(B, D)` float16.
+        actions: `(B,)` uint8.               next_masks: `(B, A)` bool.
+        rewards: `(B,)` float32.             masks: `(B, A)` bool.
+        discounts: `(B,)` float32.           guides: `(B,)` int8.
+        weights: `(B,)` float32 in (0, 1], importance weights of rows drawn by priority; None: drawn uniformly.
+        serials: `(B,)` int64, numbers of the rows in the replay; None where `weights` is None.
+    """
+
+
+class Batch(_BatchColumns):
+    """Sample of one level's replay in the dtypes of a learner.
+
+    Attributes:
+        states: `(B, D)` float32.            next_states: `(B, D)` float32.
+        actions: `(B,)` int64.               next_masks: `(B, A)` bool.
+        rewards: `(B,)` float32.             masks: `(B, A)` bool.
+        discounts: `(B,)` float32.           guides: `(B,)` int64.
+        weights: `(B,)` float32 in (0, 1], importance weights of rows drawn by priority; None: drawn uniformly.
+        serials: `(B,)` int64, numbers of the rows in the replay; None where `weights` is None.
+    """
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """Left-right reflection of a level's states and actions; applied twice it changes nothing.
+
+    The reflected state is `state_sign * state[state_index]`.
+
+    Attributes:
+        state_index: `(D,)` int64, feature that takes each feature's place.
+        state_sign: `(D,)` float32, +1 or -1.
+        action_index: `(A,)` int64, action that each action becomes.
+    """
+
+    state_index: np.ndarray
+    state_sign: np.ndarray
+    action_index: np.ndarray
+
+
 Parameters = dict[str, np.ndarray]  # a network's weights by name, float32
 
 
 @dataclass(frozen=True)
 class Weights:
-    """One version of one level's online network, as broadcast by its learner."""
+    """One version of a level's policy network, as broadcast by its learner."""
 
     level: Level
     version: int
@@ -232,11 +274,11 @@ class Weights:
 
 @dataclass(frozen=True)
 class Ack:
-    """What a receiver holds of one (stream, actor, epoch), and what it may still be sent.
+    """Acknowledgement: frames that a receiver holds of one (stream, actor, epoch), and the credit to send more.
 
     Attributes:
-        sender_epoch: incarnation of the receiver, which is the sender of this.
-        received: every frame numbered below this is held.
+        sender_epoch: incarnation of the receiver, which sends this.
+        received: the receiver holds every frame numbered below this.
         credit: absolute total of transitions the stream may produce in this epoch; None: unlimited.
     """
 

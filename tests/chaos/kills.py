@@ -81,7 +81,7 @@ class Log:
 
     def _read(self) -> list[Push]:
         self._rest += self._file.read()
-        records, taken = journal.whole(self._rest)
+        records, taken = journal.complete_records(self._rest)
         self._rest = self._rest[taken:]
         return [codec.decode(content, expect=Push) for kind, content in records if kind == Entry.PUSH]
 

@@ -6,7 +6,6 @@ logarithm, which has no upper end: a car that goes in circles never comes to loo
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from zsdist.agent.reward_shaping import way_costs
 from zsdist.agent.situation import Situation
 from zsdist.planning.grid import FINE_PER_CELL
 from zsdist.planning.lattice import successors_or_self
-from zsdist.types import Action, Level
+from zsdist.types import Action, Level, Mirror
 
 LOW_ACTIONS = len(Action)
 HERE_FEATURES = 10  # of the goal and of the block the car is in
@@ -37,15 +36,6 @@ HIGH_STATE_SIZE = NEIGHBOURS * BLOCK_FEATURES + HERE_FEATURES + DIRECTIONS + 3
 _ACTION_SINE = 3  # column of `action_features` that a reflection turns round
 _BLOCK_SINE = 8  # column of `block_features`
 _FAR_M = 10.0
-
-
-@dataclass(frozen=True)
-class Mirror:
-    """Left-right reflection: `mirrored = sign * state[index]`, and `action_index[a]` is what action `a` becomes."""
-
-    state_index: np.ndarray
-    state_sign: np.ndarray
-    action_index: np.ndarray
 
 
 def low_state(situation: Situation, subgoal: tuple[float, float], seeks_goal: bool, rooms: np.ndarray) -> np.ndarray:

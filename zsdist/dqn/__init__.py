@@ -1,1 +1,1 @@
-"""Deep Q-learning on arrays: network, losses, learner, exploration; knows no level, grid, simulator or transport."""
+"""Deep Q-learning on arrays: network, losses, learners, exploration. Knows no level, grid, simulator or transport."""

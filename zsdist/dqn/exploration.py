@@ -1,6 +1,6 @@
-"""How much to explore."""
+"""Exploration rate of the actors."""
 
 
 def epsilon(finished_episodes: int, decay: float, minimum: float) -> float:
-    """Probability of an exploratory action: `decay ** finished_episodes`, never below `minimum` (Table 2)."""
+    """Return the probability of an exploratory action: `decay ** finished_episodes`, at least `minimum` (Table 2)."""
     return max(minimum, decay**finished_episodes)

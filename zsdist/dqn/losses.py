@@ -1,6 +1,6 @@
-"""Losses of deep Q-learning and their gradients as pure functions of arrays, compiled: a batch's values are few.
+"""Losses of deep Q-learning and their gradients as pure functions of arrays, compiled because a batch has few values.
 
-`_t` is the time of the state acted in, `_tp1` the time of its successor. Shapes: `B` transitions, `A` actions.
+Names end in the time: `_t` of the state acted in, `_tp1` of its successor. Shapes: `B` transitions, `A` actions.
 """
 
 import numpy as np
@@ -15,13 +15,13 @@ def td_targets(
     mask_tp1: np.ndarray,
     online_q_tp1: np.ndarray | None = None,
 ) -> np.ndarray:
-    """What Q(s_t, a_t) should be, `(B,)` float32: Eq. (10).
+    """Return the targets of Q(s_t, a_t), `(B,)` float32: Eq. (10).
 
-    `r_t + discount_t * max_a' Q'(s_{t+1}, a')` over the actions allowed in `s_{t+1}`; where `discount_t` is 0 (goal,
-    collision) the reward alone.
+    `r_t + discount_t * max_a' Q'(s_{t+1}, a')` over the actions allowed in `s_{t+1}`; only the reward where
+    `discount_t` is 0 (goal, collision).
 
-    Deviation: the paper's has no terminal case; with `online_q_tp1` the online network picks a' and the target
-    network values it (double Q-learning); actions that leave the grid are left out of the maximum.
+    Deviation: the paper's equation has no terminal case. With `online_q_tp1` the online network picks a' and the target
+    network values it (double Q-learning). Actions that leave the grid are excluded from the maximum.
 
     Args:
         reward_t: `(B,)` float32.
@@ -39,7 +39,7 @@ def td_targets(
 
 @compiled()
 def td_error(q_t: np.ndarray, action_t: np.ndarray, target_t: np.ndarray) -> np.ndarray:
-    """`Q(s_t, a_t) - target_t`, `(B,)`.
+    """Return the temporal-difference errors `Q(s_t, a_t) - target_t`, `(B,)`.
 
     Args:
         q_t: `(B, A)` float32.
@@ -53,14 +53,14 @@ def td_error(q_t: np.ndarray, action_t: np.ndarray, target_t: np.ndarray) -> np.
 
 
 def td_loss(error_t: np.ndarray, huber: bool) -> float:
-    """Mean loss of `td_error`: Huber with its bend at 1, or half the square."""
+    """Return the mean loss of temporal-difference errors: Huber with its bend at 1, or half the square."""
     bounded = error_t.clip(-1, 1) if huber else error_t
     return float((bounded * (error_t - bounded / 2)).mean())
 
 
 @compiled()
 def td_gradient(q_t: np.ndarray, action_t: np.ndarray, error_t: np.ndarray, huber: bool) -> np.ndarray:
-    """Gradient of `td_loss` with respect to `q_t`, `(B, A)`; both kinds have the same for errors below 1."""
+    """Return the gradient of `td_loss` with respect to `q_t`, `(B, A)`; both losses share it for errors below 1."""
     gradient, rows = np.zeros_like(q_t), np.float32(len(error_t))
     for row in range(len(error_t)):
         error = error_t[row]
@@ -71,15 +71,15 @@ def td_gradient(q_t: np.ndarray, action_t: np.ndarray, error_t: np.ndarray, hube
 
 
 def margin_loss(q_t: np.ndarray, mask_t: np.ndarray, guide_t: np.ndarray, margin: float) -> float:
-    """How far guide actions are from being best by `margin`, averaged over the batch.
+    """Return the large-margin loss, the mean shortfall of guide actions from being best by `margin`.
 
-    `max_a [Q(s, a) + margin * (a != guide)] - Q(s, guide)` over allowed actions: the large-margin loss of deep
-    Q-learning from demonstrations. Rows count nothing where there is no guide action or it is not allowed.
+    `max_a [Q(s, a) + margin * (a != guide)] - Q(s, guide)` over allowed actions, as in deep Q-learning from
+    demonstrations. A row without an allowed guide action adds 0 but counts in the mean.
 
     Args:
         q_t: `(B, A)` float32.
         mask_t: `(B, A)` bool, allowed actions.
-        guide_t: `(B,)` int64, negative where the guide has nothing to say.
+        guide_t: `(B,)` int64, negative where the guide has no advice.
         margin: in units of value.
     """
     rivals = _rivals(q_t, mask_t, guide_t, np.float32(margin))
@@ -90,7 +90,7 @@ def margin_loss(q_t: np.ndarray, mask_t: np.ndarray, guide_t: np.ndarray, margin
 
 @compiled()
 def margin_gradient(q_t: np.ndarray, mask_t: np.ndarray, guide_t: np.ndarray, margin: float) -> np.ndarray:
-    """Gradient of `margin_loss` with respect to `q_t`, `(B, A)`."""
+    """Return the gradient of `margin_loss` with respect to `q_t`, `(B, A)`."""
     gradient, share = np.zeros_like(q_t), np.float32(1.0 / len(q_t))
     rivals = _rivals(q_t, mask_t, guide_t, np.float32(margin))
     for row in range(len(q_t)):
@@ -117,7 +117,7 @@ def _targets(
 
 @compiled()
 def _rivals(q_t: np.ndarray, mask_t: np.ndarray, guide_t: np.ndarray, margin: np.float32) -> np.ndarray:
-    """The best allowed action where all but the guide's are lifted by `margin`; -1 where the row counts nothing."""
+    """Return the best allowed action once all but the guide's are raised by `margin`; -1: no allowed guide action."""
     rivals, lifted = np.full(len(q_t), -1), np.empty_like(q_t[0])
     for row in range(len(q_t)):
         guide = guide_t[row]
@@ -130,13 +130,14 @@ def _rivals(q_t: np.ndarray, mask_t: np.ndarray, guide_t: np.ndarray, margin: np
 
 @compiled()
 def _best(values: np.ndarray, mask: np.ndarray) -> int:
-    """The allowed action of the highest value, the first of several; 0 where none is allowed."""
-    best, most = 0, -np.inf
+    """Return the allowed action of the highest value, the first of equals; 0 if none is allowed."""
+    best, highest = 0, -np.inf
     for action in range(len(values)):
-        if mask[action] and values[action] > most:
-            best, most = action, values[action]
+        if mask[action] and values[action] > highest:
+            best, highest = action, values[action]
     return best
 
 
 def _check(array: np.ndarray, rank: int, dtype: type) -> None:
+    """Check rank and dtype, so that a wrong shape is caught instead of broadcast."""
     assert array.ndim == rank and array.dtype == dtype, (array.shape, array.dtype, rank, dtype)

@@ -1,7 +1,7 @@
-"""The Q-network as numbers: its weights, and what actors act with. The form that learns is in `torch_network`.
+"""Q-network in numpy, the form that actors act with; `torch_network` has the form that learns.
 
-Shapes: `B` states, `D` features, `A` actions. Each hidden layer is linear, layer-normalised, then ReLU: with the
-paper's learning rate of 0.002 the normalisation keeps activations, and so values far from the data, bounded.
+Shapes: `B` states, `D` features, `A` actions. Each hidden layer is linear, layer-normalised, then ReLU. With the
+paper's learning rate of 0.002 the normalisation bounds activations, and so values far from the data.
 """
 
 import hashlib
@@ -17,7 +17,7 @@ _OUTPUT_SCALE = 0.1  # initial values near zero, so that the first targets are t
 
 
 def initial_parameters(state_size: int, actions: int, hidden: Sequence[int], seed: int) -> Parameters:
-    """Fresh parameters: He-uniform weights, zero biases, a small output layer; equal for equal seeds."""
+    """Return initial parameters: He-uniform weights, zero biases, a small output layer; equal for equal seeds."""
     rng = np.random.default_rng(seed)
     parameters: Parameters = {}
     fan_in = state_size
@@ -33,7 +33,7 @@ def initial_parameters(state_size: int, actions: int, hidden: Sequence[int], see
 
 
 def apply(parameters: Parameters, states: np.ndarray) -> np.ndarray:
-    """Values `(B, A)` float32 of `states` `(B, D)` float32, without torch: what actors act with."""
+    """Return the values `(B, A)` float32 of `states` `(B, D)` float32, without torch."""
     x = states
     for i in range(depth(parameters)):
         x = x @ parameters[f"hidden{i}.weight"].T
@@ -47,7 +47,7 @@ def apply(parameters: Parameters, states: np.ndarray) -> np.ndarray:
 
 
 def greedy(q: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Best allowed action in each row, `(B,)` int64; the lowest number wins a tie.
+    """Return the best allowed action of each row, `(B,)` int64; the lowest number wins a tie.
 
     Args:
         q: `(B, A)` values.
@@ -58,14 +58,15 @@ def greedy(q: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """
     if not mask.any(axis=1).all():
         raise ValueError(f"row {int(np.argmin(mask.any(axis=1)))} of the mask allows no action; at least one is needed")
-    return np.where(mask, q, -np.inf).argmax(axis=1)
+    best: np.ndarray = np.where(mask, q, -np.inf).argmax(axis=1)
+    return best
 
 
 def check(parameters: Parameters, state_size: int, actions: int) -> None:
-    """Holds that these are finite float32 weights of a network from `state_size` features to `actions` values.
+    """Check that these are finite float32 weights of a network from `state_size` features to `actions` values.
 
     Raises:
-        WeightsError: naming the first weight that is missing, superfluous, misshapen, or not finite float32.
+        WeightsError: a weight is missing, superfluous, misshapen or not finite float32; the message names the first.
     """
     expected = _shapes(parameters, state_size, actions)
     if set(parameters) != set(expected):
@@ -81,7 +82,7 @@ def check(parameters: Parameters, state_size: int, actions: int) -> None:
 
 
 def sha256(parameters: Parameters) -> str:
-    """Hex digest of names, shapes and values, independent of the order of names."""
+    """Return the hex digest of names, shapes and values, independent of the order of names."""
     digest = hashlib.sha256()
     for name in sorted(parameters):
         value = np.ascontiguousarray(parameters[name], dtype="<f4")
@@ -96,17 +97,17 @@ def _he_uniform(rng: np.random.Generator, fan_out: int, fan_in: int) -> np.ndarr
 
 
 def _row_means(x: np.ndarray) -> np.ndarray:
-    """Means of rows, `(B, 1)`: what `mean` gives, without the checks that take it longer than the sum itself."""
+    """Return the means of rows, `(B, 1)`, without the checks of `mean`, which take longer than the sum itself."""
     return np.add.reduce(x, 1, keepdims=True) / np.float32(x.shape[1])
 
 
 def depth(parameters: Parameters) -> int:
-    """How many hidden layers a network has."""
+    """Return the number of hidden layers of a network."""
     return sum(name.endswith(".norm_scale") for name in parameters)
 
 
 def _shapes(parameters: Parameters, state_size: int, actions: int) -> dict[str, tuple[int, ...]]:
-    """Names and shapes a network of this many hidden layers has; widths are those of its biases."""
+    """Return names and shapes of a network with as many hidden layers; widths are those of its biases."""
     shapes: dict[str, tuple[int, ...]] = {}
     fan_in = state_size
     for i in range(depth(parameters)):

@@ -1,1 +1,1 @@
-"""Replay memory of one level: a ring of transitions, its adaptive size, and the ratio of updates to inserts."""
+"""Replay memory of one level: ring buffer, priorities, adaptive sizes, journal, and limit on updates per insert."""

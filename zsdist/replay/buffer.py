@@ -1,8 +1,8 @@
-"""A ring of transitions by column, with uniform sampling or sampling by priority.
+"""Ring buffer of transitions by column, with uniform sampling or sampling by priority.
 
-State and successor lie side by side in each row. Sharing the states between rows would save nothing where it matters:
-a trajectory of one transition has two states, so a ring of shared states needs the same bound, and indices besides.
-States are half floats, as they travel both ways. 20,000 rows of 120 features are 10 MiB.
+Each row holds a state and the next state. Sharing states between rows would not lower the memory bound: a trajectory
+of one transition has two states, so a ring of shared states needs as many, and indices besides. States are half
+floats, the format in which they travel. 20,000 rows of 120 features take 10 MiB.
 """
 
 from collections.abc import Sequence
@@ -15,9 +15,9 @@ from zsdist.common import half_precision
 from zsdist.errors import RunError
 from zsdist.replay import n_step_returns
 from zsdist.replay.priorities import RowPriorities
-from zsdist.types import NO_GUIDE, Batch, Behaviour, Trajectories, Trajectory, count_transitions
+from zsdist.types import NO_GUIDE, Behaviour, StoredBatch, Trajectories, Trajectory, count_transitions
 
-# Why a transition is refused, in the order in which it is looked for; each counts under the first that applies.
+# Reasons to reject a transition, in the order of the checks; each transition counts under the first that applies.
 REASONS = (
     "shape",
     "dtype",
@@ -44,14 +44,14 @@ _DTYPES = {
 
 
 class RingBuffer:
-    """The newest `capacity` transitions. Insert and sample cost what they move, never the capacity.
+    """Ring of the newest `capacity` transitions; inserting and sampling cost what they move, never the capacity.
 
     Args:
         state_size: features of a state, `D`.
         actions: number of actions, `A`.
         capacity: transitions held at most.
-        n_step: transitions of a trajectory that are stored as one return, at most (`zsdist.replay.n_step_returns`).
-        priorities: of `capacity` rows, by which they are drawn; None: uniformly.
+        n_step: most transitions of a trajectory that make up one stored return (`zsdist.replay.n_step_returns`).
+        priorities: of `capacity` rows, to sample by; None: sample uniformly.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class RingBuffer:
         self._columns = _allocate(state_size, actions, capacity)
         self.capacity = capacity
         self._size = 0
-        self._head = 0  # row that is written next
+        self._head = 0  # row to write next
         self._written = 0
         self._newest_version = 0
 
@@ -76,21 +76,22 @@ class RingBuffer:
 
     @property
     def oldest_version(self) -> int | None:
-        """Weight version that chose the oldest stored transition; None: nothing is stored."""
+        """Version of the weights that chose the oldest stored transition; None: nothing is stored."""
         return int(self._columns["versions"][(self._head - self._size) % self.capacity]) if self._size else None
 
     @property
     def oldest_age_versions(self) -> int | None:
-        """Weight versions between the newest transition seen and the oldest stored one; None: nothing is stored."""
-        return self._newest_version - self.oldest_version if self._size else None
+        """Weight versions between the newest transition stored so far and the oldest held; None: nothing is held."""
+        oldest = self.oldest_version
+        return None if oldest is None else self._newest_version - oldest
 
     def insert(self, trajectories: Sequence[Trajectory]) -> tuple[int, dict[str, int]]:
-        """Stores the sound transitions of `trajectories`, in order, evicting the oldest.
+        """Store the valid transitions of `trajectories`, in order; they overwrite the oldest.
 
         Returns:
-            `(stored, rejected)`: how many were stored, and how many were refused by reason (`REASONS`), together the
-            number offered. Trajectories of other shapes or dtypes than the buffer's are all refused together; states
-            may be float32 as well, and are rounded.
+            `(stored, rejected)`: the number stored, and the numbers rejected by reason (`REASONS`); together they are
+            the number offered. If any shape or dtype is not the buffer's, all are rejected; float32 states are
+            accepted and rounded.
         """
         offered = count_transitions(trajectories)
         if not offered:
@@ -103,23 +104,21 @@ class RingBuffer:
         if reason := self._malformed(joined, offered):
             return 0, {reason: offered}
         offer = _Offer.of(joined)
-        sound, rejected = self._judge(offer)
-        chosen = np.flatnonzero(sound)
-        stored = len(chosen)
+        valid, rejected = self._validate(offer)
+        accepted = np.flatnonzero(valid)
+        stored = len(accepted)
         if self._n_step > 1 and stored:
-            offer = offer.joined(self._n_step, sound)
-        self._write(offer, chosen[-self.capacity :])
+            offer = offer.with_n_step_returns(self._n_step, valid)
+        self._write(offer, accepted[-self.capacity :])
         return stored, rejected
 
-    def sample(self, rng: np.random.Generator, batch_size: int, batches: int = 1) -> Batch:
-        """Stored transitions, drawn uniformly and independently, or by priority with weights and serials.
-
-        Columns are of the dtypes in which they are held and travel; `zsdist.wire.codec` gives the learner its own.
+    def sample(self, rng: np.random.Generator, batch_size: int, batches: int = 1) -> StoredBatch:
+        """Sample stored transitions uniformly with replacement, or by priority with weights and serials.
 
         Args:
-            rng: where chance comes from.
+            rng: source of randomness.
             batch_size: transitions of a batch.
-            batches: how many to draw; they come as one, one after the other.
+            batches: number of batches to draw, returned one after the other as one.
 
         Raises:
             ValueError: nothing is stored.
@@ -128,24 +127,24 @@ class RingBuffer:
             raise ValueError("cannot sample from a replay buffer that holds 0 transitions; at least 1 is needed")
         drawn = {}
         if self._priorities is None:
-            # Rows 0 to size - 1 are in use, wherever the head is.
-            places = rng.integers(0, self._size, batches * batch_size)
+            # Rows 0 to size - 1 are in use, whatever the head.
+            rows = rng.integers(0, self._size, batches * batch_size)
         else:
             draws = [self._priorities.draw(rng, batch_size, self._size) for _ in range(batches)]
-            places, weights = (np.concatenate(parts) for parts in zip(*draws, strict=True))
-            drawn = {"weights": weights, "serials": self._written - 1 - (self._head - 1 - places) % self.capacity}
-        taken = {name: column.take(places, axis=0) for name, column in self._columns.items() if name != "versions"}
-        return Batch(**taken, **drawn)
+            rows, weights = (np.concatenate(parts) for parts in zip(*draws, strict=True))
+            drawn = {"weights": weights, "serials": self._written - 1 - (self._head - 1 - rows) % self.capacity}
+        sampled = {name: column.take(rows, axis=0) for name, column in self._columns.items() if name != "versions"}
+        return StoredBatch(**sampled, **drawn)
 
-    def prioritise(self, serials: np.ndarray, errors: np.ndarray) -> int:
-        """Draws rows by new errors from here on; those that were overwritten since are passed over.
+    def update_priorities(self, serials: np.ndarray, errors: np.ndarray) -> int:
+        """Set the priorities of rows from new errors; rows that were overwritten since are skipped.
 
         Args:
             serials: `(B,)` int64, of a batch.
             errors: `(B,)` float32, finite and 0 or more.
 
         Returns:
-            How many rows it concerned.
+            The number of rows that are still held.
         """
         ages = self._written - 1 - serials
         held = (ages >= 0) & (ages < self._size)
@@ -155,48 +154,48 @@ class RingBuffer:
 
     @property
     def written(self) -> int:
-        """Rows written in all; the serial of a row is how many were written before it."""
+        """Number of rows written so far; the serial of a row is the number of rows written before it."""
         return self._written
 
     def resize(self, capacity: int) -> None:
-        """Changes the capacity, keeping the newest transitions that fit."""
+        """Change the capacity; the newest transitions that fit are kept."""
         kept = min(self._size, capacity)
-        places = (self._head - kept + np.arange(kept)) % self.capacity
+        rows = (self._head - kept + np.arange(kept)) % self.capacity
         columns = _allocate(self._state_size, self._actions, capacity)
         for name, column in self._columns.items():
-            columns[name][:kept] = column[places]
+            columns[name][:kept] = column[rows]
         if self._priorities is not None:
-            self._priorities.moved(capacity, self._priorities.of(places))
+            self._priorities.resize(capacity, self._priorities.get(rows))
         self._columns, self.capacity, self._size, self._head = columns, capacity, kept, kept % capacity
 
     def state(self) -> dict[str, np.ndarray]:
-        """Everything stored, in place, so that a restored buffer gives the same samples to the same generator."""
+        """Return a copy of all rows in place; a restored buffer then draws the same with an equal generator."""
         return {name: column[: self._size].copy() for name, column in self._columns.items()} | self.layout()
 
     def layout(self) -> dict[str, np.ndarray]:
-        """What of the `state` is not rows; a piece of them each is told by `newest`."""
+        """Return the part of `state` that is not rows; `rows_since` returns rows piece by piece."""
         arrays = {
             "capacity": np.array(self.capacity, np.int64),
             "head": np.array(self._head, np.int64),
             "written": np.array(self._written, np.int64),
         }
         if self._priorities is not None:
-            arrays["priorities"] = self._priorities.of(np.arange(self._size))
+            arrays["priorities"] = self._priorities.get(np.arange(self._size))
             arrays["largest_priority"] = np.array(self._priorities.largest)
         return arrays
 
-    def newest(self, since: int) -> dict[str, np.ndarray]:
-        """The stored rows that were written as number `since` or later, oldest first."""
-        count = min(self._size, self._written - since)
+    def rows_since(self, serial: int) -> dict[str, np.ndarray]:
+        """Return a copy of the stored rows of this serial or later, oldest first."""
+        count = min(self._size, self._written - serial)
         first = (self._head - count) % self.capacity
         parts = (slice(first, first + count), slice(0, max(0, first + count - self.capacity)))
         return {name: np.concatenate([column[part] for part in parts]) for name, column in self._columns.items()}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Takes over a `state()`; one without priorities too, whose rows then are as if they had come just now.
+        """Restore a `state()`; rows of a state without priorities get the priority of new rows.
 
         Raises:
-            RunError: an entry is missing, or belongs to a buffer of other shapes.
+            RunError: an entry is missing or belongs to a buffer of other shapes.
         """
         missing = sorted({*self._columns, "capacity", "head", "written"} - set(state))
         if missing:
@@ -218,10 +217,10 @@ class RingBuffer:
         self._newest_version = int(columns["versions"][:size].max(initial=0))
         if self._priorities is not None:
             self._priorities.largest = float(state.get("largest_priority", 1.0))
-            self._priorities.moved(capacity, state.get("priorities", np.full(size, self._priorities.largest)))
+            self._priorities.resize(capacity, state.get("priorities", np.full(size, self._priorities.largest)))
 
     def check_valid(self) -> None:
-        """Asserts what always holds of what is stored; for tests, after any operation."""
+        """Assert the invariants of the stored rows; for tests, after any operation."""
         columns = {name: column[: self._size] for name, column in self._columns.items()}
         assert 0 <= self._size <= self.capacity
         assert 0 <= self._head < self.capacity
@@ -234,6 +233,7 @@ class RingBuffer:
         assert (columns["next_masks"].any(axis=1) | (columns["discounts"] == 0)).all()
 
     def _malformed(self, trajectories: Trajectories, offered: int) -> str | None:
+        """Return the reason to reject all transitions together; None: shapes and dtypes are right."""
         rows = offered + len(trajectories)
         shapes = {"states": (rows, self._state_size), "masks": (rows, self._actions)}
         for name, dtype in _DTYPES.items():
@@ -244,38 +244,39 @@ class RingBuffer:
                 return "dtype"
         return None
 
-    def _judge(self, offer: "_Offer") -> tuple[np.ndarray, dict[str, int]]:
-        """Which transitions to store, `(n,)` bool, and how many of the others were refused by reason."""
+    def _validate(self, offer: "_Offer") -> tuple[np.ndarray, dict[str, int]]:
+        """Return a mask of the valid transitions, `(n,)` bool, and the numbers of the others by reason."""
         columns, masks = offer.columns, offer.masks[offer.rows]
-        own, a = np.arange(len(offer.rows)), self._actions
+        each, a = np.arange(len(offer.rows)), self._actions
         actions, guides, discounts = columns["actions"], columns["guides"], columns["discounts"]
         finite = half_precision.finite_rows(offer.states)
-        guided = (guides >= 0) & (guides < a) & masks[own, np.clip(guides, 0, a - 1)]
-        checks = {
+        guided = (guides >= 0) & (guides < a) & masks[each, np.clip(guides, 0, a - 1)]
+        has_action = np.asarray(offer.masks.any(axis=1))
+        checks: dict[str, np.ndarray] = {
             "successor": offer.known,
             "state": finite[offer.rows] & finite[offer.successors],
             "reward": np.isfinite(columns["rewards"]),
             "discount": (discounts >= 0) & (discounts <= 1),
             "action": actions < a,
-            "action_masked": masks[own, np.minimum(actions, a - 1)],
+            "action_masked": masks[each, np.minimum(actions, a - 1)],
             "guide": guided | (guides == NO_GUIDE),
             "behaviour": columns["behaviours"] < len(Behaviour),
-            "dead_end": offer.masks.any(axis=1)[offer.successors] | (discounts == 0),  # nothing to bootstrap from
+            "dead_end": has_action[offer.successors] | (discounts == 0),  # else nothing to bootstrap from
         }
-        sound, rejected = np.ones(len(offer.rows), bool), {}
+        valid, rejected = np.ones(len(offer.rows), bool), {}
         for reason, holds in checks.items():
-            refused = int(np.count_nonzero(sound & ~holds))
-            if refused:
-                rejected[reason] = refused
-            sound &= holds
-        return sound, rejected
+            failed = int(np.count_nonzero(valid & ~holds))
+            if failed:
+                rejected[reason] = failed
+            valid &= holds
+        return valid, rejected
 
-    def _write(self, offer: "_Offer", chosen: np.ndarray) -> None:
-        """Copies chosen transitions, no more than the capacity, to where the head is, around the end if need be."""
+    def _write(self, offer: "_Offer", accepted: np.ndarray) -> None:
+        """Copy accepted transitions, at most the capacity, to the head and on from row 0 after the last row."""
         written = 0
-        while written < len(chosen):
-            part = chosen[written : written + self.capacity - self._head]
-            place = slice(self._head, self._head + len(part))
+        while written < len(accepted):
+            part = accepted[written : written + self.capacity - self._head]
+            span = slice(self._head, self._head + len(part))
             for name, source, index in (
                 ("states", offer.states, offer.rows[part]),
                 ("next_states", offer.states, offer.successors[part]),
@@ -284,22 +285,28 @@ class RingBuffer:
                 *((name, offer.columns[name], part) for name in ("actions", "rewards", "discounts", "guides")),
                 ("versions", offer.versions, part),
             ):
-                source.take(index, axis=0, out=self._columns[name][place], mode="clip")  # "raise" would copy twice
+                source.take(index, axis=0, out=self._columns[name][span], mode="clip")  # "raise" would copy twice
             if self._priorities is not None:
-                self._priorities.written(np.arange(place.start, place.stop))
+                self._priorities.add(np.arange(span.start, span.stop))
             written += len(part)
-            self._head = place.stop % self.capacity
-        self._size = min(self._size + len(chosen), self.capacity)
-        self._written += len(chosen)
-        if len(chosen):
-            self._newest_version = max(self._newest_version, int(offer.versions[chosen].max()))
+            self._head = span.stop % self.capacity
+        self._size = min(self._size + len(accepted), self.capacity)
+        self._written += len(accepted)
+        if len(accepted):
+            self._newest_version = max(self._newest_version, int(offer.versions[accepted].max()))
 
 
 class _Offer(NamedTuple):
-    """Trajectories one after the other: `n` transitions in all, and a state more for each trajectory.
+    """Trajectories joined: `n` transitions, and one state more than transitions for each trajectory.
 
-    `rows` and `successors`, `(n,)`, are a transition's two rows among all states; where its successor is not `known`
-    it is some other state.
+    Attributes:
+        states: `(n + k, D)` float16, of all `k` trajectories.
+        masks: `(n + k, A)` bool.
+        rows: `(n,)` int64, row of each transition's state among all states.
+        successors: `(n,)` int64, row of its next state; any row if it is not `known`.
+        known: `(n,)` bool, whether the successor lies within the trajectory.
+        versions: `(n,)` int64, version of the weights that acted.
+        columns: the other columns of `Trajectory`, `(n,)` each.
     """
 
     states: np.ndarray
@@ -312,34 +319,34 @@ class _Offer(NamedTuple):
 
     @classmethod
     def of(cls, trajectories: Trajectories) -> Self:
-        """Well-formed trajectories, with what tells whose transitions are whose."""
+        """Locate each transition's states among all states of well-formed trajectories."""
         lengths = trajectories.lengths
         ends = lengths.cumsum()
         before = np.arange(len(lengths))  # each trajectory before this one has one more state than transitions
-        joined = dict(trajectories.columns)
-        steps = joined.pop("successors")
+        columns = dict(trajectories.columns)
+        steps = columns.pop("successors")
         known = steps <= lengths.repeat(lengths)
         return cls(
-            states=joined.pop("states"),
-            masks=joined.pop("masks"),
+            states=columns.pop("states"),
+            masks=columns.pop("masks"),
             rows=np.arange(ends[-1]) + before.repeat(lengths),
             successors=np.where(known, steps, 0) + (ends - lengths + before).repeat(lengths),
             known=known,
             versions=trajectories.versions.repeat(lengths),
-            columns=joined,
+            columns=columns,
         )
 
-    def joined(self, steps: int, sound: np.ndarray) -> Self:
-        """The same with rewards, discounts and successors over up to `steps` sound transitions."""
+    def with_n_step_returns(self, steps: int, valid: np.ndarray) -> Self:
+        """Return these transitions with rewards, discounts and successors over up to `steps` valid ones."""
         rewards, discounts, successors = n_step_returns.n_step(
-            steps, self.rows, self.successors, self.columns["rewards"], self.columns["discounts"], sound
+            steps, self.rows, self.successors, self.columns["rewards"], self.columns["discounts"], valid
         )
         columns = self.columns | {"rewards": rewards, "discounts": discounts}
         return self._replace(columns=columns, successors=successors)
 
 
 def row_bytes(state_size: int, actions: int) -> int:
-    """Bytes one stored transition takes."""
+    """Return the bytes of one stored transition."""
     return sum(column.nbytes for column in _allocate(state_size, actions, 1).values())
 
 

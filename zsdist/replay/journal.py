@@ -1,11 +1,12 @@
-"""What a replay has taken in, on its own disk: what was acknowledged outlives the process, `kill -9` included.
+"""Journal on disk of all that a replay has accepted: what was acknowledged survives the process, `kill -9` included.
 
-A journal is a base, a log, and pieces. The base says how things stood at one moment, all but the bulk of it; the log is
-what has come since, in order. Once the log is long enough a new base takes the place of both, and what the log had
-brought becomes one more piece of the bulk. No piece is ever written again: it is removed as a whole once nothing in it
-is held any more, so that a ring costs what goes into it and never what it holds. Records are handed to the operating
-system before anything is acknowledged; it keeps them though the process dies. They are not forced onto the disk: a
-machine that loses power may lose the last of them.
+A journal has a base, a log, and pieces. The base is the state at one moment without the rows of the ring; the log holds
+the records since then, in order. Once the log is long enough, a new base replaces both, and the rows that the log
+brought become one more piece. A piece is never rewritten; it is removed as a whole once none of its rows is held any
+more, so that the cost of a ring depends on the rows written, not on the rows held.
+
+Records are handed to the operating system before anything is acknowledged, and survive the death of the process. They
+are not forced onto the disk: a machine that loses power may lose the last of them.
 """
 
 import os
@@ -17,17 +18,24 @@ from typing import NamedTuple
 
 from zsdist.errors import RunError
 
-COMPACT_BYTES = 16 * 2**20  # a log at least this long is folded,
-COMPACT_RECORDS = 512  # or one of so many: a successor has read it in a fraction of a second
+# A log of this length is folded into a new base; reading a log of so many records takes a fraction of a second.
+COMPACT_BYTES = 16 * 2**20
+COMPACT_RECORDS = 512
 
 _HEAD = struct.Struct("<IIB")  # length of the content, CRC-32 of kind and content, kind
 _KIND = struct.Struct("<B")
 
-Record = tuple[int, bytes]  # kind, which is the writer's business, and content
+Record = tuple[int, bytes]  # kind, defined by the writer, and content
 
 
-class Found(NamedTuple):
-    """What a journal holds: the newest base, the pieces that belong to it, oldest first, and the records since."""
+class JournalContent(NamedTuple):
+    """Content of a journal.
+
+    Attributes:
+        base: the newest base.
+        pieces: pieces of rows that belong to it, oldest first.
+        records: records since the base, oldest first.
+    """
 
     base: bytes
     pieces: list[bytes]
@@ -35,13 +43,13 @@ class Found(NamedTuple):
 
 
 class Journal:
-    """One writer's base, log and pieces in a folder of its own.
+    """Base, log and pieces of one writer, in a folder of its own.
 
     Args:
-        folder: made where it is missing; of a journal that was there, `recover` tells.
+        folder: created if missing; `recover` returns the content of a journal that is there.
 
     Raises:
-        RunError: the folder cannot be made or read.
+        RunError: the folder cannot be created.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -51,11 +59,11 @@ class Journal:
         self._base_bytes = 0
         self._log_bytes = 0
         self._log_records = 0
-        self._pieces: dict[Path, int] = {}  # oldest first; bytes
+        self._pieces: dict[Path, int] = {}  # their sizes in bytes, oldest first
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise self._failed("made", error) from error
+            raise self._failed("created", error) from error
 
     @property
     def nbytes(self) -> int:
@@ -64,14 +72,14 @@ class Journal:
 
     @property
     def wants_base(self) -> bool:
-        """Whether the log is so long that `rebase` is due."""
+        """Whether the log is long enough for a `rebase`."""
         return self._log_bytes >= COMPACT_BYTES or self._log_records >= COMPACT_RECORDS
 
-    def recover(self) -> Found | None:
-        """The newest base, its pieces and the whole records after it; None where there is no base.
+    def recover(self) -> JournalContent | None:
+        """Return the newest base, its pieces and the complete records after it; None if there is no base.
 
-        A last record that was torn by the death of its writer is cut off: nobody was told that it had arrived. The
-        journal goes on after the others.
+        A last record that the death of its writer left incomplete is cut off: it was never acknowledged. New records
+        follow the others.
 
         Raises:
             RunError: a file cannot be read or cut.
@@ -81,26 +89,26 @@ class Journal:
             return None
         self._generation = generations[-1]
         try:
-            self._remove(lambda path: _generation(path) > self._generation)  # of a base that was never finished
+            self._remove(lambda path: _generation(path) > self._generation)  # belongs to a base that was never finished
             self._pieces = {path: path.stat().st_size for path in sorted(self._folder.glob("*.piece"))}
             base, pieces = self._path("base").read_bytes(), [path.read_bytes() for path in self._pieces]
             self._open_log()
             content = self._path("log").read_bytes()
-            records, self._log_bytes = whole(content)
+            records, self._log_bytes = complete_records(content)
             os.ftruncate(self._log, self._log_bytes)
         except OSError as error:
             raise self._failed("read", error) from error
         self._base_bytes, self._log_records = len(base), len(records)
-        return Found(base, pieces, records)
+        return JournalContent(base, pieces, records)
 
     def rebase(self, base: bytes, piece: bytes = b"", *, end: int = 0, oldest: int = 0) -> None:
-        """Begins anew from `base`; the base and the log before it are removed, and pieces that are no longer needed.
+        """Start a new generation from `base`; remove the old base and log, and pieces that are no longer needed.
 
         Args:
-            base: says how things stand, all but what is in pieces.
-            piece: what the log had brought; empty: nothing.
-            end: number of the first item after the piece, of items numbered through all pieces.
-            oldest: number of the oldest item that is needed; pieces that end there or earlier are removed.
+            base: the state without the rows in pieces.
+            piece: the rows that the log brought; empty: none.
+            end: serial of the first row after the piece; rows are numbered through all pieces.
+            oldest: serial of the oldest row that is needed; pieces that end there or earlier are removed.
 
         Raises:
             RunError: the disk is full, or the folder cannot be written.
@@ -114,7 +122,7 @@ class Journal:
             partial = self._path("partial")
             partial.write_bytes(base)
             self._open_log()
-            partial.rename(self._path("base"))  # from here on it and the piece count
+            partial.rename(self._path("base"))  # from here on base and piece are valid
             self._remove(lambda path: path.suffix != ".piece" and _generation(path) < self._generation)
             self._remove(lambda path: path.suffix == ".piece" and int(path.stem.split("-")[1]) <= oldest)
         except OSError as error:
@@ -122,28 +130,28 @@ class Journal:
         self._base_bytes, self._log_bytes, self._log_records = len(base), 0, 0
 
     def append(self, records: Sequence[Record]) -> None:
-        """Hands records to the operating system, all in one write; once it returns they may be acknowledged.
+        """Hand records to the operating system in one write; they may be acknowledged once this returns.
 
         Raises:
             RunError: the disk is full, or the folder cannot be written.
         """
-        parts = []
-        for kind, content in records:
-            checksum = zlib.crc32(content, zlib.crc32(_KIND.pack(kind)))
-            parts += (_HEAD.pack(len(content), checksum, kind), content)
-        whole = b"".join(parts)
+        parts: list[bytes] = []
+        for kind, record in records:
+            checksum = zlib.crc32(record, zlib.crc32(_KIND.pack(kind)))
+            parts += (_HEAD.pack(len(record), checksum, kind), record)
+        content = b"".join(parts)
         try:
-            written = os.write(self._log, whole)
-            if written != len(whole):
+            written = os.write(self._log, content)
+            if written != len(content):
                 os.ftruncate(self._log, self._log_bytes)
-                raise OSError(0, f"{written} of {len(whole)} bytes were written: the disk is full")
+                raise OSError(0, f"{written} of {len(content)} bytes were written: the disk is full")
         except OSError as error:
             raise self._failed("written", error) from error
-        self._log_bytes += len(whole)
+        self._log_bytes += len(content)
         self._log_records += len(records)
 
     def close(self) -> None:
-        """Lets go of the log; closing again does nothing."""
+        """Close the log; closing again does nothing."""
         if self._log >= 0:
             os.close(self._log)
             self._log = -1
@@ -165,12 +173,12 @@ class Journal:
 
 
 def _generation(path: Path) -> int:
-    """Of base, log or piece: how many bases were begun until then."""
+    """Return the generation of a base, log or piece: the number of bases begun until then."""
     return int(path.stem.split("-")[0])
 
 
-def whole(content: bytes) -> tuple[list[Record], int]:
-    """The records up to the first that is not whole, and how many bytes they take."""
+def complete_records(content: bytes) -> tuple[list[Record], int]:
+    """Return the records up to the first incomplete one, and their size in bytes."""
     records, at = [], 0
     while at + _HEAD.size <= len(content):
         length, checksum, kind = _HEAD.unpack_from(content, at)

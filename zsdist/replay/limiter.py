@@ -1,14 +1,14 @@
-"""Holds the ratio of learner updates to inserted transitions from both sides.
+"""Limit on the ratio of learner updates to inserted transitions, in both directions.
 
-With `r` updates per insert, two things hold once `min_size` transitions are stored:
+With `r` updates per insert, two bounds hold once `min_size` transitions are stored:
 
-1. updates <= r * stored: the learner never runs ahead of the data;
-2. stored + granted and not yet inserted <= (updates + 1) / r + band + grain * streams: the actors never run further
-   ahead of the learner than that.
+1. updates <= r * stored: the learner never runs ahead of the data.
+2. stored + granted but not yet inserted <= (updates + 1) / r + band + grain * streams: the actors run no further ahead
+   of the learner.
 
-Each live stream is entitled to a `grain` granted ahead of what it inserted; the `band` is shared on top of that. So
-when the learner must wait, every live stream has been granted a grain it has not used, even if all the others hoard
-theirs: one side can always go on. Before `min_size` nothing is limited; what is out when it is reached comes on top.
+Each open stream is granted at least one `grain` ahead of what it inserted; all streams share the `band` on top of that.
+So whenever the learner must wait, every open stream has an unused grain, even if all the others use none of theirs, and
+one side can always proceed. Before `min_size` is reached nothing is limited; credit in use at that moment comes on top.
 """
 
 from dataclasses import dataclass
@@ -22,36 +22,41 @@ BAND = 256  # the largest batch (Table 2)
 
 @dataclass
 class _Stream:
+    """Counts of transitions of one stream."""
+
     inserted: int = 0
-    granted: int = 0  # absolute
+    granted: int = 0  # in all
 
     @property
     def ahead(self) -> int:
+        """Transitions granted and not yet inserted."""
         return max(self.granted - self.inserted, 0)
 
 
 class Limiter:
-    """Counts inserts and updates of one level; grants credit to streams and batches to the learner.
+    """Count inserts and updates of one level; grant credit to streams and batches to the learner.
 
-    A stream is one actor's epoch. Its credit is the absolute number of transitions it may have produced since it
-    opened; it never falls while the stream lives, and what is unused returns to the others when it closes.
+    A stream is one actor's epoch. Its credit is the total number of transitions it may produce from its opening on. The
+    credit never falls while the stream is open; unused credit returns to the others when it closes.
 
     Args:
         updates_per_insert: learner updates per stored transition, `r`.
-        min_size: transitions stored in all before anything is limited or learned.
+        min_size: transitions to store before anything is limited or learned.
         grain: transitions a stream must be able to produce at once (cars of an actor times the longest option).
-        band: transitions granted ahead, shared by all streams, beyond a grain each; it hides the time that credit is
-            under way, and should be at least the largest batch (Table 2: 256).
+        band: transitions granted ahead beyond a grain each, shared by all streams; it hides the latency of credit, and
+            should be at least the largest batch (Table 2: 256).
 
     Attributes:
-        unhurried: batches for which the learner can wait before the actors have used up half of the band.
+        patience: batches that the learner may wait for before the actors have used half of the band.
+        stored: transitions stored so far.
+        updates: batches handed out so far.
 
     Raises:
         ConfigError: a count is out of range.
     """
 
     def __init__(self, updates_per_insert: float, min_size: int, grain: int, band: int = BAND) -> None:
-        # Whole numbers from here on: a rounding error at a limit could leave both sides waiting.
+        # Integer arithmetic from here on: a rounding error at a bound could leave both sides waiting.
         self._ratio = Fraction(updates_per_insert).limit_denominator(1_000_000)
         if self._ratio <= 0:
             raise ConfigError(f"updates_per_insert is {updates_per_insert}; allowed is 0.000001 or more")
@@ -59,58 +64,58 @@ class Limiter:
             if value < least:
                 raise ConfigError(f"limiter {name} is {value}; allowed is {least} or more")
         self._min_size, self._grain, self._band = min_size, grain, band
-        self.unhurried = max(1, int(self._ratio * band / 2))
+        self.patience = max(1, int(self._ratio * band / 2))
         self.stored = 0
         self.updates = 0
         self._streams: dict[str, _Stream] = {}
-        self._stale = True  # grants have not been looked at since something changed
+        self._stale = True  # something changed since the last grant
 
     @property
     def limited(self) -> bool:
-        """Whether `min_size` transitions have been stored, so that both sides are held to the ratio."""
+        """Whether `min_size` transitions have been stored, so that the ratio is enforced."""
         return self.stored >= self._min_size
 
     def open(self, stream: str) -> None:
-        """A new stream, at 0 produced. Raises ProtocolError if it is open."""
+        """Open a stream that has produced nothing. Raises ProtocolError if it is open already."""
         if stream in self._streams:
             raise ProtocolError(f"stream {stream!r} is already open")
         self._streams[stream] = _Stream()
         self._stale = True
 
     def close(self, stream: str) -> int:
-        """Ends a stream and returns the credit it had been granted and did not insert (0 while unlimited)."""
+        """Close a stream; return its unused credit (0 while unlimited)."""
         self._stale = True
         self._find(stream)
         return self._streams.pop(stream).ahead
 
-    def inserted(self, stream: str, stored: int, rejected: int = 0) -> None:
-        """Transitions of `stream` have come: both kinds use its credit, only the stored ones count for the ratio."""
+    def count_inserts(self, stream: str, stored: int, rejected: int = 0) -> None:
+        """Count transitions of `stream`: all of them use its credit, only the stored ones count for the ratio."""
         self._find(stream).inserted += stored + rejected
         self.stored += stored
         self._stale = True
 
     @property
     def allowed(self) -> int:
-        """Batches, of an update each, that the learner may take now."""
-        ratio = self._ratio  # by whole numbers: a product of fractions takes longer than drawing a batch's rows
+        """Batches that the learner may take now, one for each update."""
+        ratio = self._ratio  # as integers: a product of fractions takes longer than sampling a batch
         return max(0, ratio.numerator * self.stored // ratio.denominator - self.updates) if self.limited else 0
 
-    def sampled(self) -> None:
-        """A batch was handed out. Raises ProtocolError where none is allowed."""
+    def take_batch(self) -> None:
+        """Count a batch that is handed out. Raises ProtocolError if none is allowed."""
         if not self.allowed:
             raise ProtocolError(
-                f"update {self.updates + 1} of {self.stored} transitions; allowed is {self._ratio} of each"
+                f"update {self.updates + 1} with {self.stored} transitions stored; allowed are {self._ratio} of each"
             )
         self.updates += 1
         self._stale = True
 
-    def catch_up(self, updates: int) -> None:
-        """Batches were handed out before this limiter was made, `updates` in all."""
+    def resume_at(self, updates: int) -> None:
+        """Set the number of batches handed out so far, by this limiter's predecessor."""
         self.updates = updates
         self._stale = True
 
     def credit(self, stream: str) -> int | None:
-        """Transitions `stream` may have produced in all; None: no limit yet."""
+        """Return the total number of transitions that `stream` may produce; None: no limit yet."""
         found = self._find(stream)
         if not self.limited:
             return None
@@ -120,27 +125,28 @@ class Limiter:
         return found.granted
 
     def state(self) -> dict[str, Any]:
-        """The totals, and what each open stream inserted and was granted."""
+        """Return the totals and the counts of each open stream."""
         streams = {name: [stream.inserted, stream.granted] for name, stream in self._streams.items()}
         return {"stored": self.stored, "updates": self.updates, "streams": streams}
 
     def restore(self, state: dict[str, Any], *, same_run: bool) -> None:
-        """Takes over a `state()`; its streams only if their run still goes on, since epochs end with it."""
+        """Restore a `state()`, with its streams only in the same run, since epochs end with a run."""
         self.stored, self.updates = int(state["stored"]), int(state["updates"])
         self._streams = {name: _Stream(*counts) for name, counts in state["streams"].items()} if same_run else {}
         self._stale = True
 
     def _grant(self) -> None:
+        """Grant credit: first a grain to every stream, then shares of the band."""
         streams = self._streams.values()
         room = int((self.updates + 1) / self._ratio) + self._band + self._grain * len(streams) - self.stored
         room -= sum(stream.ahead for stream in streams)
         room -= self._top_up(self._grain, room)
-        # Beyond the grains no more than the band may ever be out, or hoarders could eat a late stream's grain.
+        # Unused credit beyond the grains must not exceed the band, or idle streams could take a late stream's grain.
         beyond = sum(max(stream.ahead - self._grain, 0) for stream in streams)
         self._top_up(self._grain + self._band // len(streams), min(room, self._band - beyond))
 
     def _top_up(self, ahead: int, room: int) -> int:
-        """Lifts every stream towards `ahead`, in proportion where `room` is short; returns what was granted."""
+        """Raise every stream towards `ahead`, in proportion if `room` is short; return the credit granted."""
         lacking = {name: ahead - s.ahead for name, s in self._streams.items() if s.ahead < ahead}
         wanted = sum(lacking.values())
         if room <= 0 or not wanted:

@@ -1,16 +1,16 @@
 """Proportional prioritisation of a ring's rows: Schaul et al., Prioritized Experience Replay (2016).
 
-Deviation: the exponent of the importance weights stays what it is, where the paper lets it grow to 1 over training.
+Deviation: the exponent of the importance weights is constant; in the paper it grows to 1 over training.
 """
 
 import numpy as np
 
-SMALLEST_ERROR = 1e-3  # added to every error, so that no row is never drawn again
-_SMALLEST_WEIGHT = float(np.finfo(np.float32).tiny)  # none becomes 0
+SMALLEST_ERROR = 1e-3  # added to every error, so that every row can be drawn again
+_SMALLEST_WEIGHT = float(np.finfo(np.float32).tiny)  # so that no weight is rounded to 0
 
 
 class SumTree:
-    """Numbers of `size` places, 0 at first, and a binary tree of their sums: to find or set one costs its depth."""
+    """`size` numbers, initially 0, and a binary tree of their sums; finding or setting one costs the tree's depth."""
 
     def __init__(self, size: int) -> None:
         self._leaves = 1 << max(size - 1, 0).bit_length()
@@ -18,47 +18,51 @@ class SumTree:
 
     @property
     def total(self) -> float:
-        """Sum of all."""
+        """Sum of all numbers."""
         return float(self._sums[1])
 
-    def __getitem__(self, places: np.ndarray) -> np.ndarray:
-        return self._sums[self._leaves + places]
+    def __getitem__(self, index: np.ndarray) -> np.ndarray:
+        numbers: np.ndarray = self._sums[self._leaves + index]
+        return numbers
 
-    def __setitem__(self, places: np.ndarray, values: np.ndarray | float) -> None:
-        """Sets numbers, 0 or more; where a place is named twice the last one counts."""
-        nodes = self._leaves + places
+    def __setitem__(self, index: np.ndarray, values: np.ndarray | float) -> None:
+        """Set numbers, 0 or more; of values for the same index the last one counts."""
+        nodes = self._leaves + index
         self._sums[nodes] = values
         while len(nodes) and nodes[0] > 1:  # all nodes are equally deep
             nodes = np.unique(nodes >> 1)
             self._sums[nodes] = self._sums[2 * nodes] + self._sums[2 * nodes + 1]
 
     def find(self, masses: np.ndarray) -> np.ndarray:
-        """The place in which each mass falls, `(B,)`, when the numbers are laid end to end.
+        """Return the index of the number in which each mass falls when the numbers are laid end to end, `(B,)`.
 
         Args:
             masses: `(B,)` float64 from 0 to below `total`, which must not be 0.
         """
-        nodes, left_over = np.ones(len(masses), np.int64), masses.copy()
+        nodes, remaining = np.ones(len(masses), np.int64), masses.copy()
         while nodes[0] < self._leaves:
             nodes *= 2
             left = self._sums[nodes]
-            # A rounding error at the very end must not lead to where there is nothing.
-            right = (left_over >= left) & (self._sums[nodes + 1] > 0)
-            left_over -= np.where(right, left, 0.0)
+            # A rounding error at the very end must not lead to a number of 0.
+            right = (remaining >= left) & (self._sums[nodes + 1] > 0)
+            remaining -= np.where(right, left, 0.0)
             nodes += right
         return nodes - self._leaves
 
 
 class RowPriorities:
-    """How likely each row of a ring is to be drawn.
+    """Priorities of a ring's rows, to which their probabilities of being drawn are proportional.
 
-    The priority of a row is `(|error| + SMALLEST_ERROR) ** exponent` with its error in the last update that it was part
-    of, and the largest so far until then.
+    The priority of a row is `(|error| + SMALLEST_ERROR) ** exponent` with its error in the last update that used it;
+    until its first update it is the largest priority so far.
 
     Args:
         capacity: rows.
-        exponent: 0 is uniform, 1 in proportion to the error; the paper's alpha.
-        importance: how much of the bias this brings the weights make good, from 0 (nothing) to 1 (all); its beta.
+        exponent: the paper's alpha, 0 (uniform) to 1 (in proportion to the error).
+        importance: the paper's beta, share of the sampling bias that the weights correct, 0 (nothing) to 1 (all).
+
+    Attributes:
+        largest: largest priority so far.
     """
 
     def __init__(self, capacity: int, exponent: float, importance: float) -> None:
@@ -66,37 +70,38 @@ class RowPriorities:
         self._tree = SumTree(capacity)
         self.largest = 1.0
 
-    def written(self, places: np.ndarray) -> None:
-        """New transitions stand in these rows."""
-        self._tree[places] = self.largest
+    def add(self, rows: np.ndarray) -> None:
+        """Give these rows, which hold new transitions, the largest priority so far."""
+        self._tree[rows] = self.largest
 
-    def draw(self, rng: np.random.Generator, count: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
-        """`count` rows, one from each of as many equal parts of the whole, and their importance weights.
+    def draw(self, rng: np.random.Generator, count: int, size: int) -> tuple[np.ndarray, np.ndarray]:
+        """Draw one row from each of `count` equal parts of the total priority.
 
         Args:
-            rng: where chance comes from.
+            rng: source of randomness.
             count: rows to draw, `B`.
-            rows: that are in use.
+            size: rows in use.
 
         Returns:
-            Places `(B,)` int64 and weights `(B,)` float32: `(rows * probability) ** -importance`, the largest 1.
+            Rows `(B,)` int64 and importance weights `(B,)` float32: `(size * probability) ** -importance`, scaled so
+            that the largest is 1.
         """
         total = self._tree.total
-        places = self._tree.find((np.arange(count) + rng.random(count)) * (total / count))
-        weights = (rows * self._tree[places] / total) ** -self._importance
-        return places, np.maximum(weights / weights.max(), _SMALLEST_WEIGHT).astype(np.float32)
+        rows = self._tree.find((np.arange(count) + rng.random(count)) * (total / count))
+        weights = (size * self._tree[rows] / total) ** -self._importance
+        return rows, np.maximum(weights / weights.max(), _SMALLEST_WEIGHT).astype(np.float32)
 
-    def update(self, places: np.ndarray, errors: np.ndarray) -> None:
-        """Takes over errors of rows, `(B,)`, finite and 0 or more."""
+    def update(self, rows: np.ndarray, errors: np.ndarray) -> None:
+        """Set the priorities of rows from their errors, `(B,)`, finite and 0 or more."""
         priorities = (errors.astype(np.float64) + SMALLEST_ERROR) ** self._exponent
-        self._tree[places] = priorities
+        self._tree[rows] = priorities
         self.largest = max(self.largest, float(priorities.max(initial=0.0)))
 
-    def of(self, places: np.ndarray) -> np.ndarray:
-        """Priorities of rows."""
-        return self._tree[places]
+    def get(self, rows: np.ndarray) -> np.ndarray:
+        """Return the priorities of rows."""
+        return self._tree[rows]
 
-    def moved(self, capacity: int, priorities: np.ndarray) -> None:
-        """The ring has another capacity; its first rows have these priorities, the others none."""
+    def resize(self, capacity: int, priorities: np.ndarray) -> None:
+        """Change the capacity; the first rows get these priorities, the others 0."""
         self._tree = SumTree(capacity)
         self._tree[np.arange(len(priorities))] = priorities

@@ -1,4 +1,4 @@
-"""How large the replay buffer and the batch are, following the returns (Eqs. 21 to 23 with Table 2's rates)."""
+"""Sizes of replay buffer and batch, adapted to the returns (Eqs. 21 to 23 with Table 2's rates)."""
 
 import math
 from collections import deque
@@ -8,17 +8,17 @@ from zsdist.config import ReplayConfig
 
 
 def cumulative_average_reward(reward_sum: float, actions: int) -> float:
-    """R_avg, the mean paper reward of all actions so far: Eq. (21).
+    """Return R_avg, the mean paper reward of all actions so far: Eq. (21).
 
     Args:
-        reward_sum: sum of the rewards of all actions, those for the goal and for collisions included.
-        actions: how many actions that were, at least 1.
+        reward_sum: sum of the rewards of all actions, with those for goal and collisions.
+        actions: number of actions, at least 1.
     """
     return reward_sum / actions
 
 
 def buffer_size(size_min: int, size_max: int, average: float, target: float) -> int:
-    """Transitions the buffer should hold, B_size: Eq. (22).
+    """Return B_size, the transitions that the buffer should hold: Eq. (22).
 
     Deviation: the ratio is that of `progress`, which is never below 0 and also right for a negative target.
     """
@@ -26,7 +26,7 @@ def buffer_size(size_min: int, size_max: int, average: float, target: float) -> 
 
 
 def batch_size(batch_min: int, batch_max: int, average: float, target: float) -> int:
-    """Transitions a batch should have, b_size: Eq. (23).
+    """Return b_size, the transitions that a batch should have: Eq. (23).
 
     Deviation: the ratio is that of `progress`, which is never below 0 and also right for a negative target.
     """
@@ -34,10 +34,10 @@ def batch_size(batch_min: int, batch_max: int, average: float, target: float) ->
 
 
 def progress(average: float, target: float) -> float:
-    """How near `average` has come to `target`, in [0, 1]: never falls as the average rises, 1 from the target on.
+    """Return the progress of `average` towards `target`, in [0, 1]: monotonic in the average, 1 from the target on.
 
-    For a positive target it is average / target, clipped. For a negative one that quotient would grow as the average
-    gets worse, so it is target / average there.
+    For a positive target it is average / target, clipped. For a negative target that quotient would grow as the average
+    gets worse, so it is target / average.
     """
     if average >= target:
         return 1.0
@@ -47,10 +47,10 @@ def progress(average: float, target: float) -> float:
 
 
 class RewardAverages:
-    """Both averages of the paper's reward: over all actions, and over the last episodes (Fig. 9).
+    """Averages of the paper's reward: over all actions, and over the last episodes (Fig. 9).
 
     Args:
-        average_episodes: how many of the last episodes the mean return is over.
+        average_episodes: number of last episodes in the mean return.
     """
 
     def __init__(self, average_episodes: int) -> None:
@@ -69,14 +69,14 @@ class RewardAverages:
         return math.fsum(self._returns) / len(self._returns) if self._returns else None
 
     def add_episode(self, paper_return: float, actions: int) -> None:
-        """Takes in one finished episode.
+        """Add one finished episode.
 
         Args:
             paper_return: sum over the episode of the paper's reward (target distance, obstacles, goal).
-            actions: how many actions it had.
+            actions: number of its actions.
 
         Raises:
-            ValueError: the return is not finite or the count negative.
+            ValueError: the return is not finite, or the count is negative.
         """
         if not math.isfinite(paper_return) or actions < 0:
             raise ValueError(f"episode has return {paper_return} and {actions} actions; allowed are finite and >= 0")
@@ -85,24 +85,23 @@ class RewardAverages:
         self._returns.append(paper_return)
 
     def state(self) -> dict[str, Any]:
-        """All of it as plain numbers, for `restore`."""
+        """Return all counts as plain numbers, for `restore`."""
         return {"reward_sum": self._reward_sum, "actions": self._actions, "returns": list(self._returns)}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Takes over a `state()`."""
+        """Restore a `state()`."""
         self._reward_sum, self._actions = float(state["reward_sum"]), int(state["actions"])
         self._returns = deque(state["returns"], maxlen=self._returns.maxlen)
 
 
 class AdaptiveSizing:
-    """Moves both sizes towards what the mean return calls for, by at most Table 2's rates.
+    """Move both sizes towards those that the mean return calls for, by at most Table 2's rates.
 
-    Every `adjust_every_episodes` finished episodes a size that is more than `grow_threshold` times too small grows to
-    at most size / `grow_rate`, and one that is too large (wanted / size below `shrink_threshold`) shrinks to at least
-    size * `shrink_rate`.
+    Once in `adjust_every_episodes` finished episodes a size grows to at most size / `grow_rate` if wanted / size is
+    above `grow_threshold`, and shrinks to at least size * `shrink_rate` if wanted / size is below `shrink_threshold`.
 
-    Deviation: what `buffer_size` and `batch_size` are given is the mean return of the last episodes, since the mean
-    over all actions since the start hardly moves after a while.
+    Deviation: `buffer_size` and `batch_size` get the mean return of the last episodes, because the mean over all
+    actions since the start hardly moves after a while.
 
     Attributes:
         size: transitions the buffer may hold now.
@@ -113,14 +112,14 @@ class AdaptiveSizing:
         self._config = config
         self.size = config.size_initial
         self.batch_size = config.batch_initial
-        self._adjustments = 0  # made or, where there was nothing to go by, passed over
+        self._adjustments = 0  # made, or skipped for lack of a mean return
 
-    def finished_episodes(self, finished: int, mean_return: float | None) -> bool:
-        """Adjusts the sizes if another `adjust_every_episodes` have finished, and says whether one changed.
+    def adjust(self, finished: int, mean_return: float | None) -> bool:
+        """Adjust the sizes if another `adjust_every_episodes` have finished; return whether a size changed.
 
         Args:
-            finished: finished episodes of the whole run; one not above an earlier one changes nothing.
-            mean_return: mean paper return of the last of them; None: not known, the sizes stay.
+            finished: finished episodes of the whole run; a number not above an earlier one changes nothing.
+            mean_return: mean paper return of the last of them; None: unknown, the sizes stay.
 
         Raises:
             ValueError: the mean is not finite.
@@ -140,17 +139,18 @@ class AdaptiveSizing:
         return (self.size, self.batch_size) != before
 
     def state(self) -> dict[str, int]:
-        """All of it as plain numbers, for `restore`."""
+        """Return all counts as plain numbers, for `restore`."""
         return {"size": self.size, "batch_size": self.batch_size, "adjustments": self._adjustments}
 
     def restore(self, state: dict[str, int]) -> None:
-        """Takes over a `state()`, of other bounds too: sizes outside the present ones move to the nearest allowed."""
+        """Restore a `state()`; sizes outside the present bounds move to the nearest allowed ones."""
         config = self._config
         self.size = min(max(int(state["size"]), config.size_min), config.size_max)
         self.batch_size = min(max(int(state["batch_size"]), config.batch_min), config.batch_max)
         self._adjustments = int(state["adjustments"])
 
     def _towards(self, size: int, wanted: int) -> int:
+        """Return `size` after one adjustment towards `wanted`."""
         config = self._config
         if wanted / size > config.grow_threshold:
             return min(math.ceil(size / config.grow_rate), wanted)

@@ -3,8 +3,8 @@
 import itertools
 from collections import deque
 
-from zsdist.dqn import network
-from zsdist.dqn.learner import DqnLearner
+from zsdist.dqn import batches, network
+from zsdist.dqn.base import BaseDqnLearner
 from zsdist.roles import schemas
 from zsdist.roles.base import Context, Role
 from zsdist.roles.scheduler.merge import BEST, DISTILLED, RECENT, Phase
@@ -54,7 +54,7 @@ class _Source:
 class Learner(Role):
     """Online and target network of one level."""
 
-    def __init__(self, context: Context, level: Level, dqn: DqnLearner, restored: State | None = None) -> None:
+    def __init__(self, context: Context, level: Level, dqn: BaseDqnLearner, restored: State | None = None) -> None:
         super().__init__(context)
         self.level = level
         self.dqn = dqn
@@ -133,7 +133,8 @@ class Learner(Role):
     def _receive(self, now: float) -> None:
         lacked_s: float | None = None  # how long the replay had nothing to give; None: it has not answered
         for message, reply in self.messages(self._batches, SampleReply):
-            if reply.batch is not None and not self.dqn.fits(reply.batch):
+            batch = None if reply.batch is None else batches.from_stored(reply.batch)
+            if batch is not None and not self.dqn.fits(batch):
                 self.refuse("shape")
                 continue
             source = self._sources[int(keys.parse(message.key).fields.get("shard", 0))]
@@ -141,8 +142,8 @@ class Learner(Role):
                 source.asked_s.popleft()
             source.held = max(1, reply.held)
             lacked_s = max(lacked_s or 0.0, reply.waited_s)
-            if reply.batch is not None:
-                source.ready.extend(reply.batch.parts(reply.batches))
+            if batch is not None:
+                source.ready.extend(batch.parts(reply.batches))
         for source in self._sources:
             while source.asked_s and now - source.asked_s[0] > ASK_AGAIN_AFTER_S:
                 source.asked_s.popleft()

@@ -43,7 +43,7 @@ from zsdist.vision.visual_act import VisualAct as PretrainedVisualAct
 from zsdist.wire.messages import State
 
 if TYPE_CHECKING:
-    from zsdist.dqn.learner import DqnLearner
+    from zsdist.dqn.base import BaseDqnLearner
 
 Watch = Callable[[Transport, float], None]  # called once a round with the runner's transport and the clock
 
@@ -295,13 +295,13 @@ def _seen_by(config: Config, visual_act: VisionModel) -> str:
     return "/".join((visual_act.encoder_sha256, visual_act.weights_sha256, settings, code, *libraries))
 
 
-def make_learner(config: Config, level: Level) -> "DqnLearner":
+def make_learner(config: Config, level: Level) -> "BaseDqnLearner":
     """The DQN of one level, untrained; its initial weights follow from the run's seed."""
-    from zsdist.dqn.learner import DqnLearner
+    from zsdist.dqn.fused import FusedDqnLearner
 
     shape, settings = SHAPES[level], config.high if level is Level.HIGH else config.low
     seed = 2 * config.seed + (level is Level.HIGH)
-    return DqnLearner(shape.state_size, shape.actions, settings, seed=seed, mirror=features.mirror(level))
+    return FusedDqnLearner(shape.state_size, shape.actions, settings, seed=seed, mirror=features.mirror(level))
 
 
 def make_hub(spec: RunSpec, role_spec: RoleSpec, transport: Transport, wake: threading.Event, endpoint: str) -> Hub:

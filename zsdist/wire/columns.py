@@ -11,7 +11,7 @@ import numpy as np
 
 from zsdist.common import half_precision
 from zsdist.errors import DecodeError
-from zsdist.types import NO_GUIDE, Batch, Behaviour, Level, Trajectories, Trajectory
+from zsdist.types import NO_GUIDE, Behaviour, Level, StoredBatch, Trajectories, Trajectory
 
 MAX_ACTIONS = 64
 MAX_STATE_SIZE = 65_536
@@ -119,7 +119,7 @@ def to_trajectories(columns: Mapping[str, np.ndarray], actions: int, level: Leve
     return Trajectories(level, rows, columns["lengths"].astype(np.int64), columns["versions"].astype(np.int64))
 
 
-def from_batch(batch: Batch) -> tuple[dict[str, np.ndarray], int]:
+def from_batch(batch: StoredBatch) -> tuple[dict[str, np.ndarray], int]:
     """Return the columns of a batch and its number of actions; raise `DecodeError`."""
     columns = {
         name: _to_wire_dtype(getattr(batch, name), name, dtype.type)
@@ -165,17 +165,17 @@ def check_priorities(columns: Mapping[str, np.ndarray]) -> None:
         raise DecodeError("range", "an error below 0")
 
 
-def to_batch(columns: Mapping[str, np.ndarray], actions: int) -> Batch:
+def to_batch(columns: Mapping[str, np.ndarray], actions: int) -> StoredBatch:
     """Return the batch of checked columns."""
-    return Batch(
-        states=half_precision.from_half(columns["states"]),
-        actions=columns["actions"].astype(np.int64),
+    return StoredBatch(
+        states=columns["states"],
+        actions=columns["actions"],
         rewards=columns["rewards"],
         discounts=columns["discounts"],
-        next_states=half_precision.from_half(columns["next_states"]),
+        next_states=columns["next_states"],
         next_masks=_unpack_masks(columns["next_masks"], actions),
         masks=_unpack_masks(columns["masks"], actions),
-        guides=columns["guides"].astype(np.int64),
+        guides=columns["guides"],
         weights=columns.get("weights"),
         serials=columns.get("serials"),
     )

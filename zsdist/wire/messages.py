@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from zsdist.types import Ack, Batch, Level, Parameters, Trajectory, Weights, count_transitions
+from zsdist.types import Ack, Level, Parameters, StoredBatch, Trajectory, Weights, count_transitions
 
 EPISODES = "episodes"  # stream of records of finished episodes
 EVALUATION = "evaluation"  # stream of results of greedy drives
@@ -96,7 +96,7 @@ class SampleReply:
     """
 
     level: Level
-    batch: Batch | None
+    batch: StoredBatch | None
     held: int
     waited_s: float
     batches: int = 1

@@ -1,23 +1,18 @@
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
+from learner_batches import ACTIONS, MIRROR, STATE_SIZE, batch, same_arrays
 
 from zsdist.config import LevelConfig
 from zsdist.dqn import network, torch_network
-from zsdist.dqn.learner import DqnLearner, joined, reflect
+from zsdist.dqn.fused import FusedDqnLearner
+from zsdist.dqn.learner import DqnLearner
 from zsdist.errors import RunError, WeightsError
 from zsdist.types import Batch
 
-STATE_SIZE, ACTIONS = 6, 5
 CONFIG = LevelConfig(hidden=(16, 16), guide_margin_weight=0.5)
-MIRROR = SimpleNamespace(
-    state_index=np.array([1, 0, 2, 3, 5, 4]),
-    state_sign=np.array([1, 1, -1, 1, 1, 1], np.float32),
-    action_index=np.array([0, 2, 1, 4, 3]),
-)
 
 
 @pytest.fixture(autouse=True)
@@ -28,25 +23,14 @@ def one_thread():
     torch.set_num_threads(before)
 
 
-def batch(seed, size=32):
-    rng = np.random.default_rng(seed)
-    masks = rng.random((size, ACTIONS)) < 0.8
-    masks[:, 0] = True
-    actions = np.where(masks[:, 3], 3, 0)
-    return Batch(
-        states=rng.normal(size=(size, STATE_SIZE)).astype(np.float32),
-        actions=actions,
-        rewards=rng.normal(size=size).astype(np.float32),
-        discounts=np.where(rng.random(size) < 0.1, 0, 0.99).astype(np.float32),
-        next_states=rng.normal(size=(size, STATE_SIZE)).astype(np.float32),
-        next_masks=np.ones((size, ACTIONS), bool),
-        masks=masks,
-        guides=np.where(rng.random(size) < 0.5, 0, -1),
-    )
+@pytest.fixture(params=[DqnLearner, FusedDqnLearner])
+def learner(request):
+    """Makes learners of either kind."""
 
+    def make(config=CONFIG, seed=0, mirror=None, state_size=STATE_SIZE, actions=ACTIONS, device="cpu"):
+        return request.param(state_size, actions, config, seed, mirror=mirror, device=device)
 
-def learner(config=CONFIG, seed=0, mirror=None):
-    return DqnLearner(STATE_SIZE, ACTIONS, config, seed, mirror=mirror, device="cpu")
+    return make
 
 
 def updated(dqn, data):
@@ -55,11 +39,12 @@ def updated(dqn, data):
     return dqn.figures()
 
 
-def equal(one, other):
-    return one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
+def gradient_of_first_step(dqn):
+    """From Adam's first moment, a tenth of it."""
+    return torch.from_numpy(dqn.state()["adam/exp_avg"] * 10)
 
 
-def test_eq11_an_update_moves_the_value_of_the_action_towards_its_target():
+def test_eq11_an_update_moves_the_value_of_the_action_towards_its_target(learner):
     config = LevelConfig(hidden=(16,), target_tau=0)
     dqn = learner(config)
     data = batch(0)
@@ -75,7 +60,7 @@ def test_eq11_an_update_moves_the_value_of_the_action_towards_its_target():
     assert error() < 0.25 * before
 
 
-def test_eq11_its_first_step_follows_the_sign_of_the_gradient():
+def test_eq11_its_first_step_follows_the_sign_of_the_gradient(learner):
     dqn = learner(LevelConfig(hidden=(), target_tau=0, huber=False, max_gradient_norm=1e9))
     before, data = dqn.parameters(), batch(1)
     q = network.apply(before, data.states)
@@ -90,7 +75,7 @@ def test_eq11_its_first_step_follows_the_sign_of_the_gradient():
     assert clear.any() and (np.sign(moved[clear]) == np.sign(expected[clear])).all()
 
 
-def test_eq11_the_gradient_is_that_of_the_losses_through_the_network_as_recorded_by_torch():
+def test_eq11_the_gradient_is_that_of_the_losses_through_the_network_as_recorded_by_torch(learner):
     data = batch(4)
     config = LevelConfig(hidden=(16, 12), guide_margin_weight=0.3, max_gradient_norm=1e9)
     dqn = learner(config)
@@ -112,10 +97,10 @@ def test_eq11_the_gradient_is_that_of_the_losses_through_the_network_as_recorded
     figures = updated(dqn, data)
     assert figures["loss"] == pytest.approx(loss.item(), rel=1e-5)
     expected = torch.cat([tensor.grad.reshape(-1) for tensor in network_t.tensors])
-    torch.testing.assert_close(dqn._gradient, expected, rtol=1e-4, atol=1e-6)
+    torch.testing.assert_close(gradient_of_first_step(dqn), expected, rtol=1e-4, atol=1e-6)
 
 
-def test_eq11_rows_drawn_by_priority_count_as_much_as_their_weights():
+def test_eq11_rows_drawn_by_priority_count_as_much_as_their_weights(learner):
     config, data = LevelConfig(hidden=(16,), guide_margin_weight=0.3, max_gradient_norm=1e9), batch(4)
     weights = np.random.default_rng(0).integers(1, 4, len(data)) / np.float32(4)
     repeated = np.repeat(np.arange(len(data)), (4 * weights).astype(int))
@@ -123,12 +108,14 @@ def test_eq11_rows_drawn_by_priority_count_as_much_as_their_weights():
     weighted.update(replace(data, weights=weights.astype(np.float32), serials=np.arange(len(data))))
     plain.update(Batch(**{name: column[repeated] for name, column in vars(data).items() if column is not None}))
     ratio = len(repeated) / (4 * len(data))  # the mean is over all rows, whatever they weigh
-    torch.testing.assert_close(weighted._gradient, ratio * plain._gradient, rtol=1e-4, atol=1e-6)
+    torch.testing.assert_close(
+        gradient_of_first_step(weighted), ratio * gradient_of_first_step(plain), rtol=1e-4, atol=1e-6
+    )
 
 
-def test_errors_are_those_of_the_last_update_before_it():
+def test_errors_are_those_of_the_last_update_before_it(learner):
     dqn, data = learner(LevelConfig(hidden=(), target_tau=0)), batch(1)
-    with pytest.raises(RunError, match="there has been none"):
+    with pytest.raises(RunError, match="make an update first"):
         dqn.errors()
     q = network.apply(dqn.parameters(), data.states)[np.arange(len(data)), data.actions]
     best = network.apply(dqn.parameters(), data.next_states).max(axis=1)
@@ -137,8 +124,8 @@ def test_errors_are_those_of_the_last_update_before_it():
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
-def test_a_gpu_learns_what_the_cpu_learns():
-    here, there = learner(mirror=MIRROR), DqnLearner(STATE_SIZE, ACTIONS, CONFIG, 0, mirror=MIRROR, device="cuda")
+def test_a_gpu_learns_what_the_cpu_learns(learner):
+    here, there = learner(mirror=MIRROR), learner(mirror=MIRROR, device="cuda")
     for seed in range(20):
         here.update(batch(seed))
         there.update(batch(seed))
@@ -146,14 +133,14 @@ def test_a_gpu_learns_what_the_cpu_learns():
         np.testing.assert_allclose(there.parameters()[name], value, atol=1e-3)
 
 
-def test_before_any_update_there_are_no_figures():
+def test_before_any_update_there_are_no_figures(learner):
     assert learner().figures() == {}
 
 
-def test_a_learner_finds_the_optimal_values_of_a_small_chain():
+def test_a_learner_finds_the_optimal_values_of_a_small_chain(learner):
     # Five cells in a row; action 1 goes right, action 0 left; the right end pays 1 and ends the episode.
     config = LevelConfig(hidden=(32,), discount=0.9, target_tau=0.05)
-    dqn = DqnLearner(5, 2, config, seed=0, device="cpu")
+    dqn = learner(config, state_size=5, actions=2)
     cells = np.repeat(np.arange(4), 2)
     actions = np.tile([0, 1], 4)
     following = np.clip(cells + 2 * actions - 1, 0, 4)
@@ -175,16 +162,16 @@ def test_a_learner_finds_the_optimal_values_of_a_small_chain():
     np.testing.assert_allclose(values, 0.9 ** np.array([3, 2, 1, 0]), atol=0.05)
 
 
-def test_equal_seeds_and_batches_give_equal_bits():
+def test_equal_seeds_and_batches_give_equal_bits(learner):
     one, other = learner(mirror=MIRROR), learner(mirror=MIRROR)
     for seed in range(10):
         assert updated(one, batch(seed)) == updated(other, batch(seed))
-    assert equal(one.state(), other.state())
+    assert same_arrays(one.state(), other.state())
     assert network.sha256(learner(seed=1).parameters()) != network.sha256(learner(seed=2).parameters())
 
 
 @pytest.mark.parametrize("stop", [0, 7])
-def test_a_restored_learner_goes_on_bit_for_bit_as_if_it_had_never_stopped(stop):
+def test_a_restored_learner_continues_bit_for_bit_as_if_it_had_never_stopped(learner, stop):
     straight, stopped = learner(mirror=MIRROR), learner(mirror=MIRROR)
     for seed in range(stop):
         straight.update(batch(seed))
@@ -194,27 +181,27 @@ def test_a_restored_learner_goes_on_bit_for_bit_as_if_it_had_never_stopped(stop)
     resumed.restore(stopped.state())
     for seed in range(stop, stop + 8):
         assert updated(straight, batch(seed)) == updated(resumed, batch(seed))
-    assert equal(straight.state(), resumed.state()) and resumed.updates == stop + 8
+    assert same_arrays(straight.state(), resumed.state()) and resumed.updates == stop + 8
 
 
-def test_a_state_is_a_copy_that_later_updates_do_not_touch():
+def test_a_state_is_a_copy_that_later_updates_do_not_touch(learner):
     dqn = learner()
     state, parameters = dqn.state(), dqn.parameters()
     kept = {name: value.copy() for name, value in state.items()}
     dqn.update(batch(0))
-    assert equal(state, kept) and equal(parameters, {n: kept[f"online/{n}"] for n in parameters})
+    assert same_arrays(state, kept) and same_arrays(parameters, {n: kept[f"online/{n}"] for n in parameters})
 
 
-def test_a_damaged_state_is_refused_by_name():
+def test_a_damaged_state_is_refused_by_name(learner):
     state = learner().state()
     with pytest.raises(RunError, match="adam/exp_avg is missing"):
         learner().restore({name: value for name, value in state.items() if name != "adam/exp_avg"})
     with pytest.raises(WeightsError, match=r"hidden0\.weight"):
-        wider = DqnLearner(STATE_SIZE + 1, ACTIONS, CONFIG, 0, device="cpu").state()
+        wider = learner(state_size=STATE_SIZE + 1).state()
         learner().restore({**state, **{name: value for name, value in wider.items() if name.startswith("online/")}})
 
 
-def test_the_target_network_follows_by_tau_and_stands_still_without():
+def test_the_target_network_follows_by_tau_and_stands_still_without(learner):
     for tau in (0.0, 0.25, 1.0):
         dqn = learner(LevelConfig(hidden=(16,), target_tau=tau))
         before = dqn.target_parameters()
@@ -224,14 +211,14 @@ def test_the_target_network_follows_by_tau_and_stands_still_without():
             np.testing.assert_allclose(value, before[name] + tau * (online[name] - before[name]), atol=1e-6)
 
 
-def test_the_reward_scale_scales_what_is_learned():
+def test_the_reward_scale_scales_what_is_learned(learner):
     one, scaled = learner(LevelConfig(hidden=())), learner(LevelConfig(hidden=(), reward_scale=0.01))
     data = batch(0)
     smaller = Batch(**{**data.__dict__, "rewards": data.rewards * np.float32(0.01)})
     assert updated(one, smaller)["loss"] == pytest.approx(updated(scaled, data)["loss"], rel=1e-5)
 
 
-def test_no_step_is_larger_than_the_clipped_gradient_allows_and_the_norm_is_reported_unclipped():
+def test_no_step_is_larger_than_the_clipped_gradient_allows_and_the_norm_is_reported_unclipped(learner):
     data = batch(0)
     data.rewards[:] = 1e4
     free = learner(LevelConfig(hidden=(), huber=False, max_gradient_norm=1e9, target_tau=0))
@@ -242,7 +229,7 @@ def test_no_step_is_larger_than_the_clipped_gradient_allows_and_the_norm_is_repo
         assert moment > 1e3 if norm is None else moment == pytest.approx(norm, rel=1e-3)
 
 
-def test_the_margin_weight_teaches_the_guide_action_without_reward():
+def test_the_margin_weight_teaches_the_guide_action_without_reward(learner):
     dqn = learner(LevelConfig(hidden=(32,), guide_margin_weight=1.0))
     data = batch(3, size=128)
     data.rewards[:] = 0
@@ -252,11 +239,11 @@ def test_the_margin_weight_teaches_the_guide_action_without_reward():
     assert (network.greedy(network.apply(dqn.parameters(), data.states), data.masks) == 0).mean() > 0.95
 
 
-def test_distilling_moves_a_copy_towards_the_guide_and_leaves_the_learner_untouched():
+def test_distilling_moves_a_copy_towards_the_guide_and_leaves_the_learner_untouched(learner):
     dqn = learner(LevelConfig(hidden=(32,)), mirror=None)
     for seed in range(5):
         dqn.update(batch(seed))
-    before, gradient = dqn.state(), dqn._gradient.clone()
+    before = dqn.state()
     data = batch(9, size=128)
     data.guides[:] = 0
     student = dqn.distilled([data] * 200)
@@ -265,74 +252,47 @@ def test_distilling_moves_a_copy_towards_the_guide_and_leaves_the_learner_untouc
         return (network.greedy(network.apply(parameters, data.states), data.masks) == 0).mean()
 
     assert agreement(student) > max(0.9, agreement(dqn.parameters()))
-    assert equal(before, dqn.state()) and torch.equal(gradient, dqn._gradient)
+    assert same_arrays(before, dqn.state())
 
 
-def test_distilling_does_not_change_what_the_learner_does_next():
+def test_distilling_does_not_change_what_the_learner_does_next(learner):
     one, other = learner(mirror=MIRROR), learner(mirror=MIRROR)
     one.update(batch(0))
     other.update(batch(0))
     one.distilled([batch(5)] * 3)
     assert updated(one, batch(1)) == updated(other, batch(1))
-    assert equal(one.state(), other.state())
+    assert same_arrays(one.state(), other.state())
 
 
-def test_promoting_the_recent_network_moves_the_target_only():
+def test_promoting_the_recent_network_moves_the_target_only(learner):
     dqn = learner()
     dqn.update(batch(0))
     before = dqn.state()
     dqn.promote(dqn.parameters(), reset_online=False)
     after = dqn.state()
-    assert equal(dqn.target_parameters(), dqn.parameters())
+    assert same_arrays(dqn.target_parameters(), dqn.parameters())
     assert all(np.array_equal(after[name], before[name]) for name in before if not name.startswith("target/"))
 
 
-def test_promoting_another_network_replaces_both_and_starts_the_optimiser_anew():
+def test_promoting_another_network_replaces_both_and_restarts_the_optimiser(learner):
     dqn, winner = learner(), learner(seed=5).parameters()
     dqn.update(batch(0))
     dqn.promote(winner, reset_online=True)
-    assert equal(dqn.parameters(), winner) and equal(dqn.target_parameters(), winner)
+    assert same_arrays(dqn.parameters(), winner) and same_arrays(dqn.target_parameters(), winner)
     state = dqn.state()
     assert state["adam/step"] == 0 and not state["adam/exp_avg"].any() and not state["adam/exp_avg_sq"].any()
     dqn.update(batch(1))
-    assert not equal(dqn.parameters(), winner)
+    assert not same_arrays(dqn.parameters(), winner)
 
 
-def test_weights_of_another_network_are_not_promoted():
+def test_weights_of_another_network_are_not_promoted(learner):
     stranger = network.initial_parameters(STATE_SIZE, ACTIONS, (8, 16), 0)
     with pytest.raises(WeightsError, match=r"hidden0\.weight"):
         learner().promote(stranger, reset_online=True)
 
 
-def turned(data, rows):
-    columns = joined(data)
-    reflect(columns, MIRROR, rows)
-    return columns
-
-
-def test_reflecting_twice_changes_nothing_and_once_changes_only_the_chosen_rows():
-    data, rows = batch(2), np.arange(32) % 2 == 0
-    once, twice = turned(data, rows), turned(data, rows)
-    reflect(twice, MIRROR, rows)
-    for columns in (twice, turned(data, ~rows & rows)):
-        assert all(np.array_equal(one, other) for one, other in zip(columns, joined(data), strict=True))
-    both = np.tile(rows, 2)
-    assert np.array_equal(once.states[~both], np.concatenate((data.states, data.next_states))[~both])
-    for before, after in ((data.states[0], once.states[0]), (data.next_states[0], once.states[32])):
-        np.testing.assert_array_equal(after, before[[1, 0, 2, 3, 5, 4]] * [1, 1, -1, 1, 1, 1])
-    assert once.masks[:32][rows, once.actions[rows]].all()
-    assert (once.guides[data.guides < 0] == -1).all()
-    assert np.array_equal(once.masks[0], data.masks[0][[0, 2, 1, 4, 3]])
-
-
-def test_reflecting_leaves_the_batch_as_it_is():
-    data, same = batch(2), batch(2)
-    turned(data, np.ones(32, bool))
-    assert equal(data.__dict__, same.__dict__)
-
-
-def test_with_a_mirror_left_is_learned_from_right():
-    dqn = DqnLearner(STATE_SIZE, ACTIONS, LevelConfig(hidden=(32,)), 0, mirror=MIRROR, device="cpu")
+def test_with_a_mirror_left_is_learned_from_right(learner):
+    dqn = learner(LevelConfig(hidden=(32,)), mirror=MIRROR)
     data = batch(0, size=64)
     data.actions[:], data.discounts[:], data.rewards[:] = 1, 0, 1.0
     for _ in range(300):

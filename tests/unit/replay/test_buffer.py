@@ -49,7 +49,7 @@ def held(buffer):
         max_size=15,
     ),
 )
-def test_it_always_holds_exactly_the_newest_whatever_is_inserted_and_resized(capacity, operations):
+def test_the_ring_holds_exactly_the_newest_after_any_inserts_and_resizes(capacity, operations):
     buffer, offered, expected = RingBuffer(STATE_SIZE, ACTIONS, capacity), 0, []
     for what, amount in operations:
         if what == "insert":
@@ -81,7 +81,7 @@ def test_a_successor_may_be_any_later_state():
     assert (buffer.state()["next_states"] == 4).all()
 
 
-def test_samples_are_whole_transitions_of_the_types_that_travel():
+def test_samples_are_whole_transitions_in_the_dtypes_of_storage():
     buffer = RingBuffer(STATE_SIZE, ACTIONS, 50)
     buffer.insert([trajectory(80)])
     batch = buffer.sample(np.random.default_rng(0), 400)
@@ -112,7 +112,7 @@ def test_every_stored_transition_is_drawn_equally_often():
     assert chi_square < 43.8  # 19 degrees of freedom, p = 0.001
 
 
-def test_with_n_steps_a_return_ends_with_its_trajectory_and_before_what_was_refused():
+def test_an_n_step_return_ends_with_its_trajectory_and_before_a_rejected_transition():
     buffer = RingBuffer(STATE_SIZE, ACTIONS, 50, n_step=3)
     whole = spoiled("discounts", slice(None), 0.5)(trajectory(4, first=1))
     refused = spoiled("rewards", 2, np.nan)(spoiled("discounts", slice(None), 0.5)(trajectory(4, first=11)))
@@ -163,7 +163,7 @@ def spoiled(column, row, value):
         ("dead_end", spoiled("masks", 8, False), 1),
     ],
 )
-def test_unsound_transitions_are_refused_by_reason_and_stored_and_rejected_add_up(reason, spoil, refused):
+def test_invalid_transitions_are_rejected_by_reason_and_the_counts_add_up(reason, spoil, refused):
     buffer = RingBuffer(STATE_SIZE, ACTIONS, 50)
     stored, rejected = buffer.insert([spoil(trajectory(8))])
     assert rejected == {reason: refused} and reason in REASONS
@@ -181,7 +181,7 @@ def oldest_first(buffer):
 
 @settings(max_examples=60, deadline=None)
 @given(lengths=st.lists(st.integers(0, 9), max_size=6), capacity=st.integers(1, 30), faults=st.sets(st.integers(0, 5)))
-def test_several_trajectories_at_once_are_stored_and_refused_as_one_after_the_other(lengths, capacity, faults):
+def test_several_trajectories_at_once_are_stored_and_rejected_as_one_after_the_other(lengths, capacity, faults):
     offered = [trajectory(length, 100 * number, number) for number, length in enumerate(lengths)]
     for number in faults & {index for index, length in enumerate(lengths) if length}:
         spoil = (spoiled("rewards", 0, np.nan), spoiled("successors", 0, 99), spoiled("states", -1, np.inf))[number % 3]
@@ -195,7 +195,7 @@ def test_several_trajectories_at_once_are_stored_and_refused_as_one_after_the_ot
     together.check_valid()
 
 
-def test_a_last_state_that_allows_nothing_is_fine_where_the_episode_ended():
+def test_the_last_state_of_an_episode_may_allow_no_action():
     buffer, ended = RingBuffer(STATE_SIZE, ACTIONS, 50), trajectory(8)
     ended = spoiled("masks", 8, False)(spoiled("discounts", 7, 0)(ended))
     assert buffer.insert([ended]) == (8, {})
@@ -207,7 +207,7 @@ def test_several_faults_of_one_transition_count_once():
     assert stored == 7 and rejected == {"reward": 1}
 
 
-def test_bytes_are_bounded_by_the_capacity_and_known_before():
+def test_bytes_follow_from_the_capacity():
     buffer = RingBuffer(120, ACTIONS, 1000)
     assert buffer.nbytes == 1000 * row_bytes(120, ACTIONS)
     buffer.resize(300)
@@ -257,7 +257,7 @@ def prioritised(capacity):
     capacity=st.integers(1, 12),
     operations=st.lists(st.tuples(st.sampled_from(["insert", "resize", "restore"]), st.integers(1, 15)), max_size=12),
 )
-def test_a_serial_names_its_transition_until_that_is_overwritten(capacity, operations):
+def test_a_serial_identifies_its_transition_until_it_is_overwritten(capacity, operations):
     buffer, offered, serials = prioritised(capacity), 0, {}
     for what, amount in [("insert", 1), *operations]:
         if what == "insert":
@@ -274,7 +274,7 @@ def test_a_serial_names_its_transition_until_that_is_overwritten(capacity, opera
         serials |= found
         assert len(set(serials.values())) == len(serials)
         numbers = np.array(sorted(serials))
-        assert buffer.prioritise(
+        assert buffer.update_priorities(
             np.array([serials[number] for number in numbers]), (1 + numbers).astype(np.float32)
         ) == len(set(serials) & set(held(buffer)))
         state = buffer.state()
@@ -282,12 +282,12 @@ def test_a_serial_names_its_transition_until_that_is_overwritten(capacity, opera
         np.testing.assert_allclose(state["priorities"][known], 1 + state["rewards"][known] + SMALLEST_ERROR, rtol=1e-6)
 
 
-def test_rows_are_drawn_by_the_errors_that_were_told_of_them():
+def test_rows_are_drawn_by_their_last_errors():
     buffer = prioritised(8)
     buffer.insert([trajectory(11)])
     batch = buffer.sample(np.random.default_rng(0), 64)
     errors = np.where(batch.rewards == 7, 50.0, 0.0).astype(np.float32)
-    assert buffer.prioritise(batch.serials, errors) == 64
+    assert buffer.update_priorities(batch.serials, errors) == 64
     again = buffer.sample(np.random.default_rng(1), 1000)
     assert (again.rewards == 7).mean() > 0.99
     assert again.weights[again.rewards == 7].max() < 0.001 * again.weights.max()
@@ -304,7 +304,7 @@ def test_several_batches_at_once_are_drawn_as_one_after_the_other_would_be():
                 np.testing.assert_array_equal(getattr(drawn, name), column)
 
 
-def test_a_ring_that_knew_no_priorities_is_taken_over_with_equal_ones():
+def test_a_state_without_priorities_is_restored_with_equal_ones():
     plain, buffer = RingBuffer(STATE_SIZE, ACTIONS, 8), prioritised(3)
     plain.insert([trajectory(11)])
     buffer.restore(plain.state())
@@ -327,9 +327,9 @@ def test_without_priorities_a_batch_has_neither_weights_nor_serials():
     ),
     of=st.sampled_from([prioritised, lambda capacity: RingBuffer(STATE_SIZE, ACTIONS, capacity)]),
 )
-def test_a_ring_comes_back_as_it_was_from_its_layout_and_the_rows_of_each_piece(capacity, operations, of):
+def test_a_ring_is_reassembled_from_its_layout_and_the_rows_of_each_piece(capacity, operations, of):
     ring, offered, folded = of(capacity), 0, 0
-    kept = [(0, ring.newest(0))]
+    kept = [(0, ring.rows_since(0))]
     for what, amount in [*operations, ("fold", 1)]:
         if what == "insert":
             ring.insert([trajectory(amount, offered)])
@@ -337,10 +337,10 @@ def test_a_ring_comes_back_as_it_was_from_its_layout_and_the_rows_of_each_piece(
         elif what == "resize":
             ring.resize(amount)
         else:
-            rows = ring.newest(folded)
+            rows = ring.rows_since(folded)
             kept.append((ring.written - len(rows["actions"]), rows))
             folded = ring.written
-    before, after = ring.state(), segments.joined(ring.layout(), len(ring), kept)
+    before, after = ring.state(), segments.join(ring.layout(), len(ring), kept)
     assert before.keys() == after.keys()
     for name, column in before.items():
         np.testing.assert_array_equal(column, after[name])
@@ -349,8 +349,8 @@ def test_a_ring_comes_back_as_it_was_from_its_layout_and_the_rows_of_each_piece(
     again.check_valid()
 
 
-def test_a_ring_of_which_a_piece_is_missing_is_refused():
+def test_a_ring_with_a_missing_piece_is_rejected():
     ring = RingBuffer(STATE_SIZE, ACTIONS, 20)
     ring.insert([trajectory(6)])
-    with pytest.raises(RunError, match="journal has 2 of 6 rows"):
-        segments.joined(ring.layout(), len(ring), [(4, ring.newest(4))])
+    with pytest.raises(RunError, match="journal has 2 of the 6 rows"):
+        segments.join(ring.layout(), len(ring), [(4, ring.rows_since(4))])

@@ -20,7 +20,7 @@ def test_a_new_journal_holds_nothing(tmp_path):
     assert Journal(tmp_path / "deep" / "journal").recover() is None
 
 
-def test_base_and_records_come_back_in_order_without_the_writer_having_closed(tmp_path):
+def test_base_and_records_are_recovered_in_order_though_the_writer_did_not_close(tmp_path):
     first = Journal(tmp_path)
     first.rebase(b"base")
     first.append(RECORDS[:2])
@@ -50,7 +50,7 @@ def test_a_torn_tail_is_cut_off_and_every_record_before_it_is_kept(tmp_path_fact
     assert reopened(folder)[1].records == [*records, (2, b"after")]
 
 
-def test_a_damaged_record_ends_what_is_believed(tmp_path):
+def test_recovery_stops_at_a_damaged_record(tmp_path):
     writer = Journal(tmp_path)
     writer.rebase(b"base")
     writer.append(RECORDS)
@@ -60,7 +60,7 @@ def test_a_damaged_record_ends_what_is_believed(tmp_path):
     assert reopened(tmp_path)[1] == (b"base", [], RECORDS[:2])
 
 
-def test_a_new_base_takes_the_place_of_all_before_it(tmp_path):
+def test_a_new_base_replaces_all_before_it(tmp_path):
     writer = Journal(tmp_path)
     writer.rebase(b"one")
     writer.append(RECORDS)
@@ -96,7 +96,7 @@ def test_pieces_stay_in_order_until_the_oldest_item_needed_is_beyond_their_end(t
     assert reopened(tmp_path)[1] == (b"last", [], [])
 
 
-def test_it_stays_bounded_while_its_writer_rebases_when_told(tmp_path, monkeypatch):
+def test_the_journal_stays_bounded_while_its_writer_rebases_when_due(tmp_path, monkeypatch):
     monkeypatch.setattr(journal, "COMPACT_BYTES", 10_000)
     writer, base = Journal(tmp_path), bytes(4_000)
     writer.rebase(base)
@@ -109,7 +109,7 @@ def test_it_stays_bounded_while_its_writer_rebases_when_told(tmp_path, monkeypat
     assert largest < 10_000 + 4_000 + 600 + 4 * 2_000
 
 
-def test_what_a_successor_has_to_read_is_bounded_in_records_too(tmp_path, monkeypatch):
+def test_the_log_is_bounded_in_records_too(tmp_path, monkeypatch):
     monkeypatch.setattr(journal, "COMPACT_RECORDS", 5)
     writer = Journal(tmp_path)
     writer.rebase(b"base")
@@ -122,9 +122,9 @@ def test_what_a_successor_has_to_read_is_bounded_in_records_too(tmp_path, monkey
     assert not successor.wants_base
 
 
-def test_a_journal_that_cannot_be_made_or_written_says_so(tmp_path):
+def test_a_journal_that_cannot_be_created_or_written_says_so(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(RunError, match=r"replay journal .*file/journal cannot be made: Not a directory"):
+    with pytest.raises(RunError, match=r"replay journal .*file/journal cannot be created: Not a directory"):
         Journal(tmp_path / "file" / "journal")
     writer = Journal(tmp_path / "journal")
     writer.rebase(b"")

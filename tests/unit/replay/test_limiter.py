@@ -52,7 +52,7 @@ class Flow(RuleBasedStateMachine):
         if amount <= 0:
             return
         rejected = data.draw(st.integers(0, amount))
-        self.limiter.inserted(name, amount - rejected, rejected)
+        self.limiter.count_inserts(name, amount - rejected, rejected)
         self.produced[name] += amount
         if self.limiter.limited and not was_limited:
             self.start_excess = self.limiter.stored
@@ -62,7 +62,7 @@ class Flow(RuleBasedStateMachine):
     def learn(self, times):
         for _ in range(times):
             if self.limiter.allowed:
-                self.limiter.sampled()
+                self.limiter.take_batch()
 
     @invariant()
     def credit_is_absolute_and_never_falls(self):
@@ -106,39 +106,39 @@ def opened(limiter, *names):
 
 def test_nothing_is_limited_and_nothing_learned_before_min_size():
     limiter = opened(Limiter(0.5, min_size=100, grain=4, band=10), "a")
-    limiter.inserted("a", 99)
+    limiter.count_inserts("a", 99)
     assert limiter.credit("a") is None and not limiter.allowed
-    limiter.inserted("a", 1)
+    limiter.count_inserts("a", 1)
     assert limiter.credit("a") is not None and limiter.allowed
 
 
-def test_updates_stop_at_the_ratio_and_go_on_with_the_next_insert():
+def test_updates_stop_at_the_ratio_and_continue_after_the_next_insert():
     limiter = opened(Limiter(0.5, min_size=10, grain=4), "a")
-    limiter.inserted("a", 10)
+    limiter.count_inserts("a", 10)
     while limiter.allowed:
-        limiter.sampled()
+        limiter.take_batch()
     assert limiter.updates == 5
-    limiter.inserted("a", 1)
+    limiter.count_inserts("a", 1)
     assert not limiter.allowed
-    limiter.inserted("a", 1)
+    limiter.count_inserts("a", 1)
     assert limiter.allowed
 
 
-def test_without_updates_the_inserts_come_to_a_stop():
+def test_inserts_stop_without_updates():
     limiter = opened(Limiter(1.0, min_size=1, grain=4, band=16), "a")
-    limiter.inserted("a", 1)
+    limiter.count_inserts("a", 1)
     total = 1
     while (more := limiter.credit("a") - total) > 0:
-        limiter.inserted("a", more)
+        limiter.count_inserts("a", more)
         total += more
     assert total <= 1 + 16 + 4
-    limiter.sampled()
+    limiter.take_batch()
     assert limiter.credit("a") == total + 1
 
 
-def test_hoarders_cannot_keep_a_late_stream_from_its_grain():
+def test_idle_streams_cannot_keep_a_late_stream_from_its_grain():
     limiter = opened(Limiter(0.1, min_size=1, grain=12, band=64), "hoarder")
-    limiter.inserted("hoarder", 1)
+    limiter.count_inserts("hoarder", 1)
     assert limiter.credit("hoarder") == 1 + 12 + 64
     limiter.open("second hoarder")
     assert limiter.credit("second hoarder") >= 12
@@ -146,27 +146,27 @@ def test_hoarders_cannot_keep_a_late_stream_from_its_grain():
     produced = 0
     for _ in range(100):
         while limiter.allowed:
-            limiter.sampled()
+            limiter.take_batch()
         assert limiter.credit("late") - produced >= 12
         produced += 12
-        limiter.inserted("late", 12)
+        limiter.count_inserts("late", 12)
 
 
-def test_streams_in_the_same_position_get_the_same():
+def test_streams_with_equal_counts_get_equal_credit():
     names = [f"actor/{i}" for i in range(7)]
     limiter = opened(Limiter(0.5, min_size=7, grain=3, band=70), *names)
     for name in names:
-        limiter.inserted(name, 1)
+        limiter.count_inserts(name, 1)
     assert len({limiter.credit(name) for name in names}) == 1
     while limiter.allowed:
-        limiter.sampled()
+        limiter.take_batch()
     assert [limiter.credit(name) for name in names] == [1 + 3 + 10] * 7
 
 
 def test_credit_of_a_closed_stream_returns_to_the_others():
     limiter = opened(Limiter(1.0, min_size=2, grain=2, band=20), "a", "b")
-    limiter.inserted("a", 1)
-    limiter.inserted("b", 1)
+    limiter.count_inserts("a", 1)
+    limiter.count_inserts("b", 1)
     before = limiter.credit("a")
     assert limiter.close("b") > 0
     assert limiter.credit("a") > before
@@ -174,17 +174,17 @@ def test_credit_of_a_closed_stream_returns_to_the_others():
 
 def test_rejected_transitions_use_credit_but_earn_no_updates():
     limiter = opened(Limiter(1.0, min_size=1, grain=4, band=0), "a")
-    limiter.inserted("a", 1)
-    limiter.sampled()
+    limiter.count_inserts("a", 1)
+    limiter.take_batch()
     before = limiter.credit("a")
-    limiter.inserted("a", 0, rejected=4)
+    limiter.count_inserts("a", 0, rejected=4)
     assert limiter.credit("a") == before + 4 and not limiter.allowed
 
 
 def test_totals_survive_a_restart_and_streams_do_not():
     limiter = opened(Limiter(0.5, min_size=10, grain=4), "a")
-    limiter.inserted("a", 20)
-    limiter.sampled()
+    limiter.count_inserts("a", 20)
+    limiter.take_batch()
     resumed = Limiter(0.5, min_size=10, grain=4)
     resumed.restore(limiter.state(), same_run=False)
     assert (resumed.stored, resumed.updates, resumed.limited) == (20, 1, True)
@@ -192,14 +192,14 @@ def test_totals_survive_a_restart_and_streams_do_not():
     assert 4 <= resumed.credit("a") < limiter.credit("a")
 
 
-def test_what_breaks_the_books_is_refused():
+def test_calls_that_contradict_the_counts_are_rejected():
     limiter = opened(Limiter(1.0, min_size=5, grain=1), "a")
     for wrong in (
         lambda: limiter.open("a"),
         lambda: limiter.close("b"),
-        lambda: limiter.inserted("b", 1),
+        lambda: limiter.count_inserts("b", 1),
         lambda: limiter.credit("b"),
-        limiter.sampled,
+        limiter.take_batch,
     ):
         with pytest.raises(ProtocolError):
             wrong()

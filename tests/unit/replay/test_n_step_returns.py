@@ -62,7 +62,7 @@ def test_no_return_crosses_from_one_trajectory_into_the_next(seed, lengths):
     np.testing.assert_allclose(total, left * 1000.0**trajectory, rtol=1e-6)
 
 
-def test_no_return_goes_on_after_the_end_of_an_episode():
+def test_no_return_continues_after_the_end_of_an_episode():
     rows = np.arange(4)
     rewards, discounts = np.array([1, 2, 4, 8], np.float32), np.array([0.5, 0, 0.5, 0.5], np.float32)
     total, left, successors = n_step(3, rows, rows + 1, rewards, discounts, np.ones(4, bool))
@@ -78,7 +78,7 @@ def test_transitions_that_end_an_option_have_nothing_to_join():
     assert np.array_equal(total, rewards) and np.array_equal(left, discounts) and np.array_equal(successors, end)
 
 
-def test_a_return_that_no_float_holds_is_left_shorter():
+def test_a_return_beyond_float32_stays_shorter():
     largest = np.finfo(np.float32).max
     rows, discounts = np.arange(3), np.ones(3, np.float32)
     total, _, successors = n_step(3, rows, rows + 1, np.full(3, largest), discounts, np.ones(3, bool))

@@ -18,7 +18,7 @@ from zsdist.replay.priorities import SMALLEST_ERROR, RowPriorities, SumTree
         max_size=8,
     ),
 )
-def test_whatever_is_set_the_total_is_the_sum_and_a_mass_is_found_where_it_lies(size, changes):
+def test_the_total_is_the_sum_and_a_mass_is_found_at_its_number(size, changes):
     tree, values = SumTree(size), np.zeros(size)
     for change in changes:
         last = {place % size: value for place, value in change}
@@ -33,13 +33,13 @@ def test_whatever_is_set_the_total_is_the_sum_and_a_mass_is_found_where_it_lies(
         assert np.array_equal(tree.find(middles[chosen]), chosen)
 
 
-def test_of_a_place_that_is_named_twice_the_last_number_counts():
+def test_the_last_of_two_values_for_an_index_counts():
     tree = SumTree(5)
     tree[np.array([3, 1, 3])] = np.array([7.0, 2.0, 4.0])
     assert tree.total == 6.0
 
 
-def test_a_mass_at_the_very_end_is_not_found_where_there_is_nothing():
+def test_a_mass_at_the_very_end_is_not_found_at_a_number_of_0():
     tree = SumTree(8)
     tree[np.array([0, 1, 2])] = np.array([0.1, 0.2, 0.3])
     assert tree.find(np.array([tree.total, 2 * tree.total])).tolist() == [2, 2]
@@ -50,7 +50,7 @@ def test_a_mass_at_the_very_end_is_not_found_where_there_is_nothing():
 def test_rows_are_drawn_in_proportion_to_their_priorities(exponent):
     rng, errors = np.random.default_rng(0), np.array([0.0, 0.5, 1.0, 2.0, 8.0], np.float32)
     priorities = RowPriorities(9, exponent, 0.4)
-    priorities.written(np.arange(5))
+    priorities.add(np.arange(5))
     priorities.update(np.arange(5), errors)
     drawn = np.concatenate([priorities.draw(rng, 4, 5)[0] for _ in range(10_000)])
     counts = np.bincount(drawn, minlength=9)
@@ -60,7 +60,7 @@ def test_rows_are_drawn_in_proportion_to_their_priorities(exponent):
     assert ((counts[:5] - expected) ** 2 / expected).sum() < 18.5  # 4 degrees of freedom, p = 0.001
 
 
-def test_importance_weights_make_good_for_the_priorities():
+def test_importance_weights_correct_the_bias_of_the_priorities():
     rng, values = np.random.default_rng(1), np.array([3.0, -1.0, 5.0, 10.0])
     priorities = RowPriorities(4, 1.0, 1.0)
     priorities.update(np.arange(4), np.array([0.1, 1.0, 2.0, 4.0], np.float32))
@@ -71,18 +71,18 @@ def test_importance_weights_make_good_for_the_priorities():
 
 def test_equal_priorities_have_equal_weights():
     priorities = RowPriorities(6, 0.6, 0.4)
-    priorities.written(np.arange(6))
+    priorities.add(np.arange(6))
     _, weights = priorities.draw(np.random.default_rng(0), 64, 6)
     assert (weights == 1.0).all()
 
 
 def test_new_rows_have_the_largest_priority_so_far():
     priorities = RowPriorities(4, 1.0, 0.4)
-    priorities.written(np.array([0]))
+    priorities.add(np.array([0]))
     priorities.update(np.array([0]), np.array([9.0], np.float32))
     priorities.update(np.array([0]), np.array([2.0], np.float32))
-    priorities.written(np.array([1]))
-    assert priorities.of(np.arange(4)).tolist() == pytest.approx([2 + SMALLEST_ERROR, 9 + SMALLEST_ERROR, 0, 0])
+    priorities.add(np.array([1]))
+    assert priorities.get(np.arange(4)).tolist() == pytest.approx([2 + SMALLEST_ERROR, 9 + SMALLEST_ERROR, 0, 0])
 
 
 def test_no_weight_is_zero_however_unequal_the_priorities():
@@ -98,7 +98,7 @@ def test_drawing_and_updating_touch_as_many_sums_as_rows_times_depth(size, monke
     unique = np.unique
     monkeypatch.setattr(np, "unique", lambda nodes: touched.append(len(nodes)) or unique(nodes))
     priorities = RowPriorities(size, 0.6, 0.4)
-    priorities.written(np.arange(size))
+    priorities.add(np.arange(size))
     touched.clear()
     priorities.update(np.arange(0, size, size // 100)[:100], np.ones(100, np.float32))
     assert sum(touched) <= 100 * np.ceil(np.log2(size))

@@ -58,11 +58,11 @@ def test_a_return_twice_as_bad_as_a_negative_target_is_half_way_not_beyond():
 def test_sizes_start_at_table_2_and_change_only_every_tenth_episode():
     sizing = AdaptiveSizing(CONFIG)
     for finished in range(10):
-        assert not sizing.finished_episodes(finished, -5000.0)
+        assert not sizing.adjust(finished, -5000.0)
     assert (sizing.size, sizing.batch_size) == (10_000, 128)
-    assert sizing.finished_episodes(10, -5000.0)
+    assert sizing.adjust(10, -5000.0)
     assert (sizing.size, sizing.batch_size) == (9000, 115)
-    assert not sizing.finished_episodes(10, -5000.0) and not sizing.finished_episodes(4, -5000.0)
+    assert not sizing.adjust(10, -5000.0) and not sizing.adjust(4, -5000.0)
     assert (sizing.size, sizing.batch_size) == (9000, 115)
 
 
@@ -70,55 +70,55 @@ def test_a_good_run_grows_to_the_maximum_and_a_bad_one_shrinks_to_the_minimum_by
     sizing = AdaptiveSizing(CONFIG)
     for finished in range(10, 400, 10):
         before = sizing.size
-        sizing.finished_episodes(finished, -5000.0)
+        sizing.adjust(finished, -5000.0)
         assert before * 0.9 - 1 <= sizing.size <= before
     assert (sizing.size, sizing.batch_size) == (1000, 16)
     for finished in range(400, 1200, 10):
         before = sizing.size
-        sizing.finished_episodes(finished, 900.0)
+        sizing.adjust(finished, 900.0)
         assert before <= sizing.size <= before / 0.9 + 1
     assert sizing.size >= 20_000 / 1.2 and sizing.batch_size >= 256 / 1.2
 
 
-def test_between_the_thresholds_nothing_moves():
+def test_sizes_stay_between_the_thresholds():
     sizing = AdaptiveSizing(CONFIG)
     for wanted in (10_000, 11_900):
         average = 700.0 * (wanted - 1000) / 19_000
         finished = wanted  # a multiple of ten
-        sizing.finished_episodes(finished, average)
+        sizing.adjust(finished, average)
         assert sizing.size == 10_000
 
 
 def test_several_adjustments_that_are_due_at_once_are_all_made():
     at_once, one_by_one = AdaptiveSizing(CONFIG), AdaptiveSizing(CONFIG)
-    at_once.finished_episodes(35, -5000.0)
+    at_once.adjust(35, -5000.0)
     for finished in (10, 20, 30):
-        one_by_one.finished_episodes(finished, -5000.0)
+        one_by_one.adjust(finished, -5000.0)
     assert at_once.state() == one_by_one.state()
 
 
 def test_a_fixed_size_stays_and_so_does_one_without_a_mean():
     fixed, unknown = AdaptiveSizing(CONFIG.model_copy(update={"adaptive": False})), AdaptiveSizing(CONFIG)
-    assert not fixed.finished_episodes(100, -5000.0) and not unknown.finished_episodes(100, None)
+    assert not fixed.adjust(100, -5000.0) and not unknown.adjust(100, None)
     assert (fixed.size, unknown.size) == (10_000, 10_000)
 
 
-def test_what_is_restored_goes_on_the_same_through_json():
+def test_a_restored_sizing_continues_the_same_through_json():
     sizing, restored = AdaptiveSizing(CONFIG), AdaptiveSizing(CONFIG)
     averages, same = RewardAverages(3), RewardAverages(3)
     for episode in range(1, 16):
         averages.add_episode(-10.0 * episode / 3, episode)
-        sizing.finished_episodes(episode, averages.mean_return)
+        sizing.adjust(episode, averages.mean_return)
     restored.restore(json.loads(json.dumps(sizing.state())))
     same.restore(json.loads(json.dumps(averages.state())))
     averages.add_episode(5.0, 2)
     same.add_episode(5.0, 2)
     assert (averages.mean_return, averages.mean_reward) == (same.mean_return, same.mean_reward)
-    assert sizing.finished_episodes(20, 900.0) == restored.finished_episodes(20, 900.0)
+    assert sizing.adjust(20, 900.0) == restored.adjust(20, 900.0)
     assert sizing.state() == restored.state()
 
 
-def test_sizes_of_other_bounds_come_back_within_the_present_ones():
+def test_sizes_of_other_bounds_are_restored_within_the_present_ones():
     sizing = AdaptiveSizing(CONFIG)
     for size, batch in ((CONFIG.size_max + 1, CONFIG.batch_max + 1), (CONFIG.size_min - 1, CONFIG.batch_min - 1)):
         sizing.restore({"size": size, "batch_size": batch, "adjustments": 0})
@@ -127,11 +127,11 @@ def test_sizes_of_other_bounds_come_back_within_the_present_ones():
 
 
 @pytest.mark.parametrize(("paper_return", "actions"), [(float("nan"), 3), (float("inf"), 3), (1.0, -1)])
-def test_returns_that_are_no_numbers_are_refused(paper_return, actions):
+def test_returns_that_are_not_finite_are_rejected(paper_return, actions):
     with pytest.raises(ValueError, match="allowed are finite"):
         RewardAverages(5).add_episode(paper_return, actions)
 
 
-def test_a_mean_that_is_no_number_is_refused():
+def test_a_mean_that_is_not_finite_is_rejected():
     with pytest.raises(ValueError, match="mean return is nan"):
-        AdaptiveSizing(CONFIG).finished_episodes(10, float("nan"))
+        AdaptiveSizing(CONFIG).adjust(10, float("nan"))

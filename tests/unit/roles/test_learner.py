@@ -11,7 +11,7 @@ from zsdist.roles.base import Context
 from zsdist.roles.learner import BATCHES_AN_ANSWER, PREFETCH, UPDATES_A_STEP, Learner
 from zsdist.transport.base import Mailbox
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
-from zsdist.types import Batch, Level
+from zsdist.types import Level, StoredBatch
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders, Priorities, SampleReply, SampleRequest, WeightsMessage
 
@@ -19,15 +19,15 @@ FEATURES, ACTIONS, RUN = 3, 2, "test"
 
 
 def batch(rng, rows=4):
-    return Batch(
-        states=rng.normal(size=(rows, FEATURES)).astype(np.float32),
-        actions=rng.integers(0, ACTIONS, rows),
+    return StoredBatch(
+        states=rng.normal(size=(rows, FEATURES)).astype(np.float16),
+        actions=rng.integers(0, ACTIONS, rows).astype(np.uint8),
         rewards=np.zeros(rows, np.float32),
         discounts=np.zeros(rows, np.float32),
-        next_states=rng.normal(size=(rows, FEATURES)).astype(np.float32),
+        next_states=rng.normal(size=(rows, FEATURES)).astype(np.float16),
         next_masks=np.ones((rows, ACTIONS), bool),
         masks=np.ones((rows, ACTIONS), bool),
-        guides=np.full(rows, -1),
+        guides=np.full(rows, -1, np.int8),
     )
 
 

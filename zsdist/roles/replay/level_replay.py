@@ -107,7 +107,7 @@ class LevelReplay:
             self.stored += stored
             for reason, count in reasons.items():
                 self.rejected[reason] = self.rejected.get(reason, 0) + count
-            self.limiter.inserted(stream, stored, rejected=sum(reasons.values()))
+            self.limiter.count_inserts(stream, stored, rejected=sum(reasons.values()))
             if arrived.closes:
                 self.limiter.close(stream)
                 self._closed.add((arrived.actor, arrived.epoch))
@@ -127,14 +127,14 @@ class LevelReplay:
         It waits until there is enough for all of them, so long as no actor has to wait for that: to wake a learner for
         a single batch costs as much as the update.
         """
-        enough = min(sum(wanted for _, _, wanted in self.waiting), self.limiter.unhurried)
+        enough = min(sum(wanted for _, _, wanted in self.waiting), self.limiter.patience)
         if self.waiting and self.limiter.allowed < enough and now - self.waiting[0][0] < HOLD_REQUEST_S:
             return
         while self.waiting:
             asked_s, message, wanted = self.waiting[0]
             batch, batches, held = None, 0, len(self.buffer)
             while batches < wanted and held and self.limiter.allowed > 0:
-                self.limiter.sampled()
+                self.limiter.take_batch()
                 batches += 1
             if batches:
                 size = min(self.batch_size, held)
@@ -184,7 +184,7 @@ class LevelReplay:
 
     def keep_pace(self, pace: dict[str, int]) -> None:
         """Takes over what `pace` gave."""
-        self.limiter.catch_up(pace["updates"])
+        self.limiter.resume_at(pace["updates"])
         self.sampled = pace["sampled"]
         self.batch_size = pace["batch_size"]
         self._hold(pace["capacity"])
@@ -213,11 +213,11 @@ class LevelReplay:
             self._begin_anew()
             return
         base = codec.decode(found.base, expect=State)
-        parts = [(0, self.buffer.newest(0))]  # no row, but the columns
+        parts = [(0, self.buffer.rows_since(0))]  # no row, but the columns
         for piece in found.pieces:
             part = codec.decode(piece, expect=State)
             parts.append((part.meta["first"], part.arrays))
-        rows = segments.joined(base.arrays, base.meta["held"], parts)
+        rows = segments.join(base.arrays, base.meta["held"], parts)
         self.restore(base.meta, rows, same_run=True)
         self._in_pieces = self.buffer.written
         for kind, content in found.records:
@@ -234,7 +234,7 @@ class LevelReplay:
         """Folds the journal's log: rows that it brought become a piece, and all else is in the new base."""
         ring, name = self.buffer, self.level.value
         base = State(name, self._standing() | {"held": len(ring)}, ring.layout())
-        rows = ring.newest(self._in_pieces)
+        rows = ring.rows_since(self._in_pieces)
         count = len(rows["actions"])
         piece = codec.encode(State(name, {"first": ring.written - count}, rows), packing=frame.PLAIN) if count else b""
         self.journal.rebase(codec.encode(base), piece, end=ring.written, oldest=ring.written - len(ring))

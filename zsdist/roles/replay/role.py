@@ -69,7 +69,7 @@ class Replay(Role):
             self.level_replays[push.stream].receive(push, message.payload, now)
         for _, found in self.messages(self._errors, Priorities):
             level_replay = self.level_replays[found.level]
-            level_replay.prioritised += level_replay.buffer.prioritise(found.serials, found.errors)
+            level_replay.prioritised += level_replay.buffer.update_priorities(found.serials, found.errors)
         for message, request in self.messages(self._requests, SampleRequest):
             waiting = self.level_replays[request.level].waiting
             if len(waiting) < MAX_WAITING:

@@ -157,7 +157,7 @@ class Scheduler(Role):
         self.outcomes[Outcome(record["outcome"])] += 1
         self.env_steps += record["steps"]
         self.averages.add_episode(record["return"], record["steps"])
-        self.sizing.finished_episodes(len(self.leases.finished), self.averages.mean_return)
+        self.sizing.adjust(len(self.leases.finished), self.averages.mean_return)
         self.recent = [*self.recent[-49:], Outcome(record["outcome"])]
         self.ledger.episode(record | {"finished_as": len(self.leases.finished)})
 
