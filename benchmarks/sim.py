@@ -14,7 +14,6 @@ import dataclasses
 import os
 import statistics
 import time
-import types
 import uuid
 from collections.abc import Callable
 
@@ -24,9 +23,9 @@ import numpy as np
 import torch
 from _common import report
 
-from zsdist.agent.hierarchy import HierarchicalAgent, q_functions
+from zsdist.agent.hierarchy import q_functions
 from zsdist.config import CameraConfig, Config, VisionConfig
-from zsdist.driving.episode import Car, EpisodeTask
+from zsdist.driving.actor_car import ActorCar, EpisodeTask
 from zsdist.driving.perception import Perception
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
@@ -51,7 +50,7 @@ Read = Callable[[np.ndarray], object]
 class Onlooker:
     """What `Perception` asks of a car in a training episode, of one that has no agent."""
 
-    task = types.SimpleNamespace(trains=True)
+    trains = True
 
     def __init__(self, env: CarNavigation, scene_hash: str) -> None:
         self.scene_hash = scene_hash
@@ -63,7 +62,7 @@ class Onlooker:
         """The true pose."""
         return self._world.pose
 
-    def goal_seen_from_here(self) -> tuple[float, float]:
+    def goal_from_here(self) -> tuple[float, float]:
         """Bearing and distance of the goal."""
         return self.pose.towards(*self._world.scene.goal)
 
@@ -170,6 +169,7 @@ def _designs(weights: str) -> tuple[list[Design], Read]:
         with torch.no_grad():
             return eager(torch.from_numpy(resample(image, ENCODER_PX)))
 
+    perception = Perception(model, Grid.from_config(Config().grid), Config().vision.rays, _memory())
     designs = [
         Design("physics", env(), camera=False),
         Design("caster_224px", env()),
@@ -178,7 +178,7 @@ def _designs(weights: str) -> tuple[list[Design], Read]:
         Design("caster_224px_trunk", env(), read=encoder.tokens),
         Design("caster_224px_trunk_head", env(), read=model.read),
         Design("tiny_512px_eager", env(512, "pybullet"), read=read_eagerly),
-        Design("warm", env(), camera=False, perception=Perception(model, Grid.from_config(Config().grid), _memory())),
+        Design("warm", env(), camera=False, perception=perception),
     ]
     if folder.read(folder.locate(weights)).has(folder.STUDENT_FILE):
         student = VisualAct.load(VisionConfig(weights=weights, network="student"), CameraConfig(size_px=STUDENT_PX))
@@ -243,7 +243,8 @@ def _actors(weights: str, warm_episodes: int, measured: int) -> dict[str, float]
         q_functions({level: program.make_learner(config, level).parameters() for level in Level}),
     )
     grid, figures = Grid.from_config(config.grid), {}
-    crews = {cars: _Crew(config, parts, cars, Perception(parts.visual_act, grid, None), q) for cars in CARS}
+    rays = config.vision.rays
+    crews = {cars: _Crew(config, parts, cars, Perception(parts.visual_act, grid, rays, None), q) for cars in CARS}
     times = {cars: [] for cars in CARS}
     for _ in range(6):  # the first, with what is done once, does not count
         for cars, crew in crews.items():
@@ -251,7 +252,7 @@ def _actors(weights: str, warm_episodes: int, measured: int) -> dict[str, float]
     for cars in CARS:
         ms = statistics.median(times[cars][1:])
         figures |= {f"actor_cold_{cars}_cars_ms": ms, f"actor_cold_{cars}_cars_steps_per_cpu_s": 1e3 / ms}
-    perception = Perception(parts.visual_act, grid, _memory())
+    perception = Perception(parts.visual_act, grid, rays, _memory())
     learning = _Crew(config, parts, config.run.cars_per_actor, perception, q)
     while learning.episodes < warm_episodes:
         learning.drive(config.run.cars_per_actor)
@@ -283,14 +284,14 @@ class _Crew:
     def __init__(self, config: Config, parts: program.ActorParts, cars: int, perception: Perception, q: dict) -> None:
         self.episodes = 0
         self._parts, self._perception, self._q = parts, perception, q
-        self._cars = [Car(parts.make_env(), HierarchicalAgent(config)) for _ in range(cars)]
+        self._cars = [ActorCar(parts.make_env(), config) for _ in range(cars)]
 
     def drive(self, steps: int) -> float:
         """At least so many steps; returns the CPU milliseconds of one, resets aside."""
         driven, spent_s = 0, 0.0
         while driven < steps:
             for car in self._cars:
-                if car.task is None:
+                if car.idle:
                     self.episodes += 1
                     scene = self._parts.schedule.training(self.episodes)
                     car.begin(
@@ -300,7 +301,7 @@ class _Crew:
             for car, view in zip(self._cars, self._perception.views(self._cars), strict=True):
                 ended = car.over
                 car.advance(view, self._q)
-                car.agent.drain()
+                car.drain()
                 driven += not ended
                 if ended:
                     car.record()

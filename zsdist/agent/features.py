@@ -7,6 +7,7 @@ logarithm, which has no upper end: a car that goes in circles never comes to loo
 
 import math
 from dataclasses import dataclass
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -17,15 +18,16 @@ from zsdist.agent.egocentric import (
     DIRECTIONS,
     LONG_WAY_M,
     SIGHT_M,
+    Geometry,
     action_features,
     block_features,
-    block_shares,
     clearances,
     line,
 )
+from zsdist.agent.options import Option
 from zsdist.agent.reward_shaping import way_costs
 from zsdist.agent.situation import Situation
-from zsdist.planning.grid import FINE_PER_CELL
+from zsdist.planning.grid import Grid
 from zsdist.planning.lattice import ends
 from zsdist.types import Action, Level
 
@@ -48,8 +50,40 @@ class Mirror:
     action_index: np.ndarray
 
 
+class StepFeatures:
+    """States of both levels at one step, each measured when it is first asked for and then kept.
+
+    Args:
+        situation: what the car knows.
+        options: choices of the high level.
+    """
+
+    def __init__(self, situation: Situation, options: Choices) -> None:
+        self._situation, self._options = situation, options
+        self._high: np.ndarray | None = None
+        self._low: np.ndarray | None = None
+        self._low_aim: tuple[tuple[float, float], bool] | None = None  # subgoal of `_low`, and whether it is the goal
+
+    @cached_property
+    def _rooms(self) -> np.ndarray:
+        return measure_rooms(self._situation)
+
+    def high(self) -> np.ndarray:
+        """Return the state of the high level, `(HIGH_STATE_SIZE,)` float32."""
+        if self._high is None:
+            self._high = high_state(self._situation, self._options, self._rooms)
+        return self._high
+
+    def low(self, option: Option) -> np.ndarray:
+        """Return the state of the low level under an option, `(LOW_STATE_SIZE,)` float32."""
+        aim = (option.subgoal, option.seeks_goal)
+        if self._low is None or aim != self._low_aim:
+            self._low, self._low_aim = low_state(self._situation, *aim, self._rooms), aim
+        return self._low
+
+
 def low_state(situation: Situation, subgoal: tuple[float, float], seeks_goal: bool, rooms: np.ndarray) -> np.ndarray:
-    """State of the low level under a subgoal, `(LOW_STATE_SIZE,)` float32.
+    """Return the state of the low level under a subgoal, `(LOW_STATE_SIZE,)` float32.
 
     Args:
         situation: what the car knows.
@@ -59,17 +93,12 @@ def low_state(situation: Situation, subgoal: tuple[float, float], seeks_goal: bo
     """
     grid, state = situation.grid, situation.state
     actions = action_features(
-        situation.blocked,
-        ends(grid.cells),
-        way_costs(grid),
+        (situation.blocked, ends(grid.cells), way_costs(grid)),
         situation.seen,
         situation.visits,
         *state,
-        float(subgoal[0]),
-        float(subgoal[1]),
-        grid.cell_size_m,
-        grid.side_m / 2,
-        grid.fine_border,
+        (float(subgoal[0]), float(subgoal[1])),
+        _geometry(grid),
     )
     own = situation.visits[state.iy, state.ix]
     here = [
@@ -83,34 +112,48 @@ def low_state(situation: Situation, subgoal: tuple[float, float], seeks_goal: bo
 
 
 def high_state(situation: Situation, options: Choices, rooms: np.ndarray) -> np.ndarray:
-    """State of the high level, `(HIGH_STATE_SIZE,)` float32; neighbours in the order of `options`."""
-    grid, (x, y) = situation.grid, situation.place
-    bx, by = situation.block
-    goal_m = math.hypot(situation.goal[0] - x, situation.goal[1] - y)
-    side = grid.block_size * FINE_PER_CELL
-    seen, occupied = (
-        block_shares(squares, grid.fine_border, side, grid.blocks, bx, by)
-        for squares in (situation.seen, situation.occupied)
+    """Return the state of the high level, `(HIGH_STATE_SIZE,)` float32; neighbours in the order of `options`."""
+    (x, y), (bx, by), goal = situation.place, situation.block, situation.goal
+    geometry, heading_rad = _geometry(situation.grid), situation.state.heading * math.pi / 4
+    fine_cells = (situation.occupied, situation.seen)
+    # The distances are taken here, since compiled code rounds a hypotenuse in another way.
+    points = [*options.subgoals.tolist(), (x, y)]
+    beeline_m = np.array([math.hypot(goal[0] - point_x, goal[1] - point_y) for point_x, point_y in points])
+    goal_m = float(beeline_m[-1])
+    neighbours, own_seen = block_features(
+        (options.exists, options.mask, options.blocks, options.subgoals, options.onward),
+        beeline_m,
+        fine_cells,
+        (situation.block_visits, situation.tries),
+        situation.drive_m,
+        (x, y, heading_rad),
+        (bx, by),
+        geometry,
     )
-    neighbours = _block_features(situation, options, goal_m, seen, occupied)
     here = [
-        *_polar(situation, situation.goal, _FAR_M),
+        *_polar(situation, goal, _FAR_M),
         float(tuple(options.blocks[GOAL_CHOICE]) == (bx, by)),
         (min(float(situation.drive_m[situation.goals].min(initial=np.inf)), goal_m + LONG_WAY_M) - goal_m) / SIGHT_M,
-        *_line(situation, situation.goal),
+        *line(fine_cells, x, y, *goal, *geometry[2:4]),
         math.log1p(situation.goal_tries),
         math.log1p(int(situation.block_visits[by, bx])),
-        float(seen[by, bx]),
+        own_seen,
     ]
     parts = (neighbours.ravel(), here, rooms[0] / SIGHT_M, situation.advice)
     return np.concatenate(parts).astype(np.float32)
 
 
 def measure_rooms(situation: Situation) -> np.ndarray:
-    """Clearances and distances to the unseen about the car, `(2, DIRECTIONS)` metres."""
+    """Return clearances and distances to unseen ground about the car, `(2, DIRECTIONS)` metres."""
     grid, (x, y) = situation.grid, situation.place
-    heading = situation.state.heading * math.pi / 4
-    return clearances(situation.occupied, situation.seen, x, y, heading, grid.arena_m / 2, grid.side_m / 2, grid.fine_m)
+    heading_rad = situation.state.heading * math.pi / 4
+    half_arena_m, half_grid_m = grid.arena_m / 2, grid.side_m / 2
+    return clearances(situation.occupied, situation.seen, x, y, heading_rad, half_arena_m, half_grid_m, grid.fine_m)
+
+
+@cache
+def _geometry(grid: Grid) -> Geometry:
+    return grid.cell_size_m, grid.side_m / 2, grid.arena_m / 2, grid.fine_m, grid.fine_border
 
 
 def mirror(level: Level) -> Mirror:
@@ -145,44 +188,7 @@ def mirror(level: Level) -> Mirror:
     return Mirror(np.array(index), np.array(sign, np.float32), actions)
 
 
-def _block_features(
-    situation: Situation, options: Choices, goal_m: float, seen: np.ndarray, occupied: np.ndarray
-) -> np.ndarray:
-    """`(NEIGHBOURS, BLOCK_FEATURES)`; all 0 of a block that is not there."""
-    grid, (x, y), (goal_x, goal_y) = situation.grid, situation.place, situation.goal
-    # Here, since compiled code rounds a hypotenuse in another way.
-    on_m = np.array([math.hypot(goal_x - sub_x, goal_y - sub_y) for sub_x, sub_y in options.subgoals.tolist()])
-    return block_features(
-        options.exists,
-        options.mask,
-        options.blocks,
-        options.subgoals,
-        options.onward,
-        on_m,
-        goal_m,
-        seen,
-        occupied,
-        situation.block_visits,
-        situation.tries,
-        situation.drive_m,
-        situation.occupied,
-        situation.seen,
-        x,
-        y,
-        situation.state.heading * math.pi / 4,
-        grid.cell_size_m,
-        grid.side_m / 2,
-        grid.arena_m / 2,
-        grid.fine_m,
-    )
-
-
 def _polar(situation: Situation, point: tuple[float, float], scale_m: float) -> tuple[float, float, float]:
     (x, y), heading = situation.place, situation.state.heading * math.pi / 4
     bearing = math.atan2(point[1] - y, point[0] - x) - heading
     return math.cos(bearing), math.sin(bearing), math.hypot(point[0] - x, point[1] - y) / scale_m
-
-
-def _line(situation: Situation, point: tuple[float, float]) -> tuple[float, float]:
-    grid = situation.grid
-    return line(situation.occupied, situation.seen, *situation.place, *point, grid.arena_m / 2, grid.fine_m)

@@ -1,4 +1,4 @@
-"""Which scenes an evaluation drives: of a folder, a family, or a split of the configuration."""
+"""Selection of an evaluation's scenes: of a folder, a family, or a split of the configuration."""
 
 from pathlib import Path
 
@@ -15,14 +15,14 @@ SPLITS = ("train", "validation", "test")
 
 
 def select(name: str, config: Config, episodes: int | None, seed: int) -> list[Scene]:
-    """The scenes of an evaluation, in the order in which they are reported.
+    """Return the scenes of an evaluation, in the order in which they are reported.
 
     Args:
         name: a family, of which the test scenes are taken; a split of the configuration, `train` and `validation` (of
-            `scenes.train`) or `test` (of `scenes.test`), the families in turn; or else a folder of scene files.
-        config: whose families, and whose grid scene files are held against.
-        episodes: how many; None: all files of a folder, else 50. More than a folder has go through it again.
-        seed: which scenes of a family, the same for every policy; a folder's are always its files in order.
+            `scenes.train`) or `test` (of `scenes.test`), the families in turn; else a folder of scene files.
+        config: has the families of the splits, and the grid that scene files must fit.
+        episodes: number of scenes; None: all files of a folder, else 50. A folder with fewer files is repeated.
+        seed: selects the scenes of a family, the same for every policy; of a folder it is always the files in order.
 
     Raises:
         SceneError: the name is none of these, or a scene file is wrong.

@@ -9,7 +9,7 @@ from zsdist.evaluation.contenders import Contender
 from zsdist.evaluation.episodes import Moment
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.evaluation.selection import select
-from zsdist.evaluation.workers import Simulation, make_examiner
+from zsdist.evaluation.workers import Simulation, make_runner
 from zsdist.reporting.guidance import Drive, guidance_of
 from zsdist.reporting.maps import DrivenPath
 from zsdist.run.checkpoint import Policy
@@ -48,8 +48,8 @@ def drive(policy: Policy, label: str, on_scene: Callable[[str], None], simulatio
         simulation: in which; None: physics and the camera.
     """
     simulation = simulation or Simulation()
-    runner = make_examiner(Contender(policy.config, policy.parameters), simulation)
-    planner = make_examiner(Contender(policy.config, baseline=SHORTEST), simulation)
+    runner = make_runner(Contender(policy.config, policy.parameters), simulation)
+    planner = make_runner(Contender(policy.config, baseline=SHORTEST), simulation)
     visual_act, env = simulation.load_vision(policy.config), simulation.make_env(policy.config)
     home, unseen = home_scene(policy), unseen_scenes(policy)
     guidance, paths = [], []

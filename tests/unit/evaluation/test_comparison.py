@@ -107,7 +107,7 @@ def test_lines_of_older_code_are_left_out_and_said(tmp_path, monkeypatch):
 
 def test_files_without_a_common_scene_are_refused(tmp_path):
     a, b = write(tmp_path / "a", [RECORD] * 2), write(tmp_path / "b", [RECORD] * 2, "random", seed=1)
-    with pytest.raises(RunError, match="no scene, seed and place in common"):
+    with pytest.raises(RunError, match="no scene, seed and index in common"):
         compare(a, b)
 
 

@@ -76,7 +76,7 @@ def test_reading_leaves_the_file_as_it_is_even_where_its_last_line_is_being_writ
 def test_a_file_of_something_else_without_a_last_newline_is_refused_and_left_as_it_is(tmp_path, content):
     file = tmp_path / "other"
     file.write_text(content)
-    with pytest.raises(RunError, match="no episode of an evaluation"):
+    with pytest.raises(RunError, match="not end with an episode of an evaluation|not an episode of an evaluation"):
         opened(file)
     assert file.read_text() == content
 
@@ -88,7 +88,7 @@ def test_a_file_of_something_else_without_a_last_newline_is_refused_and_left_as_
 def test_a_line_with_a_value_that_none_has_is_refused(file, name, value):
     line = json.loads(file.read_text().splitlines()[0])
     file.write_text(json.dumps(line | {name: value}) + "\n")
-    with pytest.raises(RunError, match="line 1 is no episode"):
+    with pytest.raises(RunError, match="line 1 is not an episode"):
         episode_store.read(file)
 
 
@@ -96,5 +96,5 @@ def test_a_line_with_a_value_that_none_has_is_refused(file, name, value):
 def test_a_file_of_something_else_is_refused_by_line(tmp_path, line):
     file = tmp_path / "other.jsonl"
     file.write_text(line + "\n")
-    with pytest.raises(RunError, match=r"other\.jsonl, line 1 is no episode"):
+    with pytest.raises(RunError, match=r"other\.jsonl, line 1 is not an episode"):
         opened(file)

@@ -88,7 +88,7 @@ def test_decisions_are_timed_by_the_clock():
 
 
 @pytest.mark.parametrize(
-    ("sees", "map_shown", "truth_shown"),
+    ("observability", "map_shown", "truth_shown"),
     [
         (Observability.NOTHING, False, False),
         (Observability.CAMERA, False, False),

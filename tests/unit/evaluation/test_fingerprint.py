@@ -10,11 +10,18 @@ CONFIG = Config()
 
 def test_the_hash_is_of_what_drives_an_episode_and_of_nothing_else():
     names = code_hash.modules(fingerprint.ROOT)
-    drives = ("sim.world", "sim.car", "vision.visual_act", "planning.belief", "agent.shield", "dqn.network")
+    drives = (
+        "sim.physics.world",
+        "sim.physics.car",
+        "vision.visual_act",
+        "planning.belief",
+        "agent.shield",
+        "dqn.network",
+    )
     assert {f"zsdist.{name}" for name in drives} | {"zsdist.evaluation.baselines", "zsdist.types"} <= names
     others = ("roles", "run", "transport", "wire", "replay", "protocol", "pretraining", "dqn.learner", "config")
     assert not [name for name in names for other in others if name.startswith(f"zsdist.{other}")]
-    measures = ("report", "metrics", "statistics", "ledger")
+    measures = ("report", "metrics", "statistics", "episode_store")
     assert not names & {f"zsdist.evaluation.{name}" for name in measures}
 
 
@@ -24,10 +31,10 @@ def test_the_hash_of_the_code_is_the_same_each_time():
 
 def learned(config=CONFIG, **changes):
     parameters = {level: program.make_learner(config, level).parameters() for level in Level}
-    return fingerprint.entrant_sha256(Contender(config, parameters, **changes))
+    return fingerprint.contender_sha256(Contender(config, parameters, **changes))
 
 
-def test_whatever_an_episode_depends_on_makes_another_entrant():
+def test_whatever_an_episode_depends_on_changes_the_hash_of_a_contender():
     hashes = [
         learned(),
         learned(variant="hybrid"),
@@ -37,10 +44,10 @@ def test_whatever_an_episode_depends_on_makes_another_entrant():
         learned(load(overrides=("seed=1",))),
         learned(load(overrides=("vision.network=student",))),
         learned(load(overrides=("sim.max_steps=20",))),
-        fingerprint.entrant_sha256(Contender(CONFIG, baseline="random")),
+        fingerprint.contender_sha256(Contender(CONFIG, baseline="random")),
     ]
     assert len(set(hashes)) == len(hashes)
 
 
-def test_what_only_training_depends_on_makes_the_same_entrant():
+def test_what_only_training_depends_on_does_not_change_the_hash_of_a_contender():
     assert learned(load(overrides=("vision.cache_bytes=0", "run.actors=7", "replay.adaptive=false"))) == learned()
