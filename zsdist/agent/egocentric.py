@@ -282,7 +282,18 @@ def _block_shares(flags: np.ndarray, border: int, cells: int, blocks: int, block
 
 
 @compiled()
-def _run(blocked, seen, visits, x, y, h, subgoal, cell, grid_half, border):  # noqa: ANN001, ANN202
+def _run(
+    blocked: np.ndarray,
+    seen: np.ndarray,
+    visits: np.ndarray,
+    x: int,
+    y: int,
+    h: int,
+    subgoal: tuple[float, float],
+    cell: float,
+    grid_half: float,
+    border: int,
+) -> tuple[float, float, float, float]:
     """Follow the heading from a state while nothing blocks.
 
     Returns:

@@ -1,8 +1,8 @@
-"""The states of both levels, relative to the car: no coordinate of the map is among them.
+"""States of both levels, relative to the car: no coordinate of the map is among them.
 
-Everything is measured on the believed map. Ways are measured from the car, never from the goal: the cost to go to it,
-by which the planner decides, is no input, and neither is the potential field's choice. What is counted enters by its
-logarithm, which has no upper end: a car that goes in circles never comes to look as it did before.
+Everything is measured on the believed map. Ways are measured from the car, never from the goal: neither the cost to
+go, by which the planner decides, nor the potential field's choice is an input. Counts enter by their logarithm, which
+has no upper end, so that the state of a car that drives in circles keeps changing.
 """
 
 import math
@@ -36,14 +36,14 @@ HERE_FEATURES = 10  # of the goal and of the block the car is in
 LOW_STATE_SIZE = LOW_ACTIONS * ACTION_FEATURES + 2 * DIRECTIONS + 3 + 8
 HIGH_STATE_SIZE = NEIGHBOURS * BLOCK_FEATURES + HERE_FEATURES + DIRECTIONS + 3
 
-_ACTION_SINE = 3  # column of `action_features` that a reflection turns round
-_BLOCK_SINE = 8  # column of `block_features`
+_ACTION_SINE = 3  # column of `action_features` whose sign a reflection changes
+_BLOCK_SINE = 8  # the same of `block_features`
 _FAR_M = 10.0
 
 
 @dataclass(frozen=True)
 class Mirror:
-    """Left-right reflection: `mirrored = sign * state[index]`, and `action_index[a]` is what action `a` becomes."""
+    """Left-right reflection: `mirrored = sign * state[index]`, and `action_index[a]` is the mirrored action of `a`."""
 
     state_index: np.ndarray
     state_sign: np.ndarray
@@ -157,7 +157,7 @@ def _geometry(grid: Grid) -> Geometry:
 
 
 def mirror(level: Level) -> Mirror:
-    """The left-right reflection of a level's states and actions."""
+    """Return the left-right reflection of a level's states and actions."""
     turn = (-np.arange(DIRECTIONS)) % DIRECTIONS
     advice = np.array([0, 2, 1])
     if level is Level.LOW:
@@ -177,7 +177,9 @@ def mirror(level: Level) -> Mirror:
             (turn, 1, ()),
             (advice, 1, ()),
         ]
-    index, sign, start = [], [], 0
+    index: list[int] = []
+    sign: list[float] = []
+    start = 0
     for order, width, odd in blocks:
         one = np.ones(width, np.float32)
         one[list(odd)] = -1

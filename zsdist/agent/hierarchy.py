@@ -56,7 +56,7 @@ class AgentSettings:
 
     @property
     def plans(self) -> bool:
-        """Whether the planner stands in the place of a network."""
+        """True if the planner stands in the place of a network."""
         return "planner" in (self.policy.high_policy, self.policy.low_policy)
 
 

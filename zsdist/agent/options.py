@@ -44,7 +44,7 @@ class Option:
 
     @property
     def seeks_goal(self) -> bool:
-        """Whether the goal itself is the subgoal."""
+        """True if the goal itself is the subgoal."""
         return self.block is None
 
     def choice(self, options: Choices) -> int | None:

@@ -41,7 +41,7 @@ class EpisodeTask:
 
     @property
     def trains(self) -> bool:
-        """Whether its transitions are learned from."""
+        """True if its transitions are learned from."""
         return not self.candidate
 
 
@@ -57,7 +57,7 @@ class CameraEnv(DrivingEnv, Protocol):
 
 @dataclass(frozen=True)
 class _Drive:
-    """The task that a car is at.
+    """Task of a car while it is driven.
 
     Attributes:
         task: to drive.
@@ -92,22 +92,22 @@ class ActorCar:
 
     @property
     def idle(self) -> bool:
-        """Whether it has no task."""
+        """True while the car has no task."""
         return self._drive is None
 
     @property
     def task(self) -> EpisodeTask:
-        """The task; an idle car has none."""
+        """Task that is driven; an idle car has none."""
         return self._driven().task
 
     @property
     def trains(self) -> bool:
-        """Whether the task is a training episode."""
+        """True if the task is a training episode."""
         return self._driven().task.trains
 
     @property
     def over(self) -> bool:
-        """Whether the episode has ended; its last state may still be to be observed."""
+        """True once the episode has ended; its last state may still have to be observed."""
         return self._driven().episode.over
 
     @property
@@ -122,7 +122,7 @@ class ActorCar:
 
     @property
     def pose(self) -> Pose:
-        """The true pose."""
+        """True pose of the car."""
         return self._driven().episode.pose
 
     def picture(self, pose: Pose | None = None) -> np.ndarray:

@@ -10,7 +10,7 @@ from zsdist.types import Outcome, Pose
 
 
 class DrivingEnv(Protocol):
-    """The part of a gymnasium environment that an episode needs."""
+    """Part of a gymnasium environment that an episode needs."""
 
     def reset(self, *, options: dict[str, Any]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Start an episode in `options["scene"]` and return its observation, which has `pose` and `goal`, and info."""
@@ -58,18 +58,18 @@ class Episode:
 
     @property
     def pose(self) -> Pose:
-        """The true pose."""
+        """True pose of the car."""
         return self.poses[-1]
 
     @property
     def goal(self) -> tuple[float, float]:
-        """The goal `(x_m, y_m)`, as observed."""
+        """Observed goal `(x_m, y_m)`."""
         x_m, y_m = self.observation["goal"].tolist()
         return x_m, y_m
 
     @property
     def over(self) -> bool:
-        """Whether the episode has ended."""
+        """True once the episode has ended."""
         return self.outcome is not None
 
     def step(self, action: int) -> StepResult:

@@ -18,7 +18,7 @@ NEAR_RAD = math.radians(5.0)
 
 
 class VisionModel(Sighted, Protocol):
-    """The part of `zsdist.vision.visual_act.VisualAct` that is used; its docstrings say what the methods do."""
+    """Part of `zsdist.vision.visual_act.VisualAct` that is used."""
 
     def read(self, images: np.ndarray) -> Reading:
         """Return the reading of images `(B, px, px, 3)`."""
@@ -28,11 +28,11 @@ class VisionModel(Sighted, Protocol):
 
 
 class PerceivingCar(Protocol):
-    """The part of `zsdist.driving.actor_car.ActorCar` that is used; its docstrings say what it means."""
+    """Part of `zsdist.driving.actor_car.ActorCar` that is used."""
 
     @property
     def trains(self) -> bool:
-        """Whether it drives a training episode."""
+        """True if it drives a training episode."""
 
     @property
     def scene_hash(self) -> str | None:
@@ -40,7 +40,7 @@ class PerceivingCar(Protocol):
 
     @property
     def pose(self) -> Pose:
-        """The true pose."""
+        """True pose of the car."""
 
     def picture(self, pose: Pose | None = None) -> np.ndarray:
         """Return the camera's picture."""

@@ -75,12 +75,12 @@ class Contender:
 
     @property
     def observability(self) -> Observability:
-        """What it observes."""
+        """Part of its surroundings that it observes."""
         return BASELINES[self.baseline].observability if self.baseline else VARIANTS[self.variant].observability
 
     @property
     def exact(self) -> bool:
-        """Whether each action brings its car exactly to where it should."""
+        """True if each action brings its car exactly to where it should."""
         return not self.baseline and VARIANTS[self.variant].exact
 
     @cached_property

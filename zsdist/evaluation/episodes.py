@@ -50,7 +50,7 @@ class WalkedEnv(DrivingEnv, Protocol):
 
     @property
     def unwrapped(self) -> Any:
-        """The environment without wrappers."""
+        """Environment without wrappers."""
 
 
 class Course:

@@ -43,11 +43,9 @@ class ActorOutboxes:
 
     def __init__(self, run: str, actor: str, epoch: int, settings: TransportConfig) -> None:
         self._actor, self._give_up_after_s = actor, settings.give_up_after_s
-        self._keys = {
-            **{level: keys.push(run, level, actor, epoch) for level in Level},
-            EPISODES: keys.episodes(run, actor, epoch),
-            EVALUATION: keys.evaluation(run, actor),
-        }
+        self._keys: dict[str, str] = {level: keys.push(run, level, actor, epoch) for level in Level}
+        self._keys[EPISODES] = keys.episodes(run, actor, epoch)
+        self._keys[EVALUATION] = keys.evaluation(run, actor)
         self._outboxes = {
             stream: Outbox(
                 stream,
@@ -63,7 +61,7 @@ class ActorOutboxes:
 
     @property
     def drained(self) -> bool:
-        """Whether all are closed and their receivers hold everything."""
+        """True once all are closed and their receivers hold everything."""
         return all(outbox.drained for outbox in self._outboxes.values())
 
     def on_ack(self, ack: Ack, now: float) -> None:
@@ -117,7 +115,7 @@ class ActorOutboxes:
         for stream, outbox in self._outboxes.items():
             if outbox.stuck(now):
                 raise RunError(
-                    f"{self._actor}: the oldest frame of stream {stream!r} has gone unacknowledged for "
+                    f"{self._actor}: the oldest frame of stream '{stream}' has gone unacknowledged for "
                     f"{self._give_up_after_s:g} s while its receiver lives"
                 )
             for frame in outbox.poll(now):

@@ -1,3 +1,4 @@
+import dataclasses
 import itertools
 import math
 
@@ -5,17 +6,20 @@ import numpy as np
 import pytest
 from fakes import FakeVisualAct, LatticeEnv
 
+from zsdist.agent.memory import START_DISC_M
 from zsdist.config import Config, load
 from zsdist.evaluation.contenders import VARIANTS
 from zsdist.evaluation.drivers import Driver, LearnedDriver, Observability
 from zsdist.evaluation.episodes import Course, EpisodeRunner
 from zsdist.evaluation.oracle_view import TRUE_EDGES_M, by_camera
+from zsdist.planning.belief import BeliefMap
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
 from zsdist.run import program
 from zsdist.sim.scenes import families
 from zsdist.sim.scenes.scene import Obstacle, Scene, Start
 from zsdist.types import Action, Level, Outcome
+from zsdist.vision.ray_ablation import limited
 
 CONFIG = Config()
 TABLE = FootprintTable(Grid.from_config(CONFIG.grid))
@@ -183,3 +187,22 @@ def test_without_the_shield_nothing_is_changed():
     config = load(overrides=("sim.max_steps=25",))
     shielded, bare = (examine(learned(config, shielded=on), POLE, Observability.CAMERA, config) for on in (True, False))
     assert bare.shield_changes == 0 < shielded.shield_changes
+
+
+@pytest.mark.parametrize("rays", ["three", "none"])
+def test_the_learned_driver_limits_its_views_after_shuffling_them(rays):
+    config = load(overrides=("sim.max_steps=1", f"vision.rays={rays}"))
+    scene = families.draw("iid", "validation", 0)
+    expected, seen = BeliefMap(Grid.from_config(config.grid)), []
+    driver = learned(config, shuffled=("advice", "clearance_m"))
+    record = EpisodeRunner(LatticeEnv(config=config), config, driver, Observability.CAMERA, lambda: 0.0).drive(
+        scene, np.random.default_rng(3), seen.append
+    )
+    rng = np.random.default_rng(3)
+    view = by_camera(FakeVisualAct())(seen[0].observed)
+    view = dataclasses.replace(view, advice=rng.permutation(view.advice), clearance_m=rng.permutation(view.clearance_m))
+    view = limited(view, rays)
+    expected.clear_disc(record.poses[0].x_m, record.poses[0].y_m, START_DISC_M)
+    expected.update(record.poses[0], view, config.camera.forward_m)
+    np.testing.assert_array_equal(driver.thought.situation.advice, view.advice)
+    np.testing.assert_array_equal(driver.thought.situation.occupied, expected.occupied())
