@@ -75,7 +75,7 @@ def _leading_on(situation: Situation) -> np.ndarray:
     """Return the states from which a free way leads to the goal without the car's present block."""
     here = np.zeros_like(situation.goals)
     here[situation.grid.block_cells(*situation.block)] = True
-    elsewhere = BlockedMoves(situation.ways.words | reachability.packed_cells(here))
+    elsewhere = BlockedMoves(situation.moves.words | reachability.packed_cells(here))
     return elsewhere.states_to(reachability.packed_cells(situation.goals))
 
 

@@ -131,7 +131,7 @@ def _surfaces(situation: Situation, reach_m: float) -> np.ndarray:
     top, left = max(fy - reach, 0), max(fx - reach, 0)
     near = situation.occupied[top : fy + reach + 1, left : fx + reach + 1]
     west, south = (at * grid.fine_m - grid.arena_m / 2 for at in (left + 0.5, top + 0.5))
-    return _centres(near, west, south, grid.fine_m)
+    return _set_cell_centres(near, west, south, grid.fine_m)
 
 
 def _trail(situation: Situation) -> np.ndarray:
@@ -140,11 +140,11 @@ def _trail(situation: Situation) -> np.ndarray:
     The present cell is among them; at distance 0 it exerts no force.
     """
     grid = situation.grid
-    return _visited(situation.visits, grid.cell_size_m, grid.side_m / 2)
+    return _visited_centres(situation.visits, grid.cell_size_m, grid.side_m / 2)
 
 
 @compiled()
-def _centres(flags: np.ndarray, west: float, south: float, side: float) -> np.ndarray:
+def _set_cell_centres(flags: np.ndarray, west: float, south: float, side: float) -> np.ndarray:
     """Return the centres `(N, 2)` of the fine cells that are set.
 
     Args:
@@ -163,7 +163,7 @@ def _centres(flags: np.ndarray, west: float, south: float, side: float) -> np.nd
 
 
 @compiled()
-def _visited(visits: np.ndarray, cell: float, half: float) -> np.ndarray:
+def _visited_centres(visits: np.ndarray, cell: float, half: float) -> np.ndarray:
     """Return the centres `(M, 2)` of a grid's cells, each as often as it was visited, at most `_MOST_TRAIL` times.
 
     Args:

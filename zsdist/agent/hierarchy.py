@@ -1,7 +1,7 @@
 """Algorithm 2 for one car: decisions of both levels under the shield, from poses and views that come from outside."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from zsdist.agent import shield
 from zsdist.agent.blocks import GOAL_CHOICE, Choices, choices
+from zsdist.agent.epsilon_greedy import Choice, EpsilonGreedy, QFunction
 from zsdist.agent.features import StepFeatures
 from zsdist.agent.guide import LowGuide
 from zsdist.agent.memory import EpisodeMemory
@@ -23,7 +24,6 @@ from zsdist.planning.grid import Grid
 from zsdist.planning.rewards import RewardTerms
 from zsdist.types import Action, Behaviour, Level, Parameters, Pose, View
 
-QFunction = Callable[[np.ndarray], np.ndarray]  # values `(B, A)` of states `(B, D)`
 QFunctions = dict[Level, QFunction]
 
 _COUNTED = (
@@ -77,15 +77,6 @@ class Decision:
     subgoal: tuple[float, float]
     shield_changed: bool
     option_started: bool
-
-
-@dataclass(frozen=True)
-class _Choice:
-    """Choice of one level; `changed`: the mask excluded what would have been chosen."""
-
-    index: int
-    behaviour: Behaviour
-    changed: bool
 
 
 @dataclass(frozen=True)
@@ -143,7 +134,8 @@ class HierarchicalAgent:
         )
         self._planner = Planner(self._grid, self._memory.goals)
         self._guide = LowGuide(self._policy)
-        self._epsilon, self._shielded, self._rng, self._recorder = epsilon, shielded, rng, recorder
+        self._rule = EpsilonGreedy(epsilon, self._policy.guide_share, rng)
+        self._shielded, self._recorder = shielded, recorder
         self._now: _Present | None = None
         self._option: Option | None = None
         self._result: tuple[RewardTerms, bool, bool] | None = None
@@ -186,7 +178,7 @@ class HierarchicalAgent:
         if self._recorder is not None or self._policy.low_policy == "planner":
             guided = self._guide.action(now.situation, option.subgoal, now.judgement.allowed)
         instead = self._instead_of_low(now, option, guided)
-        choice = self._choose(q[Level.LOW], now.features.low(option), now.low_mask, guided, instead)
+        choice = self._rule.choose(q[Level.LOW], now.features.low(option), now.low_mask, guided=guided, instead=instead)
         if self._recorder is not None:
             self._record(self._recorder, now, option, choice, guided)
         shield_changed = choice.changed and self._shielded
@@ -226,34 +218,12 @@ class HierarchicalAgent:
     def _decide_option(self, now: _Present, q: QFunction) -> Option:
         guided = None if self._recorder is None else self._planner.high_choice(now.situation, now.options)
         instead = self._instead_of_high(now)
-        choice = self._choose(q, now.features.high(), now.options.mask, guided, instead)
+        choice = self._rule.choose(q, now.features.high(), now.options.mask, guided=guided, instead=instead)
         if self._recorder is not None:
             self._recorder.start(*Level)
         self._counts["options"] += 1
         self._counts[f"high_{choice.behaviour.name.lower()}"] += 1
         return Option.start(now.options, choice.index, choice.behaviour)
-
-    def _choose(
-        self, q: QFunction, state: np.ndarray, mask: np.ndarray, guided: int | None, instead: int | None
-    ) -> _Choice:
-        """Choose epsilon-greedily among what is allowed; the exploratory share follows the guide or chance.
-
-        Args:
-            q: values of the level.
-            state: `(D,)` of the level.
-            mask: `(A,)` bool, what is allowed.
-            guided: choice of the guide, if there is one.
-            instead: choice of what the configuration puts in the network's place; None: the network decides.
-        """
-        if instead is not None:
-            return _Choice(int(instead), Behaviour.GUIDE, False)
-        if self._rng.random() < self._epsilon:
-            if guided is not None and self._rng.random() < self._policy.guide_share:
-                return _Choice(int(guided), Behaviour.GUIDE, False)
-            return _Choice(int(self._rng.choice(np.flatnonzero(mask))), Behaviour.UNIFORM, False)
-        values = q(state[None])[0]
-        best = int(network.greedy(values[None], mask[None])[0])
-        return _Choice(best, Behaviour.GREEDY, best != int(values.argmax()))
 
     def _instead_of_high(self, now: _Present) -> int | None:
         match self._policy.high_policy:
@@ -271,9 +241,7 @@ class HierarchicalAgent:
                 return self._guide.descend(now.situation, option.subgoal, now.judgement.allowed)
         return None
 
-    def _record(
-        self, recorder: Recorder, now: _Present, option: Option, choice: _Choice, guided: Action | None
-    ) -> None:
+    def _record(self, recorder: Recorder, now: _Present, option: Option, choice: Choice, guided: Action | None) -> None:
         """Record the beginning of a step, with the planner's choices as those to learn from."""
         shown = self._planner.low_action(now.situation, option, now.judgement.allowed, otherwise=guided)
         recorder.act(Level.LOW, now.features.low(option), now.low_mask, choice.index, shown, choice.behaviour)

@@ -76,14 +76,14 @@ class Judgement(NamedTuple):
     """Judgement of the shield on the belief.
 
     Attributes:
-        ways: blocked moves: they hit something, leave the grid, or end where no free way leads on.
+        moves: blocked moves, which hit something, leave the grid, or end where no free way leads on.
         allowed: `(5,)` bool, actions that the car may take now. Where all are blocked, those that hit nothing; where
             there are none, turns in place.
         forced: whether all actions were blocked.
         gave_way: whether full care leaves the car no way to the goal.
     """
 
-    ways: BlockedMoves
+    moves: BlockedMoves
     allowed: np.ndarray
     forced: bool
     gave_way: bool
@@ -97,7 +97,7 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, visits: np.
     leads to the goal, the car moves on seen ground only, and only to states from which it can turn round. Actions in
     states in which it has not been are judged as if it had looked from there. It therefore turns in place to look,
     where a view is missing, before it enters unseen ground. Where no reading leads to the goal, the usual one holds,
-    and a state is live from which the car can keep moving.
+    and a state is viable from which the car can keep moving.
 
     Args:
         belief: occupied and seen ground.
@@ -105,19 +105,19 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, visits: np.
         goals: `(cells, cells)` bool.
         visits: `(cells, cells, 8)`, times that the car was in each state, the present one included.
     """
-    goal_cells, been = reachability.packed_cells(goals), reachability.packed_states(visits > 0)
+    goal_cells, visited_states = reachability.packed_cells(goals), reachability.packed_states(visits > 0)
     occupied = cache(lambda above: bitmaps.packed_rows(belief.occupied(above)))
-    read = cache(lambda reading: _hits(belief, reading, occupied(reading.above)))
+    read = cache(lambda reading: _collisions(belief, reading, occupied(reading.above)))
     cautious = cache(lambda near, returning: _returning(read(near), goal_cells) if returning else read(near))
     for rung in CAREFUL_RUNGS + DARING_RUNGS:
-        hits = cautious(rung.near, rung.returning).among(been, read(rung.far))
-        live = hits.states_to(goal_cells)
-        if reachability.contains(live, state):
+        collisions = cautious(rung.near, rung.returning).among(visited_states, read(rung.far))
+        viable = collisions.states_to(goal_cells)
+        if reachability.contains(viable, state):
             break
     else:
-        hits = read(USUAL)
-        live = reachability.packed_states(live_states(hits.blocked))
-    return _judgement(hits, live, state, rung != CAREFUL_RUNGS[0])
+        collisions = read(USUAL)
+        viable = reachability.packed_states(live_states(collisions.blocked))
+    return _judgement(collisions, viable, state, rung != CAREFUL_RUNGS[0])
 
 
 def on_grid(state: LatticeState, cells: int) -> np.ndarray:
@@ -126,12 +126,12 @@ def on_grid(state: LatticeState, cells: int) -> np.ndarray:
     return np.array([0 <= end.ix < cells and 0 <= end.iy < cells for end in ends])
 
 
-def _judgement(hits: BlockedMoves, live: np.ndarray, state: LatticeState, gave_way: bool) -> Judgement:
-    blocked = hits.leaving(live)
+def _judgement(collisions: BlockedMoves, viable: np.ndarray, state: LatticeState, gave_way: bool) -> Judgement:
+    blocked = collisions.leaving(viable)
     allowed = ~blocked.at(state)
     forced = not allowed.any()
     if forced:
-        allowed = ~hits.at(state)
+        allowed = ~collisions.at(state)
     if not allowed.any():
         allowed[list(_IN_PLACE)] = True
     return Judgement(blocked, allowed, forced, gave_way)
@@ -142,13 +142,13 @@ def _table(grid: Grid, margin_m: float) -> FootprintTable:
     return FootprintTable(grid, margin_m)
 
 
-def _hits(belief: BeliefMap, reading: Caution, occupied: np.ndarray) -> BlockedMoves:
+def _collisions(belief: BeliefMap, reading: Caution, occupied: np.ndarray) -> BlockedMoves:
     if reading.unseen:
-        occupied = occupied | _hides(bitmaps.packed_rows(belief.seen()), reading.deep)
+        occupied = occupied | _hiding_cells(bitmaps.packed_rows(belief.seen()), reading.deep)
     return BlockedMoves.on(occupied, _table(belief.grid, reading.margin_m))
 
 
-def _hides(seen: np.ndarray, deep: bool) -> np.ndarray:
+def _hiding_cells(seen: np.ndarray, deep: bool) -> np.ndarray:
     """Return the unseen fine cells in which an obstacle may be: morphological opening of the unseen ground.
 
     With `deep` it is the erosion, which leaves out what is next to seen ground.
@@ -156,9 +156,9 @@ def _hides(seen: np.ndarray, deep: bool) -> np.ndarray:
     return (bitmaps.eroded if deep else bitmaps.opening)(~seen, HIDING_CELLS)
 
 
-def _returning(hits: BlockedMoves, goals: np.ndarray) -> BlockedMoves:
-    """Return `hits` with all moves blocked after which no free way leads to the goal or to a cell to turn round in."""
-    about = ~np.bitwise_or.reduce(hits.words[_ALONG_SIDES, Action.TURN_LEFT_90])
-    back = hits.leaving(hits.states_to(goals | about))
-    back.words[:, _IN_PLACE] = hits.words[:, _IN_PLACE]
+def _returning(collisions: BlockedMoves, goals: np.ndarray) -> BlockedMoves:
+    """Block also the moves after which no free way leads to the goal or to a cell in which the car can turn round."""
+    about = ~np.bitwise_or.reduce(collisions.words[_ALONG_SIDES, Action.TURN_LEFT_90])
+    back = collisions.leaving(collisions.states_to(goals | about))
+    back.words[:, _IN_PLACE] = collisions.words[:, _IN_PLACE]
     return back

@@ -22,7 +22,7 @@ class Situation:
         advice: `(3,)` R_p for forward, left, right.
         occupied: `(fine_size, fine_size)` bool.
         seen: `(fine_size, fine_size)` bool.
-        ways: blocked moves of the shield's judgement.
+        moves: blocked moves of the shield's judgement.
         squeezed: whether the shield had to give way to leave a way to the goal.
         drive_m: `(cells, cells)` metres of the shortest free way into each cell, with a surcharge for turns; infinite
             where none leads there.
@@ -39,7 +39,7 @@ class Situation:
     advice: np.ndarray
     occupied: np.ndarray
     seen: np.ndarray
-    ways: BlockedMoves
+    moves: BlockedMoves
     squeezed: bool
     drive_m: np.ndarray
     visits: np.ndarray
@@ -60,7 +60,7 @@ class Situation:
     @property
     def blocked(self) -> np.ndarray:
         """Actions that are not to be taken, `(cells, cells, 8, 5)` bool."""
-        blocked: np.ndarray = self.ways.blocked
+        blocked: np.ndarray = self.moves.blocked
         return blocked
 
     @cached_property

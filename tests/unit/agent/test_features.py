@@ -82,7 +82,7 @@ def situation(parts):
     blocked = TABLE.blocked(parts["occupied"])
     return Situation(
         grid=GRID,
-        ways=BlockedMoves.of(blocked),
+        moves=BlockedMoves.of(blocked),
         squeezed=False,
         goals=goal_mask(GRID, parts["goal"], 0.6),
         drive_m=forward_search.metres_from(blocked, parts["state"], way_costs(GRID)),

@@ -30,7 +30,7 @@ def situation(occupied=None, state=EAST, goal=(8.0, -1.9), seen=True, advice=(0.
         advice=np.array(advice, np.float32),
         occupied=occupied,
         seen=np.full((size, size), seen),
-        ways=BlockedMoves.of(blocked),
+        moves=BlockedMoves.of(blocked),
         squeezed=False,
         goals=goal_mask(GRID, goal, 0.6),
         drive_m=forward_search.metres_from(blocked, state, reward_shaping.way_costs(GRID)),

@@ -83,7 +83,7 @@ def test_a_dead_end_without_room_to_turn_is_not_entered():
     state = LatticeState(18, 16, 0)
     judgement = shield.judge(known_free(pocket()), state, goals(28, 28), visited(state))
     assert not FootprintTable(GRID).blocked(pocket())[16, 18, 0, Action.FORWARD]
-    assert judgement.ways.blocked[16, 18, 0, Action.FORWARD] and not judgement.allowed[Action.FORWARD]
+    assert judgement.moves.blocked[16, 18, 0, Action.FORWARD] and not judgement.allowed[Action.FORWARD]
     assert judgement.allowed.any()
 
 
@@ -147,8 +147,8 @@ def test_a_state_not_yet_looked_from_may_lead_over_unseen_ground():
     belief = BeliefMap(GRID)
     belief.clear_disc(*GRID.centre(16, 16), 1.5)
     judgement = shield.judge(belief, EAST, goals(28, 16), visited(EAST))
-    assert judgement.ways.blocked[16, 16, 0, Action.FORWARD]
-    assert not judgement.ways.blocked[16, 16, 2, Action.RIGHT_45] and not judgement.gave_way
+    assert judgement.moves.blocked[16, 16, 0, Action.FORWARD]
+    assert not judgement.moves.blocked[16, 16, 2, Action.RIGHT_45] and not judgement.gave_way
 
 
 def test_unseen_ground_is_suspect_up_to_its_edge_but_for_slivers():
@@ -195,5 +195,5 @@ def test_width_of_the_car_is_what_the_shield_keeps_clear():
         fx, fy = GRID.fine_index(*GRID.centre(18, 16))
         squares = np.zeros((GRID.fine_size, GRID.fine_size), bool)
         squares[fy + aside, fx] = True
-        blocked = shield.judge(known_free(squares), EAST, goals(28, 16), visited(EAST)).ways.blocked
+        blocked = shield.judge(known_free(squares), EAST, goals(28, 16), visited(EAST)).moves.blocked
         assert blocked[16, 16, 0, Action.FORWARD] != free
