@@ -54,11 +54,6 @@ class AgentSettings:
     camera_forward_m: float
     policy: AgentConfig
 
-    @property
-    def plans(self) -> bool:
-        """True if the planner stands in the place of a network."""
-        return "planner" in (self.policy.high_policy, self.policy.low_policy)
-
 
 @dataclass(frozen=True)
 class Decision:

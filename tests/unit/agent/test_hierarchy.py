@@ -104,7 +104,7 @@ def test_low_trajectories_hold_the_actions_driven_in_order():
     assert {Behaviour.GREEDY, Behaviour.GUIDE} <= set(behaviours)
 
 
-def test_a_low_trajectory_is_of_one_subgoal_and_its_last_state_too():
+def test_all_states_of_a_low_trajectory_are_relative_to_one_subgoal():
     drive = Drive(SCENES[1], epsilon=1.0)
     subgoals = [decision.subgoal for decision in drive.decisions]
     start = 0
@@ -158,7 +158,7 @@ def test_nothing_is_bootstrapped_after_the_goal_and_everything_after_a_cut():
     assert all(cut.of(level)[-1].discounts[-1] > 0 for level in Level)
 
 
-def test_shielded_and_greedy_the_choice_is_the_best_of_what_is_allowed():
+def test_a_greedy_choice_under_the_shield_is_the_best_allowed_one():
     values = {level: np.arange(size[1], dtype=np.float32) for level, size in SIZES.items()}
     q = {level: lambda states, level=level: np.tile(values[level], (len(states), 1)) for level in Level}
     drive = Drive(SCENES[0], q=q, epsilon=0.0, steps=25)

@@ -84,14 +84,14 @@ def test_a_picture_is_rendered_and_read_once_for_all_cars_and_episodes(visual_ac
         np.testing.assert_array_equal(one.advice, two.advice)
 
 
-def test_another_actor_of_the_machine_finds_what_was_read(visual_act):
+def test_another_actor_of_the_machine_finds_remembered_readings(visual_act):
     one, other = perception(visual_act), perception(visual_act)
     one.views([car()])
     other.views([car()])
     assert visual_act.batches == [1] and other.hits == 1
 
 
-def test_what_a_car_sees_does_not_depend_on_who_looked_before(visual_act):
+def test_a_view_does_not_depend_on_earlier_readings(visual_act):
     near = (0.06, -0.05, math.radians(3))
     before = perception(visual_act).views([car(moved=near)])
     sees = perception(visual_act, vision="as if nobody had looked")
@@ -120,7 +120,7 @@ def test_the_advice_is_for_the_goal_at_hand(visual_act):
     ],
     ids=["evaluation drive", "somebody walks", "aside of the lattice", "turned off the lattice"],
 )
-def test_nothing_is_remembered_nor_recalled_where_it_must_not_be(visual_act, made):
+def test_the_memory_is_bypassed_where_it_must_not_be_used(visual_act, made):
     sees = perception(visual_act)
     for _ in range(2):
         looking = made()
@@ -133,7 +133,7 @@ def test_nothing_is_remembered_nor_recalled_where_it_must_not_be(visual_act, mad
     assert sees.misses == 1  # nothing had been kept
 
 
-def test_an_evaluation_drive_looks_where_a_training_episode_has_looked_before(visual_act):
+def test_a_drive_of_a_candidate_does_not_use_readings_of_a_training_episode(visual_act):
     sees = perception(visual_act)
     sees.views([car()])
     drive = car(candidate="recent")

@@ -8,7 +8,7 @@ from zsdist.types import Level
 CONFIG = Config()
 
 
-def test_the_hash_is_of_what_drives_an_episode_and_of_nothing_else():
+def test_the_hash_covers_the_code_that_drives_an_episode_and_nothing_else():
     names = code_hash.modules(fingerprint.ROOT)
     drives = (
         "sim.physics.world",
@@ -34,7 +34,7 @@ def learned(config=CONFIG, **changes):
     return fingerprint.contender_sha256(Contender(config, parameters, **changes))
 
 
-def test_whatever_an_episode_depends_on_changes_the_hash_of_a_contender():
+def test_everything_an_episode_depends_on_changes_the_hash_of_a_contender():
     hashes = [
         learned(),
         learned(variant="hybrid"),
@@ -49,5 +49,5 @@ def test_whatever_an_episode_depends_on_changes_the_hash_of_a_contender():
     assert len(set(hashes)) == len(hashes)
 
 
-def test_what_only_training_depends_on_does_not_change_the_hash_of_a_contender():
+def test_settings_of_training_do_not_change_the_hash_of_a_contender():
     assert learned(load(overrides=("vision.cache_bytes=0", "run.actors=7", "replay.adaptive=false"))) == learned()
