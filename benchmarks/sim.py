@@ -1,12 +1,12 @@
-"""RL steps per CPU-second of one core, from physics alone to a whole actor, and the cost of each part.
+"""RL steps a CPU-second of one core, from physics alone to a whole actor; and the arithmetic of the floor.
 
 `python benchmarks/sim.py [--quick]` prints a table, then one JSON line. Every design drives the same car through the
-same scenes with the same actions, and the designs take turns, so that other load on the machine affects all of them
-alike. All times are CPU time of the process without resets. The obvious design is PyBullet's renderer at 512 px with
-the trunk run eagerly by torch at each step. `warm` is the default vision in training with every reading in the cache.
-None of these designs has an agent. `actor_...` are whole steps of an actor with its agent: cold without a reading
-cache; learning with the cache filled by the episodes before; warm when the same episodes are driven again, so that
-every reading is in the cache. The student is left out if the weights contain none.
+same scenes with the same actions, and the designs take turns, so that what else the machine does meets all of them
+alike. All times are CPU time of the process, resets aside. The obvious design is PyBullet's renderer at 512 px with the
+trunk run eagerly by torch at each step. `warm` is the default vision in training where all that is seen is remembered.
+None of these designs has an agent. `actor_...` are whole steps of an actor, agent included: cold without its memory of
+readings; learning with what that memory holds after the episodes driven before; warm when the same episodes are driven
+again, so that all of it is remembered. The student is left out where the weights hold none.
 """
 
 import argparse
@@ -14,19 +14,18 @@ import dataclasses
 import os
 import statistics
 import time
-import types
 import uuid
 from collections.abc import Callable
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # one core, as each role has; before numpy and torch read it
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # one core, as a role has it; before numpy and torch read it
 
 import numpy as np
 import torch
 from _common import report
 
-from zsdist.agent.hierarchy import HierarchicalAgent, q_functions
+from zsdist.agent.hierarchy import q_functions
 from zsdist.config import CameraConfig, Config, VisionConfig
-from zsdist.driving.episode import Car, EpisodeTask
+from zsdist.driving.actor_car import ActorCar, EpisodeTask
 from zsdist.driving.perception import Perception
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
@@ -43,15 +42,15 @@ from zsdist.vision.visual_act import VisualAct
 
 CARS = (1, 4, 16, 32)
 ENCODER_PX = 224
-EPSILON = 0.5  # exploration of the actor's episodes: the middle of a run's decay
+EPSILON = 0.5  # of the actor's episodes: the middle of a run's decay
 
 Read = Callable[[np.ndarray], object]
 
 
 class Onlooker:
-    """Car without an agent, with the attributes that `Perception` reads in a training episode."""
+    """What `Perception` asks of a car in a training episode, of one that has no agent."""
 
-    task = types.SimpleNamespace(trains=True)
+    trains = True
 
     def __init__(self, env: CarNavigation, scene_hash: str) -> None:
         self.scene_hash = scene_hash
@@ -60,26 +59,22 @@ class Onlooker:
 
     @property
     def pose(self) -> Pose:
-        """True pose of the car."""
+        """The true pose."""
         return self._world.pose
 
-    def goal_seen_from_here(self) -> tuple[float, float]:
-        """Return bearing and distance of the goal."""
+    def goal_from_here(self) -> tuple[float, float]:
+        """Bearing and distance of the goal."""
         return self.pose.towards(*self._world.scene.goal)
 
 
 @dataclasses.dataclass
 class Design:
-    """A simulated car with or without a camera and a network.
+    """A car, perhaps with a camera, perhaps with a network that reads its pictures `(1, px, px, 3)`.
 
     Attributes:
-        name: name in the table.
-        env: environment of the car.
-        camera: whether a picture is drawn after each action.
-        read: network that reads the pictures `(1, px, px, 3)`; None: no network.
-        perception: camera and network with a reading cache, in the place of `camera` and `read`.
+        perception: in place of both: the camera and the network with a memory of readings.
         parts_ms: CPU time of each action's physics, camera and network.
-        rates: RL steps per CPU-second, one for each round.
+        rates: RL steps a CPU-second, one a round.
     """
 
     name: str
@@ -91,7 +86,7 @@ class Design:
     rates: list[float] = dataclasses.field(default_factory=list)
 
     def drive(self, scene: object, seed: int, actions: int) -> None:
-        """Drive one round of random actions without collision on the true map; restart finished episodes."""
+        """One round: random actions that hit nothing on the true map; a new episode where there is none left."""
         rng, grid = np.random.default_rng(seed), self.env.grid
         blocked = FootprintTable(grid).blocked(scene.occupancy(grid))
         onlooker = Onlooker(self.env, scene.hash())
@@ -118,25 +113,25 @@ class Design:
         self.rates.append(actions / spent_s)
 
     def rehearse(self, scene: object, seed: int, actions: int) -> None:
-        """Drive the same round without recording it."""
+        """The same round, not counted."""
         dataclasses.replace(self, parts_ms=[], rates=[]).drive(scene, seed, actions)
 
     def _begin(self, scene: object) -> None:
         self.env.reset(options={"scene": scene})
         if self.camera:
-            self.env.picture()  # prepares the scene: a cost of the reset, not of an action
+            self.env.picture()  # what a new scene costs once is not an action's
 
 
 def main() -> None:
     """Measure, print the tables and the JSON line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer rounds; ends within 50 s on two cores")
-    parser.add_argument("--weights", default="pretrained", help="weights, as vision.weights (default: pretrained)")
+    parser.add_argument("--weights", default="pretrained", help="as vision.weights (default: pretrained)")
     options = parser.parse_args()
     rounds, actions, warm_episodes, measured = (3, 10, 10, 200) if options.quick else (8, 25, 100, 1000)
     torch.set_num_threads(1)
     designs, head = _designs(options.weights)
-    for index in range(-1, rounds):  # the first round warms up
+    for index in range(-1, rounds):  # the first does not count
         for design in designs:
             scene = draw("singleton", "train", max(index, 0))
             if design.perception is not None:
@@ -161,7 +156,7 @@ def main() -> None:
 
 
 def _designs(weights: str) -> tuple[list[Design], Read]:
-    """Return all designs, and the head alone, whose time does not depend on its tokens."""
+    """All designs, and the head alone, which reads any tokens in the same time."""
 
     def env(size_px: int = ENCODER_PX, back_end: str = "caster") -> CarNavigation:
         camera = CameraConfig(size_px=size_px, back_end=back_end)
@@ -174,6 +169,7 @@ def _designs(weights: str) -> tuple[list[Design], Read]:
         with torch.no_grad():
             return eager(torch.from_numpy(resample(image, ENCODER_PX)))
 
+    perception = Perception(model, Grid.from_config(Config().grid), Config().vision.rays, _memory())
     designs = [
         Design("physics", env(), camera=False),
         Design("caster_224px", env()),
@@ -182,7 +178,7 @@ def _designs(weights: str) -> tuple[list[Design], Read]:
         Design("caster_224px_trunk", env(), read=encoder.tokens),
         Design("caster_224px_trunk_head", env(), read=model.read),
         Design("tiny_512px_eager", env(512, "pybullet"), read=read_eagerly),
-        Design("warm", env(), camera=False, perception=Perception(model, Grid.from_config(Config().grid), _memory())),
+        Design("warm", env(), camera=False, perception=perception),
     ]
     if folder.read(folder.locate(weights)).has(folder.STUDENT_FILE):
         student = VisualAct.load(VisionConfig(weights=weights, network="student"), CameraConfig(size_px=STUDENT_PX))
@@ -192,7 +188,7 @@ def _designs(weights: str) -> tuple[list[Design], Read]:
 
 
 def _memory() -> ReadingCache:
-    """Return an empty reading cache: its name is unique."""
+    """Empty at first: nobody else sees by a name like this."""
     return ReadingCache(Config().vision.cache_bytes, f"benchmark {uuid.uuid4().hex}")
 
 
@@ -204,19 +200,19 @@ def _figures(designs: list[Design], actions: int) -> dict[str, float]:
         rate = statistics.median(design.rates[1:])
         print(f"{design.name:26}{parts[0]:9.3f}{parts[1]:9.3f}{parts[2]:9.3f}{1e3 / rate:9.3f}{rate:13.0f}")
         figures[f"{design.name}_steps_per_cpu_s"] = rate
-        for part, value, present in zip(
+        for part, value, there in zip(
             ("physics", "camera", "network"),
             parts,
             (True, design.camera, design.read is not None or design.perception is not None),
             strict=True,
         ):
-            if present:
+            if there:
                 figures[f"{design.name}_{part}_ms"] = float(value)
     return figures
 
 
 def _floor(figures: dict[str, float], head: Callable[[], object]) -> dict[str, float]:
-    """Return the cost of each part of an action alone, their sum, and the same measured together."""
+    """What an action's parts cost each by itself, their sum, and the same measured as a whole."""
     times = []
     for _ in range(60):
         began = time.process_time()
@@ -240,22 +236,23 @@ def _floor(figures: dict[str, float], head: Callable[[], object]) -> dict[str, f
 
 
 def _actors(weights: str, warm_episodes: int, measured: int) -> dict[str, float]:
-    """Return the cost of steps of whole actors in default training episodes: cold, learning and warm."""
+    """Steps of whole actors in default training episodes: cold with few and with many cars, learning, and warm."""
     config = Config(vision=VisionConfig(weights=weights))
     parts, q = (
         program.simulation(config),
         q_functions({level: program.make_learner(config, level).parameters() for level in Level}),
     )
     grid, figures = Grid.from_config(config.grid), {}
-    crews = {cars: _Crew(config, parts, cars, Perception(parts.visual_act, grid, None), q) for cars in CARS}
+    rays = config.vision.rays
+    crews = {cars: _Crew(config, parts, cars, Perception(parts.visual_act, grid, rays, None), q) for cars in CARS}
     times = {cars: [] for cars in CARS}
-    for _ in range(6):  # the first round warms up
+    for _ in range(6):  # the first, with what is done once, does not count
         for cars, crew in crews.items():
             times[cars].append(crew.drive(max(cars, measured // 10)))
     for cars in CARS:
         ms = statistics.median(times[cars][1:])
         figures |= {f"actor_cold_{cars}_cars_ms": ms, f"actor_cold_{cars}_cars_steps_per_cpu_s": 1e3 / ms}
-    perception = Perception(parts.visual_act, grid, _memory())
+    perception = Perception(parts.visual_act, grid, rays, _memory())
     learning = _Crew(config, parts, config.run.cars_per_actor, perception, q)
     while learning.episodes < warm_episodes:
         learning.drive(config.run.cars_per_actor)
@@ -267,7 +264,7 @@ def _actors(weights: str, warm_episodes: int, measured: int) -> dict[str, float]
 
 
 def _remembering(name: str, crew: "_Crew", perception: Perception, steps: int, episodes: int) -> dict[str, float]:
-    """Return the cost of a step with a reading cache, and the share of readings from the cache."""
+    """Cost of a step with a memory of readings, and the share of readings that came from it."""
     before = np.array([perception.hits, perception.misses, perception.bypasses])
     ms = crew.drive(steps)
     hits, *others = np.array([perception.hits, perception.misses, perception.bypasses]) - before
@@ -282,19 +279,19 @@ def _remembering(name: str, crew: "_Crew", perception: Perception, steps: int, e
 
 
 class _Crew:
-    """Cars of an actor without its messages, with an untrained agent in training episodes."""
+    """An actor's cars without its messages: training episodes by the untrained agent, one after another."""
 
     def __init__(self, config: Config, parts: program.ActorParts, cars: int, perception: Perception, q: dict) -> None:
         self.episodes = 0
         self._parts, self._perception, self._q = parts, perception, q
-        self._cars = [Car(parts.make_env(), HierarchicalAgent(config)) for _ in range(cars)]
+        self._cars = [ActorCar(parts.make_env(), config) for _ in range(cars)]
 
     def drive(self, steps: int) -> float:
-        """Drive at least `steps` steps; return the CPU milliseconds of one, without resets."""
+        """At least so many steps; returns the CPU milliseconds of one, resets aside."""
         driven, spent_s = 0, 0.0
         while driven < steps:
             for car in self._cars:
-                if car.task is None:
+                if car.idle:
                     self.episodes += 1
                     scene = self._parts.schedule.training(self.episodes)
                     car.begin(
@@ -304,7 +301,7 @@ class _Crew:
             for car, view in zip(self._cars, self._perception.views(self._cars), strict=True):
                 ended = car.over
                 car.advance(view, self._q)
-                car.agent.drain()
+                car.drain()
                 driven += not ended
                 if ended:
                     car.record()

@@ -170,4 +170,4 @@ RECORD = EpisodeRecord(
     decision_ms=(1.0,) * 25,
     shield_changes=0,
     poses=(Pose(0, 0, 0), Pose(3, 4, 0)),
-)  # an evaluated episode, as tests of what is made of such things need one
+)  # an evaluated episode, for tests of metrics, files and reports

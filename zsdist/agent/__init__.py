@@ -1,1 +1,1 @@
-"""Algorithm 2: one car's two-level agent, its features, guide policies and shield."""
+"""Algorithm 2: the two-level agent of one car, its features, guide policies, planner, shield and recorder."""

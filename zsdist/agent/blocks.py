@@ -1,4 +1,4 @@
-"""The high level's choices: the neighbouring blocks in the order of the car's heading, and the goal itself."""
+"""Choices of the high level: the neighbouring blocks in the order of the car's heading, and the goal itself."""
 
 import math
 from dataclasses import dataclass
@@ -21,18 +21,18 @@ _STEPS = np.asarray(STEPS)
 
 @dataclass(frozen=True)
 class Choices:
-    """What each of the `HIGH_ACTIONS` means in a situation.
+    """Meaning of each of the `HIGH_ACTIONS` in a situation.
 
     Attributes:
         mask: `(9,)` bool, choices that can be made: the block exists and a free way is believed to lead into it.
             The goal can always be chosen.
-        exists: `(9,)` bool.
+        exists: `(9,)` bool, blocks that lie on the grid.
         blocks: `(9, 2)` int, (bx, by) of each neighbour; the goal's own block last.
-        subgoals: `(9, 2)` metres: the cell of the block by which the way to it and the straight line on to the goal are
-            shortest, among those a free way leads to, and of these, where there are such, among those
-            from which one leads on without coming back; the goal itself last.
-        onward: `(9,)` in how many of the subgoal's headings a free way leads on to the goal without coming back into
-            the block the car is in, as a share.
+        subgoals: `(9, 2)` metres, the centre of a cell in each block; the goal itself last. Of the cells that a free
+            way leads to, it is the one with the shortest sum of the way there and the straight line to the goal.
+            Cells from which a free way leads on without the car's present block have precedence.
+        onward: `(9,)` share of the subgoal's headings from which a free way leads on to the goal without the car's
+            present block.
     """
 
     mask: np.ndarray
@@ -42,7 +42,7 @@ class Choices:
     onward: np.ndarray
 
     def index_of(self, block: tuple[int, int]) -> int | None:
-        """The choice that means a neighbouring block; None where it is none."""
+        """Return the choice of a neighbouring block; None where the block is no neighbour."""
         return self._indices.get(block)
 
     @cached_property
@@ -52,7 +52,7 @@ class Choices:
 
 
 def choices(situation: Situation) -> Choices:
-    """The choices from where the car is."""
+    """Return the choices of a situation."""
     grid, block = situation.grid, situation.block
     exists, blocks, subgoals, onward = _survey(
         situation.drive_m,
@@ -72,7 +72,7 @@ def choices(situation: Situation) -> Choices:
 
 
 def _leading_on(situation: Situation) -> np.ndarray:
-    """States from which a free way leads to the goal without the car's present block."""
+    """Return the states from which a free way leads to the goal without the car's present block."""
     here = np.zeros_like(situation.goals)
     here[situation.grid.block_cells(*situation.block)] = True
     elsewhere = BlockedMoves(situation.moves.words | reachability.pack_cells(here))
@@ -80,8 +80,8 @@ def _leading_on(situation: Situation) -> np.ndarray:
 
 
 @compiled()
-def _headings(states, ix, iy):  # noqa: ANN001, ANN202
-    """In how many headings a set of states has a cell."""
+def _headings(states: np.ndarray, ix: int, iy: int) -> np.uint64:
+    """Return the number of headings in which a set of states contains a cell."""
     count = np.uint64(0)
     for heading in range(HEADINGS):
         count += states[heading, ix // CELLS_PER_WORD, iy] >> np.uint64(ix % CELLS_PER_WORD) & np.uint64(1)
@@ -89,12 +89,23 @@ def _headings(states, ix, iy):  # noqa: ANN001, ANN202
 
 
 @compiled()
-def _survey(drive_m, leading, bx, by, heading, goal_x, goal_y, size, cell, half):  # noqa: ANN001, ANN202
-    """What there is of each neighbouring block: `exists`, `blocks`, `subgoals` and `onward` of `Choices`.
+def _survey(
+    drive_m: np.ndarray,
+    leading: np.ndarray,
+    bx: int,
+    by: int,
+    heading: int,
+    goal_x: float,
+    goal_y: float,
+    size: int,
+    cell: float,
+    half: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Survey the neighbouring blocks for `exists`, `blocks`, `subgoals` and `onward` of `Choices`.
 
     Args:
         drive_m: `(cells, cells)`, infinite where no free way leads.
-        leading: `(8, words, cells)`, states from where a way leads on.
+        leading: `(8, words, cells)`, states from which a way leads on to the goal.
         bx: column of the car's block.
         by: row of the car's block.
         heading: of the car, in eighths.
@@ -121,7 +132,7 @@ def _survey(drive_m, leading, bx, by, heading, goal_x, goal_y, size, cell, half)
             for column in range(nx * size, (nx + 1) * size):
                 if drive_m[row, column] < np.inf:
                     cx, cy = (column + 0.5) * cell - half, (row + 0.5) * cell - half
-                    # a little for the nearer cell, so that of equal detours the one at the near border is taken
+                    # slightly more than the way, so that of equal detours the cell at the near border is taken
                     detour = drive_m[row, column] * 1.05 + math.hypot(cx - goal_x, cy - goal_y)
                     onwards = 1.0 if _headings(leading, column, row) else 0.0
                     if onwards > most or (onwards == most and detour < least):

@@ -1,4 +1,7 @@
-"""Compiled measurements about the car: clearances, what lies along lines and straight runs, and shares of blocks."""
+"""Compiled measurements about the car: clearances, contents of lines and straight runs, and features of blocks.
+
+Values that belong together are passed as plain tuples, since numba takes several times as long to recognise named ones.
+"""
 
 import math
 
@@ -7,27 +10,46 @@ import numpy as np
 from zsdist.common.compiled import compiled
 from zsdist.planning.footprint import ADVANCES, TURNS
 from zsdist.planning.forward_search import spread_costs
-from zsdist.planning.grid import STEPS
+from zsdist.planning.grid import FINE_PER_CELL, STEPS
 
 DIRECTIONS = 16  # about the car, counter-clockwise from its heading
 SIGHT_M = 5.0
 ACTIONS = len(TURNS)
 RUN_CELLS = 8
-NEAR_M, FAR_M = 2.5, 5.0  # driven on
-LONG_WAY_M = 4 * SIGHT_M  # longer ways, and what no way leads to, are all alike
+NEAR_M, FAR_M = 2.5, 5.0  # length of the free ways that are followed after an action
+LONG_WAY_M = 4 * SIGHT_M  # longer ways count as this long, and so do missing ones
 ACTION_FEATURES, BLOCK_FEATURES = 12, 14
 _TURNS = np.array(TURNS)
 _ADVANCES = np.array(ADVANCES)
 _STEPS = np.asarray(STEPS)
-# Lines that a body of the car's width takes along. Cell centres are corners of fine squares, so none runs through one.
+# Lateral offsets that cover a body of the car's width. Cell centres are corners of fine cells, so none runs along one.
 _CORRIDOR_M = (-0.6, -0.3, -0.02, 0.02, 0.3, 0.6)
 _BODY_M = 0.6  # corridors begin beside the car
 _LINE_POINTS = 33
 
+# `(fine_size, fine_size)` bool each: occupied fine cells, and seen ones.
+FineCells = tuple[np.ndarray, np.ndarray]
+# `blocked` `(cells, cells, 8, 5)` bool, `ends` of `zsdist.planning.lattice`, and the costs of actions `(8, 5)`.
+Moves = tuple[np.ndarray, np.ndarray, np.ndarray]
+# `exists`, `mask`, `blocks`, `subgoals` and `onward` of `zsdist.agent.blocks.Choices`; the last row is the goal.
+Offer = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+# Side of a cell, half the side of the grid, half the side of the fine frame and side of a fine cell, all in metres;
+# fine cells between the arena's wall and the first cell.
+Geometry = tuple[float, float, float, float, int]
+
 
 @compiled()
-def clearances(occupied, seen, x, y, heading, arena_half, grid_half, square):  # noqa: ANN001, ANN201
-    """Room for the car's width, and distance to unseen ground, in each direction.
+def clearances(
+    occupied: np.ndarray,
+    seen: np.ndarray,
+    x: float,
+    y: float,
+    heading: float,
+    arena_half: float,
+    grid_half: float,
+    fine: float,
+) -> np.ndarray:
+    """Return the room for the car's width and the distance to unseen ground in each direction.
 
     Args:
         occupied: `(fine_size, fine_size)` bool.
@@ -37,7 +59,7 @@ def clearances(occupied, seen, x, y, heading, arena_half, grid_half, square):  #
         heading: radians.
         arena_half: half the side of the fine frame.
         grid_half: half the side of the planning grid, beyond which the car cannot go.
-        square: side of a fine square.
+        fine: side of a fine cell.
 
     Returns:
         `(2, DIRECTIONS)` metres, at most `SIGHT_M`.
@@ -48,48 +70,56 @@ def clearances(occupied, seen, x, y, heading, arena_half, grid_half, square):  #
         angle = heading + direction * 2 * math.pi / DIRECTIONS
         cosine, sine = math.cos(angle), math.sin(angle)
         room, known = SIGHT_M, SIGHT_M
-        distance = square / 2
+        distance = fine / 2
         while distance < room:
             px, py = x + distance * cosine, y + distance * sine
             if abs(px) >= grid_half or abs(py) >= grid_half:
                 room = distance
                 break
             for lateral in _CORRIDOR_M:
-                fx = int((px - lateral * sine + arena_half) / square)
-                fy = int((py + lateral * cosine + arena_half) / square)
+                fx = int((px - lateral * sine + arena_half) / fine)
+                fy = int((py + lateral * cosine + arena_half) / fine)
                 outside = fx < 0 or fy < 0 or fx >= size or fy >= size
                 if distance >= _BODY_M and (outside or occupied[fy, fx]):
                     room = distance
                 if abs(lateral) < 0.1 and known == SIGHT_M and not outside and not seen[fy, fx]:
                     known = distance
-            distance += square
+            distance += fine
         out[0, direction], out[1, direction] = room, min(known, SIGHT_M)
     return out
 
 
 @compiled()
 def action_features(
-    blocked: np.ndarray,
-    after_each: np.ndarray,
-    action_costs: np.ndarray,
+    moves: Moves,
     seen: np.ndarray,
     visits: np.ndarray,
     ix: int,
     iy: int,
     heading: int,
-    sub_x: float,
-    sub_y: float,
-    cell: float,
-    grid_half: float,
-    border: int,
+    subgoal: tuple[float, float],
+    geometry: Geometry,
 ) -> np.ndarray:
-    """What each action leads to, as far as can be told without planning: `(ACTIONS, ACTION_FEATURES)`.
+    """Return what each action leads to, as far as it shows without planning: `(ACTIONS, ACTION_FEATURES)`.
 
     Columns: free, gain towards the subgoal (in cells' diagonals), cosine and sine of the subgoal's bearing
     afterwards, length of the free run straight on, most gain along it, most gain within `NEAR_M` driven on by any free
     way, the same within `FAR_M`, visits of the cell and of the state at the end, unseen share and fresh share of the
     run. Gains are in metres as the crow flies, so a subgoal behind an obstacle may gain nothing by the way round it.
+
+    Args:
+        moves: see `Moves`.
+        seen: `(fine_size, fine_size)` bool.
+        visits: `(cells, cells, 8)`.
+        ix: column of the car's cell.
+        iy: row of the car's cell.
+        heading: of the car, in eighths of a turn.
+        subgoal: `(x_m, y_m)`.
+        geometry: see `Geometry`.
     """
+    blocked, after_each, action_costs = moves
+    sub_x, sub_y = subgoal
+    cell, grid_half, _, _, border = geometry
     out = np.zeros((ACTIONS, ACTION_FEATURES))
     cells, flat = blocked.shape[0], blocked.ravel()
     driven = np.full(len(after_each), np.inf)
@@ -107,7 +137,7 @@ def action_features(
         row[0] = 1.0
         row[1] = (before - after) / (1.4142135 * cell)
         row[2], row[3] = math.cos(bearing), math.sin(bearing)
-        length, nearest, unseen, fresh = _run(blocked, seen, visits, ex, ey, h, sub_x, sub_y, cell, grid_half, border)
+        length, nearest, unseen, fresh = _run(blocked, seen, visits, ex, ey, h, subgoal, cell, grid_half, border)
         row[4], row[5] = length / SIGHT_M, (before - min(nearest, after)) / SIGHT_M
         spread_costs(flat, after_each, action_costs, (ey * cells + ex) * 8 + h, FAR_M, driven)
         near_by, far_by = after, after
@@ -132,83 +162,44 @@ def action_features(
 
 
 @compiled()
-def block_shares(squares: np.ndarray, border: int, side: int, blocks: int, bx: int, by: int) -> np.ndarray:
-    """Share of the squares that are set, of a block and of those about it, `[by, bx]` `(blocks, blocks)`; 0 elsewhere.
-
-    Args:
-        squares: `(fine_size, fine_size)` bool.
-        border: squares between the arena's wall and the first block.
-        side: squares along the side of a block.
-        blocks: per side.
-        bx: column of the block.
-        by: row of the block.
-    """
-    shares = np.zeros((blocks, blocks))
-    for row in range(max(by - 1, 0), min(by + 2, blocks)):
-        for column in range(max(bx - 1, 0), min(bx + 2, blocks)):
-            count, left = 0, border + column * side
-            for fy in range(border + row * side, border + (row + 1) * side):
-                across = squares[fy, left : left + side]
-                for fx in range(len(across)):
-                    count += 1 if across[fx] else 0
-            shares[row, column] = count / side**2
-    return shares
-
-
-@compiled()
 def block_features(
-    exists: np.ndarray,
-    mask: np.ndarray,
-    blocks: np.ndarray,
-    subgoals: np.ndarray,
-    onward: np.ndarray,
-    on_m: np.ndarray,
-    goal_m: float,
-    seen: np.ndarray,
-    occupied: np.ndarray,
-    block_visits: np.ndarray,
-    tries: np.ndarray,
+    offer: Offer,
+    beeline_m: np.ndarray,
+    fine_cells: FineCells,
+    counts: tuple[np.ndarray, np.ndarray],
     drive_m: np.ndarray,
-    squares: np.ndarray,
-    seen_squares: np.ndarray,
-    x: float,
-    y: float,
-    heading: float,
-    cell: float,
-    grid_half: float,
-    arena_half: float,
-    square: float,
-) -> np.ndarray:
-    """What there is of each neighbouring block, `(NEIGHBOURS, BLOCK_FEATURES)`; all 0 where it does not exist.
+    pose: tuple[float, float, float],
+    block: tuple[int, int],
+    geometry: Geometry,
+) -> tuple[np.ndarray, float]:
+    """Return the features of each neighbouring block, and the seen share of the car's own block.
 
     Columns: exists, can be chosen, seen share, occupied share, visits, tries, detour by its subgoal, cosine and sine of
     the subgoal's bearing, way there, gain towards the goal as the crow flies, whether it is the goal's block, free
     share of the line to the subgoal, `onward`.
 
     Args:
-        exists: of `Choices`, as are the next four; the last row is the goal.
-        mask: see there.
-        blocks: see there.
-        subgoals: see there.
-        onward: see there.
-        on_m: `(9,)` from each subgoal to the goal, metres as the crow flies.
-        goal_m: from the car to the goal.
-        seen: share of each block's squares, `[by, bx]`.
-        occupied: the same.
-        block_visits: of `Situation`, as are the next two.
-        tries: see there.
+        offer: see `Offer`.
+        beeline_m: `(10,)` metres as the crow flies to the goal, from each subgoal and then from the car.
+        fine_cells: see `FineCells`.
+        counts: `block_visits` and `tries` of `zsdist.agent.situation.Situation`.
         drive_m: see there.
-        squares: `(fine_size, fine_size)` bool, occupied.
-        seen_squares: `(fine_size, fine_size)` bool.
-        x: of the car, metres.
-        y: of the car, metres.
-        heading: of the car, radians.
-        cell: side of a cell.
-        grid_half: half the side of the grid.
-        arena_half: half the side of the fine frame.
-        square: side of a fine square.
+        pose: x and y of the car in metres, and its heading in radians.
+        block: `(bx, by)` the car is in.
+        geometry: see `Geometry`.
+
+    Returns:
+        `(NEIGHBOURS, BLOCK_FEATURES)`, all 0 where the block does not exist; and the share.
     """
+    exists, mask, blocks, subgoals, onward = offer
+    occupied, seen = fine_cells
+    block_visits, tries = counts
+    x, y, heading = pose
+    cell, grid_half, arena_half, fine, border = geometry
     goal = len(exists) - 1
+    goal_m = beeline_m[-1]
+    seen_shares = _block_shares(seen, border, drive_m.shape[0], block_visits.shape[0], block)
+    occupied_shares = _block_shares(occupied, border, drive_m.shape[0], block_visits.shape[0], block)
     out = np.zeros((goal, BLOCK_FEATURES))
     for k in range(goal):
         if not exists[k]:
@@ -218,33 +209,35 @@ def block_features(
         there_m = min(drive_m[int((sub_y + grid_half) / cell), int((sub_x + grid_half) / cell)], LONG_WAY_M)
         bearing = math.atan2(sub_y - y, sub_x - x) - heading
         row = out[k]
-        row[0], row[1], row[2], row[3] = 1.0, mask[k], seen[by, bx], occupied[by, bx]
+        row[0], row[1], row[2], row[3] = 1.0, mask[k], seen_shares[by, bx], occupied_shares[by, bx]
         row[4], row[5] = math.log1p(block_visits[by, bx]), math.log1p(tries[by, bx])
-        row[6] = min(there_m + on_m[k] - goal_m, LONG_WAY_M) / SIGHT_M
+        row[6] = min(there_m + beeline_m[k] - goal_m, LONG_WAY_M) / SIGHT_M
         row[7], row[8] = math.cos(bearing), math.sin(bearing)
-        row[9], row[10] = there_m / SIGHT_M, (goal_m - on_m[k]) / SIGHT_M
+        row[9], row[10] = there_m / SIGHT_M, (goal_m - beeline_m[k]) / SIGHT_M
         row[11] = bx == blocks[goal, 0] and by == blocks[goal, 1]
-        row[12] = line(squares, seen_squares, x, y, sub_x, sub_y, arena_half, square)[0]
+        row[12] = line(fine_cells, x, y, sub_x, sub_y, arena_half, fine)[0]
         row[13] = onward[k]
-    return out
+    return out, seen_shares[block[1], block[0]]
 
 
 @compiled()
-def line(occupied, seen, x, y, to_x, to_y, arena_half, square):  # noqa: ANN001, ANN201
-    """How far along the straight line to a point nothing is occupied, and how much of it was seen, as shares.
+def line(
+    fine_cells: FineCells, x: float, y: float, to_x: float, to_y: float, arena_half: float, fine: float
+) -> tuple[float, float]:
+    """Return the share of the straight line to a point up to the first occupied fine cell, and its seen share.
 
-    Two lines close beside it, since the line itself may run along the edges of squares.
+    Two lines close beside it are measured, since the line itself may run along the edges of fine cells.
 
     Args:
-        occupied: `(fine_size, fine_size)` bool.
-        seen: `(fine_size, fine_size)` bool.
+        fine_cells: see `FineCells`.
         x: where the line begins, metres.
         y: where the line begins, metres.
         to_x: the point, metres.
         to_y: the point, metres.
         arena_half: half the side of the fine frame.
-        square: side of a fine square.
+        fine: side of a fine cell.
     """
+    occupied, seen = fine_cells
     east, north = to_x - x, to_y - y
     aside = 0.02 / max(math.hypot(east, north), 1e-9)
     free, known = 1.0, 0
@@ -252,8 +245,8 @@ def line(occupied, seen, x, y, to_x, to_y, arena_half, square):  # noqa: ANN001,
         met = False
         for step in range(_LINE_POINTS):
             along = step / (_LINE_POINTS - 1)
-            fx = int((x + along * east - side * north + arena_half) / square)
-            fy = int((y + along * north + side * east + arena_half) / square)
+            fx = int((x + along * east - side * north + arena_half) / fine)
+            fy = int((y + along * north + side * east + arena_half) / fine)
             known += seen[fy, fx]
             if occupied[fy, fx] and not met:
                 met = True
@@ -262,8 +255,51 @@ def line(occupied, seen, x, y, to_x, to_y, arena_half, square):  # noqa: ANN001,
 
 
 @compiled()
-def _run(blocked, seen, visits, x, y, h, sub_x, sub_y, cell, grid_half, border):  # noqa: ANN001, ANN202
-    """Straight on from a state while nothing blocks: metres, nearest to the subgoal, unseen and fresh shares."""
+def _block_shares(flags: np.ndarray, border: int, cells: int, blocks: int, block: tuple[int, int]) -> np.ndarray:
+    """Return the set share of the fine cells of a block and of those about it, `[by, bx]` `(blocks, blocks)`.
+
+    It is 0 elsewhere.
+
+    Args:
+        flags: `(fine_size, fine_size)` bool.
+        border: fine cells between the arena's wall and the first block.
+        cells: per side of the grid.
+        blocks: per side of the grid.
+        block: `(bx, by)`.
+    """
+    bx, by = block
+    side = cells // blocks * FINE_PER_CELL
+    shares = np.zeros((blocks, blocks))
+    for row in range(max(by - 1, 0), min(by + 2, blocks)):
+        for column in range(max(bx - 1, 0), min(bx + 2, blocks)):
+            count, left = 0, border + column * side
+            for fy in range(border + row * side, border + (row + 1) * side):
+                across = flags[fy, left : left + side]
+                for fx in range(len(across)):
+                    count += 1 if across[fx] else 0
+            shares[row, column] = count / side**2
+    return shares
+
+
+@compiled()
+def _run(
+    blocked: np.ndarray,
+    seen: np.ndarray,
+    visits: np.ndarray,
+    x: int,
+    y: int,
+    h: int,
+    subgoal: tuple[float, float],
+    cell: float,
+    grid_half: float,
+    border: int,
+) -> tuple[float, float, float, float]:
+    """Follow the heading from a state while nothing blocks.
+
+    Returns:
+        Metres, least distance from the subgoal, unseen share and fresh share.
+    """
+    sub_x, sub_y = subgoal
     length, nearest, unseen, fresh, count = 0.0, 1e9, 0, 0, 0
     step = cell * math.hypot(_STEPS[h, 0], _STEPS[h, 1])
     for _ in range(RUN_CELLS + 1):
@@ -271,7 +307,7 @@ def _run(blocked, seen, visits, x, y, h, sub_x, sub_y, cell, grid_half, border):
         nearest = min(nearest, math.hypot(sub_x - px, sub_y - py))
         count += 1
         fx, fy = border + 4 * x + 1, border + 4 * y + 1
-        for near in range(4):  # the squares about the cell's centre
+        for near in range(4):  # the fine cells about the cell's centre
             if not seen[fy + near // 2, fx + near % 2]:
                 unseen += 1
         stood = 0

@@ -1,11 +1,13 @@
-"""The states of both levels, relative to the car: no coordinate of the map is among them.
+"""States of both levels, relative to the car: no coordinate of the map is among them.
 
-Everything is measured on the believed map. Ways are measured from the car, never from the goal: the cost to go to it,
-by which the planner decides, is no input, and neither is the potential field's choice. What is counted enters by its
-logarithm, which has no upper end: a car that goes in circles never comes to look as it did before.
+Everything is measured on the believed map. Ways are measured from the car, never from the goal: neither the cost to
+go, by which the planner decides, nor the potential field's choice is an input. Counts enter by their logarithm, which
+has no upper end, so that the state of a car that drives in circles keeps changing.
 """
 
 import math
+from dataclasses import dataclass
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -16,30 +18,72 @@ from zsdist.agent.egocentric import (
     DIRECTIONS,
     LONG_WAY_M,
     SIGHT_M,
+    Geometry,
     action_features,
     block_features,
-    block_shares,
     clearances,
     line,
 )
+from zsdist.agent.options import Option
 from zsdist.agent.reward_shaping import way_costs
 from zsdist.agent.situation import Situation
-from zsdist.planning.grid import FINE_PER_CELL
+from zsdist.planning.grid import Grid
 from zsdist.planning.lattice import successors_or_self
-from zsdist.types import Action, Level, Mirror
+from zsdist.types import Action, Level
 
 LOW_ACTIONS = len(Action)
 HERE_FEATURES = 10  # of the goal and of the block the car is in
 LOW_STATE_SIZE = LOW_ACTIONS * ACTION_FEATURES + 2 * DIRECTIONS + 3 + 8
 HIGH_STATE_SIZE = NEIGHBOURS * BLOCK_FEATURES + HERE_FEATURES + DIRECTIONS + 3
 
-_ACTION_SINE = 3  # column of `action_features` that a reflection turns round
-_BLOCK_SINE = 8  # column of `block_features`
+_ACTION_SINE = 3  # column of `action_features` whose sign a reflection changes
+_BLOCK_SINE = 8  # the same of `block_features`
 _FAR_M = 10.0
 
 
+@dataclass(frozen=True)
+class Mirror:
+    """Left-right reflection: `mirrored = sign * state[index]`, and `action_index[a]` is the mirrored action of `a`."""
+
+    state_index: np.ndarray
+    state_sign: np.ndarray
+    action_index: np.ndarray
+
+
+class StepFeatures:
+    """States of both levels at one step, each measured when it is first asked for and then kept.
+
+    Args:
+        situation: what the car knows.
+        options: choices of the high level.
+    """
+
+    def __init__(self, situation: Situation, options: Choices) -> None:
+        self._situation, self._options = situation, options
+        self._high: np.ndarray | None = None
+        self._low: np.ndarray | None = None
+        self._low_aim: tuple[tuple[float, float], bool] | None = None  # subgoal of `_low`, and whether it is the goal
+
+    @cached_property
+    def _rooms(self) -> np.ndarray:
+        return measure_rooms(self._situation)
+
+    def high(self) -> np.ndarray:
+        """Return the state of the high level, `(HIGH_STATE_SIZE,)` float32."""
+        if self._high is None:
+            self._high = high_state(self._situation, self._options, self._rooms)
+        return self._high
+
+    def low(self, option: Option) -> np.ndarray:
+        """Return the state of the low level under an option, `(LOW_STATE_SIZE,)` float32."""
+        aim = (option.subgoal, option.seeks_goal)
+        if self._low is None or aim != self._low_aim:
+            self._low, self._low_aim = low_state(self._situation, *aim, self._rooms), aim
+        return self._low
+
+
 def low_state(situation: Situation, subgoal: tuple[float, float], seeks_goal: bool, rooms: np.ndarray) -> np.ndarray:
-    """State of the low level under a subgoal, `(LOW_STATE_SIZE,)` float32.
+    """Return the state of the low level under a subgoal, `(LOW_STATE_SIZE,)` float32.
 
     Args:
         situation: what the car knows.
@@ -49,17 +93,12 @@ def low_state(situation: Situation, subgoal: tuple[float, float], seeks_goal: bo
     """
     grid, state = situation.grid, situation.state
     actions = action_features(
-        situation.blocked,
-        successors_or_self(grid.cells),
-        way_costs(grid),
+        (situation.blocked, successors_or_self(grid.cells), way_costs(grid)),
         situation.seen,
         situation.visits,
         *state,
-        float(subgoal[0]),
-        float(subgoal[1]),
-        grid.cell_size_m,
-        grid.side_m / 2,
-        grid.fine_border,
+        (float(subgoal[0]), float(subgoal[1])),
+        _geometry(grid),
     )
     own = situation.visits[state.iy, state.ix]
     here = [
@@ -73,38 +112,52 @@ def low_state(situation: Situation, subgoal: tuple[float, float], seeks_goal: bo
 
 
 def high_state(situation: Situation, options: Choices, rooms: np.ndarray) -> np.ndarray:
-    """State of the high level, `(HIGH_STATE_SIZE,)` float32; neighbours in the order of `options`."""
-    grid, (x, y) = situation.grid, situation.place
-    bx, by = situation.block
-    goal_m = math.hypot(situation.goal[0] - x, situation.goal[1] - y)
-    side = grid.block_size * FINE_PER_CELL
-    seen, occupied = (
-        block_shares(fine_cells, grid.fine_border, side, grid.blocks, bx, by)
-        for fine_cells in (situation.seen, situation.occupied)
+    """Return the state of the high level, `(HIGH_STATE_SIZE,)` float32; neighbours in the order of `options`."""
+    (x, y), (bx, by), goal = situation.place, situation.block, situation.goal
+    geometry, heading_rad = _geometry(situation.grid), situation.state.heading * math.pi / 4
+    fine_cells = (situation.occupied, situation.seen)
+    # The distances are taken here, since compiled code rounds a hypotenuse in another way.
+    points = [*options.subgoals.tolist(), (x, y)]
+    beeline_m = np.array([math.hypot(goal[0] - point_x, goal[1] - point_y) for point_x, point_y in points])
+    goal_m = float(beeline_m[-1])
+    neighbours, own_seen = block_features(
+        (options.exists, options.mask, options.blocks, options.subgoals, options.onward),
+        beeline_m,
+        fine_cells,
+        (situation.block_visits, situation.tries),
+        situation.drive_m,
+        (x, y, heading_rad),
+        (bx, by),
+        geometry,
     )
-    neighbours = _block_features(situation, options, goal_m, seen, occupied)
     here = [
-        *_polar(situation, situation.goal, _FAR_M),
+        *_polar(situation, goal, _FAR_M),
         float(tuple(options.blocks[GOAL_CHOICE]) == (bx, by)),
         (min(float(situation.drive_m[situation.goals].min(initial=np.inf)), goal_m + LONG_WAY_M) - goal_m) / SIGHT_M,
-        *_line(situation, situation.goal),
+        *line(fine_cells, x, y, *goal, *geometry[2:4]),
         math.log1p(situation.goal_tries),
         math.log1p(int(situation.block_visits[by, bx])),
-        float(seen[by, bx]),
+        own_seen,
     ]
     parts = (neighbours.ravel(), here, rooms[0] / SIGHT_M, situation.advice)
     return np.concatenate(parts).astype(np.float32)
 
 
 def measure_rooms(situation: Situation) -> np.ndarray:
-    """Clearances and distances to the unseen about the car, `(2, DIRECTIONS)` metres."""
+    """Return clearances and distances to unseen ground about the car, `(2, DIRECTIONS)` metres."""
     grid, (x, y) = situation.grid, situation.place
-    heading = situation.state.heading * math.pi / 4
-    return clearances(situation.occupied, situation.seen, x, y, heading, grid.arena_m / 2, grid.side_m / 2, grid.fine_m)
+    heading_rad = situation.state.heading * math.pi / 4
+    half_arena_m, half_grid_m = grid.arena_m / 2, grid.side_m / 2
+    return clearances(situation.occupied, situation.seen, x, y, heading_rad, half_arena_m, half_grid_m, grid.fine_m)
+
+
+@cache
+def _geometry(grid: Grid) -> Geometry:
+    return grid.cell_size_m, grid.side_m / 2, grid.arena_m / 2, grid.fine_m, grid.fine_border
 
 
 def mirror(level: Level) -> Mirror:
-    """The left-right reflection of a level's states and actions."""
+    """Return the left-right reflection of a level's states and actions."""
     turn = (-np.arange(DIRECTIONS)) % DIRECTIONS
     advice = np.array([0, 2, 1])
     if level is Level.LOW:
@@ -124,7 +177,9 @@ def mirror(level: Level) -> Mirror:
             (turn, 1, ()),
             (advice, 1, ()),
         ]
-    index, sign, start = [], [], 0
+    index: list[int] = []
+    sign: list[float] = []
+    start = 0
     for order, width, odd in blocks:
         one = np.ones(width, np.float32)
         one[list(odd)] = -1
@@ -135,44 +190,7 @@ def mirror(level: Level) -> Mirror:
     return Mirror(np.array(index), np.array(sign, np.float32), actions)
 
 
-def _block_features(
-    situation: Situation, options: Choices, goal_m: float, seen: np.ndarray, occupied: np.ndarray
-) -> np.ndarray:
-    """`(NEIGHBOURS, BLOCK_FEATURES)`; all 0 of a block that is not there."""
-    grid, (x, y), (goal_x, goal_y) = situation.grid, situation.place, situation.goal
-    # Here, since compiled code rounds a hypotenuse in another way.
-    on_m = np.array([math.hypot(goal_x - sub_x, goal_y - sub_y) for sub_x, sub_y in options.subgoals.tolist()])
-    return block_features(
-        options.exists,
-        options.mask,
-        options.blocks,
-        options.subgoals,
-        options.onward,
-        on_m,
-        goal_m,
-        seen,
-        occupied,
-        situation.block_visits,
-        situation.tries,
-        situation.drive_m,
-        situation.occupied,
-        situation.seen,
-        x,
-        y,
-        situation.state.heading * math.pi / 4,
-        grid.cell_size_m,
-        grid.side_m / 2,
-        grid.arena_m / 2,
-        grid.fine_m,
-    )
-
-
 def _polar(situation: Situation, point: tuple[float, float], scale_m: float) -> tuple[float, float, float]:
     (x, y), heading = situation.place, situation.state.heading * math.pi / 4
     bearing = math.atan2(point[1] - y, point[0] - x) - heading
     return math.cos(bearing), math.sin(bearing), math.hypot(point[0] - x, point[1] - y) / scale_m
-
-
-def _line(situation: Situation, point: tuple[float, float]) -> tuple[float, float]:
-    grid = situation.grid
-    return line(situation.occupied, situation.seen, *situation.place, *point, grid.arena_m / 2, grid.fine_m)

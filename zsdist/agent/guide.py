@@ -1,6 +1,6 @@
-"""The guide policies that exploration follows: Algorithm 2's global policy below, a planner on the believed map above.
+"""Guide policies of exploration: the global policy of Algorithm 2 (low level), and a planner over blocks (high level).
 
-Both serve training; who is evaluated with one in a network's place is called by another name than `full`.
+Both serve training. A contender that is evaluated with one in the place of a network is not called `full`.
 """
 
 import math
@@ -17,13 +17,13 @@ from zsdist.planning.grid import HEADINGS
 from zsdist.planning.shortest_path import flat_path
 from zsdist.types import Action
 
-DIRECT_RATIO, DIRECT_M = 1.1, 1.0  # a way no longer than this beside the straight line is gone without blocks
-_MOST_TRAIL = 5  # times that a cell counts
-_RELUCTANCE = 0.5  # cosines that speak against an action for each time its end was visited, times the trail
+DIRECT_RATIO, DIRECT_M = 1.1, 1.0  # of the straight line; a way no longer than both together is driven without blocks
+_MOST_TRAIL = 5  # visits of a cell that count at most
+_RELUCTANCE = 0.5  # cosines against an action for each visit of its end, in units of the trail's weight
 
 
 class LowGuide:
-    """The global policy (the union of advice and potential field) under the shield's mask."""
+    """Global policy, the union of advice and potential field, under the shield's mask."""
 
     def __init__(self, config: AgentConfig) -> None:
         self._config = config
@@ -31,9 +31,9 @@ class LowGuide:
         self.explored, self.unexplored = 0, 0  # guide actions of each half of the union
 
     def action(self, situation: Situation, subgoal: tuple[float, float], mask: np.ndarray) -> Action | None:
-        """What the global policy does here; None where nothing is allowed.
+        """Return the action of the global policy; None where nothing is allowed.
 
-        The advice guides in explored blocks, the first time the car is in a state: where it comes back, the advice
+        The advice guides in explored blocks, the first time the car is in a state. Where the car returns, the advice
         led it in a circle, and the potential field with its trail takes over. The field also takes over where the
         advice, which knows the goal and not the subgoal, leads away from the subgoal.
         """
@@ -58,7 +58,7 @@ class LowGuide:
         return explored_share(situation, *situation.block) >= self._config.explored_share
 
     def descend(self, situation: Situation, target: tuple[float, float], mask: np.ndarray) -> Action | None:
-        """What the potential field with its trail does; None where nothing is allowed."""
+        """Return the action of the potential field with its trail; None where nothing is allowed."""
         config, state = self._config, situation.state
         direction = potential.force(
             situation.place,
@@ -81,16 +81,16 @@ class LowGuide:
 
 
 def high_choice(situation: Situation, options: Choices, cost_to_goal: np.ndarray, action_costs: np.ndarray) -> int:
-    """The neighbouring block into which the shortest believed way to the goal leads next, or the goal itself.
+    """Return the neighbouring block into which the shortest believed way to the goal leads next, or the goal itself.
 
-    The goal is chosen where no way leads there, and where the way is hardly longer than the straight line: to go by
-    blocks would only bend it.
+    The goal is chosen where no way leads there, and where the way is hardly longer than the straight line, since a
+    subgoal in a block would only bend it.
 
     Args:
         situation: what the car knows.
         options: the choices of the high level.
         cost_to_goal: `(cells, cells, 8)` on the believed map.
-        action_costs: `(8, 5)` that it was made with.
+        action_costs: `(8, 5)` from which it was computed.
     """
     state = situation.state
     way_m = float(cost_to_goal[state.iy, state.ix, state.heading])
@@ -109,7 +109,7 @@ def high_choice(situation: Situation, options: Choices, cost_to_goal: np.ndarray
 
 
 def explored_share(situation: Situation, bx: int, by: int) -> float:
-    """Share of a block's cells whose centre has been seen."""
+    """Return the share of a block's cells whose centre has been seen."""
     grid = situation.grid
     start, step = grid.fine_border + 2, 4
     centres = situation.seen[start::step, start::step][: grid.cells, : grid.cells]
@@ -124,7 +124,7 @@ def _towards(situation: Situation, subgoal: tuple[float, float], action: Action)
 
 
 def _surfaces(situation: Situation, reach_m: float) -> np.ndarray:
-    """Centres of occupied squares near the car, `(N, 2)`."""
+    """Return the centres of occupied fine cells near the car, `(N, 2)`."""
     grid, (x, y) = situation.grid, situation.place
     fx, fy = grid.fine_index(x, y)
     reach = math.ceil(reach_m / grid.fine_m)
@@ -135,18 +135,28 @@ def _surfaces(situation: Situation, reach_m: float) -> np.ndarray:
 
 
 def _trail(situation: Situation) -> np.ndarray:
-    """Centres of visited cells, `(M, 2)`, each as often as it was visited; the present one is no part of it."""
+    """Return the centres of visited cells, `(M, 2)`, each as often as it was visited.
+
+    The present cell is among them; at distance 0 it exerts no force.
+    """
     grid = situation.grid
     return _visited_centres(situation.visits, grid.cell_size_m, grid.side_m / 2)
 
 
 @compiled()
-def _set_cell_centres(fine_cells: np.ndarray, west: float, south: float, side: float) -> np.ndarray:
-    """Centres `(N, 2)` of the squares that are set; `west`, `south` is that of the first."""
-    centres, count = np.empty((fine_cells.size, 2)), 0
-    for row in range(fine_cells.shape[0]):
-        for column in range(fine_cells.shape[1]):
-            if fine_cells[row, column]:
+def _set_cell_centres(flags: np.ndarray, west: float, south: float, side: float) -> np.ndarray:
+    """Return the centres `(N, 2)` of the fine cells that are set.
+
+    Args:
+        flags: `(rows, columns)` bool.
+        west: x of the first column's centres.
+        south: y of the first row's centres.
+        side: of a fine cell.
+    """
+    centres, count = np.empty((flags.size, 2)), 0
+    for row in range(flags.shape[0]):
+        for column in range(flags.shape[1]):
+            if flags[row, column]:
                 centres[count, 0], centres[count, 1] = column * side + west, row * side + south
                 count += 1
     return centres[:count]
@@ -154,7 +164,13 @@ def _set_cell_centres(fine_cells: np.ndarray, west: float, south: float, side: f
 
 @compiled()
 def _visited_centres(visits: np.ndarray, cell: float, half: float) -> np.ndarray:
-    """Centres `(M, 2)` of the cells of a grid with the given half side, each as often as it was visited."""
+    """Return the centres `(M, 2)` of a grid's cells, each as often as it was visited, at most `_MOST_TRAIL` times.
+
+    Args:
+        visits: `(cells, cells, 8)`.
+        cell: side of a cell.
+        half: half the side of the grid.
+    """
     centres, count = np.empty((_MOST_TRAIL * visits.shape[0] * visits.shape[1], 2)), 0
     for row in range(visits.shape[0]):
         for column in range(visits.shape[1]):

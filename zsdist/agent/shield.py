@@ -1,4 +1,4 @@
-"""The shield: masks what would hit believed-occupied space or end where no free way leads on. It never chooses."""
+"""Shield: masks actions that would hit believed-occupied space or end where no free way leads on. It never chooses."""
 
 from functools import cache
 from itertools import product
@@ -14,19 +14,19 @@ from zsdist.planning.reachability import BlockedMoves
 from zsdist.planning.shortest_path import viable_states
 from zsdist.types import Action, LatticeState
 
-HIDING_CELLS = 3  # unseen ground that is nowhere farther from seen ground is a sliver, in which no obstacle hides
+HIDING_CELLS = 3  # unseen ground nowhere farther from seen ground (in fine cells) is a sliver that hides no obstacle
 _IN_PLACE = (Action.TURN_LEFT_90, Action.TURN_RIGHT_90)
-_SQUARE_ON = slice(None, None, 2)  # headings along the grid's sides; a turn in place through all four is a full one
+_ALONG_SIDES = slice(None, None, 2)  # headings along the grid's sides; turns in place through all four are a full turn
 
 
 class Caution(NamedTuple):
-    """How carefully the belief is read.
+    """Care with which the belief is read.
 
     Attributes:
-        margin_m: about the car's box.
-        above: log-odds from which a square counts as occupied.
-        unseen: whether unseen ground counts as occupied, all but slivers.
-        deep: of that ground only what is not next to seen ground.
+        margin_m: kept clear about the car's box.
+        above: log-odds from which a fine cell counts as occupied.
+        unseen: whether unseen ground counts as occupied, except for slivers.
+        deep: whether only unseen ground counts that is not next to seen ground.
     """
 
     margin_m: float
@@ -36,13 +36,13 @@ class Caution(NamedTuple):
 
 
 class Rung(NamedTuple):
-    """One step of the ladder from full care to daring.
+    """Step of the ladder from full care to daring.
 
     Attributes:
-        near: how the belief is read where the car has been, and so has looked from.
-        far: how it is read of every other state. Unseen ground is free there: the car will have looked before it
-            drives on from such a state.
-        returning: whether the car may move on only to where, as `near` reads the belief, it can turn round or arrive.
+        near: care at states in which the car has been, and from which it has therefore looked.
+        far: care at every other state. Unseen ground is free there, since the car will have looked before it drives on
+            from such a state.
+        returning: whether the car may move only to states from which it can turn round or arrive with the care `near`.
     """
 
     near: Caution
@@ -50,7 +50,7 @@ class Rung(NamedTuple):
     returning: bool
 
 
-# From afar a surface is smeared over as much as a metre. Until nearer looks wear it away, even odds close too much.
+# From afar a surface is smeared over as much as a metre. Until nearer views correct it, even odds close too much.
 _LIKELY, _SURE, _SURER = 0.25, 0.95, 1.65
 USUAL, DOUBTFUL = Caution(MARGIN_M, _LIKELY), Caution(0.0, _SURE)
 CAREFUL, CLOSE, CLOSER = USUAL._replace(unseen=True), Caution(0.0, _LIKELY, unseen=True), DOUBTFUL._replace(unseen=True)
@@ -58,7 +58,7 @@ CAREFUL_RUNGS = tuple(
     Rung(near, far, returning)
     for returning, far, near in product((True, False), (USUAL, DOUBTFUL), (CAREFUL, CLOSE, CLOSER))
 )
-# What is not seen from here is doubted before unseen ground is entered.
+# States not yet looked from are doubted before unseen ground is entered.
 DARING_RUNGS = (
     *(
         Rung(near._replace(deep=True), far, returning=False)
@@ -67,19 +67,19 @@ DARING_RUNGS = (
     Rung(USUAL, USUAL, returning=False),
     Rung(USUAL, DOUBTFUL, returning=False),
     Rung(DOUBTFUL, DOUBTFUL, returning=False),
-    # squares that are touched rather than covered add as much again
+    # fine cells that are touched rather than covered add as much again
     Rung(Caution(-0.08, _SURER), DOUBTFUL, returning=False),
 )
 
 
 class Judgement(NamedTuple):
-    """What the shield makes of the belief.
+    """Judgement of the shield on the belief.
 
     Attributes:
-        moves: what is blocked: it hits something, leaves the grid, or ends where no free way leads on.
-        allowed: `(5,)` bool, what the car may do now. Where everything is blocked, what hits nothing; then turns in
-            place.
-        forced: whether everything was blocked.
+        moves: blocked moves, which hit something, leave the grid, or end where no free way leads on.
+        allowed: `(5,)` bool, actions that the car may take now. Where all are blocked, those that hit nothing; where
+            there are none, turns in place.
+        forced: whether all actions were blocked.
         gave_way: whether full care leaves the car no way to the goal.
     """
 
@@ -90,20 +90,20 @@ class Judgement(NamedTuple):
 
 
 def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, visits: np.ndarray) -> Judgement:
-    """The most careful reading of the belief under which a way leads from the car to the goal.
+    """Judge by the most careful reading of the belief under which a way leads from the car to the goal.
 
-    The belief errs, and the car has no reverse gear: with one fixed reading it is sooner or later walled in by what is
-    not there. So the readings are tried from the most careful on. As long as one of the careful ones leads to the
-    goal, the car moves on seen ground only, and only to where it can turn about; what it may do in a state in which it
-    has not been yet is judged as if it had looked about there. So it turns in place to look, where that is what is
-    missing, before it dares to enter unseen ground. Where no reading leads to the goal, the usual one holds and a
-    state is live from which the car can keep going.
+    The belief errs, and the car has no reverse gear: with one fixed reading it is sooner or later walled in by
+    obstacles that do not exist. So the readings are tried from the most careful on. As long as one of the careful ones
+    leads to the goal, the car moves on seen ground only, and only to states from which it can turn round. Actions in
+    states in which it has not been are judged as if it had looked from there. It therefore turns in place to look,
+    where a view is missing, before it enters unseen ground. Where no reading leads to the goal, the usual one holds,
+    and a state is viable from which the car can keep moving.
 
     Args:
-        belief: what is occupied and what was seen.
-        state: where the car is.
+        belief: occupied and seen ground.
+        state: of the car.
         goals: `(cells, cells)` bool.
-        visits: `(cells, cells, 8)`, how often the car was in each state, this time included.
+        visits: `(cells, cells, 8)`, times that the car was in each state, the present one included.
     """
     goal_cells, visited_states = reachability.pack_cells(goals), reachability.pack_states(visits > 0)
     occupied = cache(lambda above: bitmaps.pack_rows(belief.occupied(above)))
@@ -121,7 +121,7 @@ def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, visits: np.
 
 
 def on_grid(state: LatticeState, cells: int) -> np.ndarray:
-    """Actions that do not leave the grid, `(5,)` bool: masked for every policy."""
+    """Return the actions that do not leave the grid, `(5,)` bool; all others are masked for every policy."""
     ends = (successor(state, action) for action in range(ACTIONS))
     return np.array([0 <= end.ix < cells and 0 <= end.iy < cells for end in ends])
 
@@ -149,13 +149,16 @@ def _collisions(belief: BeliefMap, reading: Caution, occupied: np.ndarray) -> Bl
 
 
 def _hiding_cells(seen: np.ndarray, deep: bool) -> np.ndarray:
-    """Unseen squares in which an obstacle may be: within `HIDING_CELLS` of unseen ground that seen ground is not."""
+    """Return the unseen fine cells in which an obstacle may be: morphological opening of the unseen ground.
+
+    With `deep` it is the erosion, which leaves out what is next to seen ground.
+    """
     return (bitmaps.erosion if deep else bitmaps.opening)(~seen, HIDING_CELLS)
 
 
 def _returning(collisions: BlockedMoves, goals: np.ndarray) -> BlockedMoves:
-    """The collisions, and moves to where no free way leads to the goal or to a cell in which the car can turn about."""
-    about = ~np.bitwise_or.reduce(collisions.words[_SQUARE_ON, Action.TURN_LEFT_90])
+    """Block also the moves after which no free way leads to the goal or to a cell in which the car can turn round."""
+    about = ~np.bitwise_or.reduce(collisions.words[_ALONG_SIDES, Action.TURN_LEFT_90])
     back = collisions.blocking_exits_from(collisions.states_reaching(goals | about))
     back.words[:, _IN_PLACE] = collisions.words[:, _IN_PLACE]
     return back

@@ -1,4 +1,4 @@
-"""What the agent knows when it decides: one look's worth of pose, map and memory."""
+"""Knowledge of the agent at one step, on which it decides: pose, believed map and memory."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,7 +12,7 @@ from zsdist.types import LatticeState
 
 @dataclass(frozen=True)
 class Situation:
-    """The car's knowledge at one step. Maps are believed, never true.
+    """Knowledge of the car at one step. Maps are believed, never true.
 
     Attributes:
         grid: frames.
@@ -22,12 +22,12 @@ class Situation:
         advice: `(3,)` R_p for forward, left, right.
         occupied: `(fine_size, fine_size)` bool.
         seen: `(fine_size, fine_size)` bool.
-        moves: of the shield's judgement.
+        moves: blocked moves of the shield's judgement.
         squeezed: whether the shield had to give way to leave a way to the goal.
-        drive_m: `(cells, cells)` metres of the shortest free way into each cell, with something for turns; infinite
+        drive_m: `(cells, cells)` metres of the shortest free way into each cell, with a surcharge for turns; infinite
             where none leads there.
-        visits: `(cells, cells, 8)` int32, how often the car was in a state, this time included.
-        block_visits: `(blocks, blocks)` int32, `[by, bx]`, how often it came into a block.
+        visits: `(cells, cells, 8)` int32, times that the car was in a state, the present one included.
+        block_visits: `(blocks, blocks)` int32, `[by, bx]`, times that it entered a block.
         tries: `(blocks, blocks)` int32, `[by, bx]`, options towards a block that ended outside it.
         goal_tries: options towards the goal that ended without it.
     """
@@ -54,15 +54,17 @@ class Situation:
 
     @cached_property
     def block(self) -> tuple[int, int]:
-        """The block `(bx, by)` the car is in."""
+        """Block `(bx, by)` that the car is in."""
         return self.grid.block_of(self.state.ix, self.state.iy)
 
     @property
     def blocked(self) -> np.ndarray:
         """Actions that are not to be taken, `(cells, cells, 8, 5)` bool."""
-        return self.moves.blocked
+        blocked: np.ndarray = self.moves.blocked
+        return blocked
 
     @cached_property
     def reachable(self) -> np.ndarray:
-        """Cells to which a free way leads from here, `(cells, cells)` bool."""
-        return np.isfinite(self.drive_m)
+        """Cells to which a free way leads from the car, `(cells, cells)` bool."""
+        reachable: np.ndarray = np.isfinite(self.drive_m)
+        return reachable

@@ -1,167 +1,90 @@
-"""One simulated car of an actor: its environment, its agent, and what it is driving for."""
+"""One driven episode: the steps of reset, observation, action and result that actors and evaluation share."""
 
 import math
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol, SupportsFloat
 
 import numpy as np
 
-from zsdist.agent.hierarchy import HierarchicalAgent, QFunctions
 from zsdist.planning.rewards import RewardTerms
-from zsdist.types import Level, Outcome, Pose, View
+from zsdist.types import Outcome, Pose
 
 
-@dataclass(frozen=True)
-class EpisodeTask:
-    """Why a car drives.
-
-    Attributes:
-        scene: handed to the environment as it is.
-        number: episode number of a training lease, or the index of a validation scene.
-        epsilon: share of exploratory decisions; 0 in evaluation drives.
-        shielded: whether the shield masks actions.
-        seed: of the exploration.
-        candidate: name of the driven candidate, empty in training.
-        merge: index of the merge the candidate belongs to.
-        most_steps: actions after which the drive ends as a timeout, where the environment does not end it before.
-    """
-
-    scene: Any
-    number: int
-    epsilon: float
-    shielded: bool
-    seed: tuple[int, ...]
-    candidate: str = ""
-    merge: int = 0
-    most_steps: float = math.inf
-
-    @property
-    def trains(self) -> bool:
-        """Whether its transitions are learned from."""
-        return not self.candidate
-
-
-class CameraEnv(Protocol):
-    """A gymnasium environment, of which this is used, and the camera of its car."""
+class DrivingEnv(Protocol):
+    """Part of a gymnasium environment that an episode needs."""
 
     def reset(self, *, options: dict[str, Any]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Starts an episode in `options["scene"]`; the observation has `pose` and `goal`."""
+        """Start an episode in `options["scene"]` and return its observation, which has `pose` and `goal`, and info."""
 
-    def step(self, action: int) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Drives one action to its end."""
-
-    def picture(self, pose: Pose | None = None) -> np.ndarray:
-        """What the camera sees at the true pose, or on a level car at `pose`."""
-
-    def close(self) -> None:
-        """Lets go of the simulation."""
+    def step(self, action: int) -> tuple[dict[str, np.ndarray], SupportsFloat, bool, bool, dict[str, Any]]:
+        """Drive one action to its end."""
 
 
-class Car:
-    """Drives one errand at a time; `over` once the episode has ended and its last state has been seen."""
+class StepResult(NamedTuple):
+    """Outcome of one action, as agents and drivers are told of it.
 
-    def __init__(self, env: CameraEnv, agent: HierarchicalAgent) -> None:
-        self.env = env
-        self.agent = agent
-        self.task: EpisodeTask | None = None
-        self.candidate_q: QFunctions | None = None
-        self.credit = dict.fromkeys(Level, 0)  # reserved of the actor's credit and not yet used up, by level
-        self.unoffered = dict.fromkeys(Level, 0)  # transitions lived through whose trajectory is not complete yet
-        self._observation: dict[str, np.ndarray] = {}
-        self._scene_hash: str | None = None
-        self._outcome: Outcome | None = None
-        self._terms: list[RewardTerms] = []
-        self._path: list[tuple[float, float]] = []
-        self._versions: dict[str, int] = {}
+    Attributes:
+        terms: rewards of the paper.
+        terminated: whether the goal was reached or something was hit.
+        truncated: whether the episode ended without either.
+    """
 
-    @property
-    def scene_hash(self) -> str | None:
-        """Of the scene, where what is seen in it may be remembered: in training, and where nobody walks."""
-        return self._scene_hash
+    terms: RewardTerms
+    terminated: bool
+    truncated: bool
 
-    def picture(self, pose: Pose | None = None) -> np.ndarray:
-        """The camera's picture at the true pose, or of a level car at `pose`, `(px, px, 3)` uint8."""
-        return self.env.picture(pose)
+
+class Episode:
+    """One episode from its reset to its outcome; whoever drives it chooses the actions.
+
+    Args:
+        env: in which it is driven; reset here.
+        scene: handed to the environment as it is.
+        most_steps: actions after which it ends as a timeout, where the environment does not end it before.
+
+    Attributes:
+        observation: last one of the environment.
+        info: last one of the environment.
+        poses: true poses so far, the start included.
+        rewards: terms of each action so far.
+        outcome: how it ended; None before its end.
+    """
+
+    def __init__(self, env: DrivingEnv, scene: Any, most_steps: float = math.inf) -> None:
+        self._env, self._most_steps = env, most_steps
+        self.observation, self.info = env.reset(options={"scene": scene})
+        self.poses = [_pose(self.observation)]
+        self.rewards: list[RewardTerms] = []
+        self.outcome: Outcome | None = None
 
     @property
     def pose(self) -> Pose:
-        """The true pose."""
-        return Pose(*self._observation["pose"].tolist())
+        """True pose of the car."""
+        return self.poses[-1]
 
-    def goal_seen_from_here(self) -> tuple[float, float]:
-        """Bearing of the goal from the car's axis in radians, left positive, and its distance in metres."""
-        return self.pose.towards(*self._observation["goal"].tolist())
-
-    def begin(self, task: EpisodeTask, versions: dict[Level, int], candidate_q: QFunctions | None = None) -> None:
-        """Puts the car at the start of its errand's scene; a candidate's networks stay the same to the end."""
-        self.task = task
-        self.candidate_q = candidate_q
-        self._observation, _ = self.env.reset(options={"scene": task.scene})
-        still = task.trains and not task.scene.walkers()
-        self._scene_hash = task.scene.hash() if still else None
-        self._outcome, self._terms = None, []
-        self._path = [self.pose[:2]]
-        self._versions = {f"{level}_version": version for level, version in versions.items()}
-        self.agent.begin(
-            self.pose,
-            tuple(self._observation["goal"]),
-            epsilon=task.epsilon,
-            shielded=task.shielded,
-            rng=np.random.default_rng(task.seed),
-            weight_versions=versions,
-            learning=task.trains,
-        )
-
-    def advance(self, view: View, q: QFunctions) -> None:
-        """One action: see, decide, drive; or, where the episode has ended, see its last state and close it."""
-        self.agent.observe(self.pose, view)
-        if self.over:
-            self.agent.finish()
-            return
-        decision = self.agent.act(q)
-        self._observation, _, terminated, truncated, info = self.env.step(int(decision.action))
-        terms = RewardTerms(**info["reward_terms"])
-        self._terms.append(terms)
-        self._path.append(self.pose[:2])
-        truncated = truncated or len(self._terms) >= self.task.most_steps
-        self.agent.result(terms, terminated, truncated)
-        if terminated:
-            self._outcome = Outcome.SUCCESS if info["success"] else Outcome.COLLISION
-        elif truncated:
-            self._outcome = Outcome.TIMEOUT
+    @property
+    def goal(self) -> tuple[float, float]:
+        """Observed goal `(x_m, y_m)`."""
+        x_m, y_m = self.observation["goal"].tolist()
+        return x_m, y_m
 
     @property
     def over(self) -> bool:
-        """Whether the episode has ended; its last state may still be to be seen."""
-        return self._outcome is not None
+        """True once the episode has ended."""
+        return self.outcome is not None
 
-    def cut(self) -> None:
-        """Ends the episode here: what was driven is kept as truncated, the episode does not count."""
-        self.agent.finish()
-        self.task = None
+    def step(self, action: int) -> StepResult:
+        """Drive one action to its end and return its result."""
+        self.observation, _, terminated, truncated, self.info = self._env.step(action)
+        terms = RewardTerms(**self.info["reward_terms"])
+        self.rewards.append(terms)
+        self.poses.append(_pose(self.observation))
+        truncated = truncated or len(self.rewards) >= self._most_steps
+        if terminated:
+            self.outcome = Outcome.SUCCESS if self.info["success"] else Outcome.COLLISION
+        elif truncated:
+            self.outcome = Outcome.TIMEOUT
+        return StepResult(terms, terminated, truncated)
 
-    def record(self) -> dict[str, Any]:
-        """The finished episode as one JSON object, and the car free for its next errand."""
-        task, path = self.task, np.asarray(self._path)
-        totals = np.asarray(self._terms).sum(axis=0)
-        self.task = None
-        about = {"episode": task.number} if task.trains else {"scene_index": task.number}
-        if not task.trains:
-            about |= {"merge": task.merge, "candidate": task.candidate}
-        return about | {
-            "scene": task.scene.name,
-            "outcome": self._outcome.value,
-            "steps": len(self._terms),
-            "return": round(float(totals.sum()), 4),
-            "return_distance": round(float(totals[0]), 4),
-            "return_safety": round(float(totals[1]), 4),
-            "return_goal": round(float(totals[2]), 4),
-            "path_m": round(float(np.hypot(*np.diff(path, axis=0).T).sum()), 4),
-            "epsilon": round(task.epsilon, 4),
-            "shielded": task.shielded,
-            **self._versions,
-            **self.agent.statistics(),
-            "start": [round(float(value), 3) for value in path[0]],
-            "goal": [round(float(value), 3) for value in self._observation["goal"]],
-            "path": [[round(float(x), 2), round(float(y), 2)] for x, y in path],
-        }
+
+def _pose(observation: dict[str, np.ndarray]) -> Pose:
+    return Pose(*observation["pose"].tolist())

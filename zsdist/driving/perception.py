@@ -1,43 +1,73 @@
-"""What an actor's cars see: looked at where it must be, remembered where it may be."""
+"""Perception of an actor's cars: pictures are read where they must be, and readings remembered where they may be."""
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from zsdist.driving.episode import Car
 from zsdist.planning.grid import Grid
-from zsdist.types import LatticeState, View
+from zsdist.types import LatticeState, Pose, View
 from zsdist.vision.fingerprint import Sighted
+from zsdist.vision.ray_ablation import limited
 from zsdist.vision.reading_cache import ReadingCache
 from zsdist.vision.visual_act import Reading
 
-NEAR_M = 0.10  # a car this near to a lattice state, and with this heading, sees what is seen from there
+NEAR_M = 0.10  # a car this near to a lattice state, and with this heading, may use the reading made there
 NEAR_RAD = math.radians(5.0)
 
 
 class VisionModel(Sighted, Protocol):
-    """What is used of `zsdist.vision.visual_act.VisualAct`, whose docstrings say what its methods do."""
+    """Part of `zsdist.vision.visual_act.VisualAct` that is used."""
 
     def read(self, images: np.ndarray) -> Reading:
-        """What images `(B, px, px, 3)` show."""
+        """Return the reading of images `(B, px, px, 3)`."""
 
     def views(self, reading: Reading, goal_bearing_rad: np.ndarray, goal_distance_m: np.ndarray) -> list[View]:
-        """The same for goals `(B,)`."""
+        """Return the views of a reading with the advice for goals `(B,)`."""
+
+
+class PerceivingCar(Protocol):
+    """Part of `zsdist.driving.actor_car.ActorCar` that is used."""
+
+    @property
+    def trains(self) -> bool:
+        """True if it drives a training episode."""
+
+    @property
+    def scene_hash(self) -> str | None:
+        """Hash of the scene, where its readings may be remembered."""
+
+    @property
+    def pose(self) -> Pose:
+        """True pose of the car."""
+
+    def picture(self, pose: Pose | None = None) -> np.ndarray:
+        """Return the camera's picture."""
+
+    def goal_from_here(self) -> tuple[float, float]:
+        """Return bearing and distance of the goal."""
+
+
+class _Spot(NamedTuple):
+    """Key of a reading that may be remembered: the hash of the scene, and the lattice state."""
+
+    scene: str
+    state: LatticeState
 
 
 class Perception:
-    """One visual-act model for several cars, and the memory of what it read.
+    """One visual-act model for several cars, and the memory of its readings.
 
     A reading is remembered for training episodes in scenes where nobody walks, and for cars that stand on the lattice
-    within `NEAR_M` and `NEAR_RAD`. It is made from a picture at the lattice state itself, of a level car. So it is the
-    same whoever makes it and when: what a car sees does not depend on what is in the memory, only the time it takes.
-    Wherever that is not so, and in every evaluation drive, the picture is taken at the true pose.
+    within `NEAR_M` and `NEAR_RAD`. It is made from a picture at the lattice state itself, of a level car, so it is the
+    same whoever makes it and when. Views therefore do not depend on the content of the memory, only the time they take
+    does. In all other cases, and in every drive of a candidate, the picture is taken at the true pose.
 
     Args:
         visual_act: the model.
         grid: to whose lattice states the cars drive.
+        rays: share of a view that reaches the cars, as `zsdist.vision.ray_ablation.limited` takes it.
         cache: the memory; None: every picture is taken at the true pose.
 
     Attributes:
@@ -46,53 +76,58 @@ class Perception:
         bypasses: pictures of training episodes at the true pose, past the memory.
     """
 
-    def __init__(self, visual_act: VisionModel, grid: Grid, cache: ReadingCache | None) -> None:
-        self._visual_act, self._grid, self._cache = visual_act, grid, cache
+    def __init__(self, visual_act: VisionModel, grid: Grid, rays: str, cache: ReadingCache | None) -> None:
+        self._visual_act, self._grid, self._rays, self._cache = visual_act, grid, rays, cache
         self.hits = self.misses = self.bypasses = 0
 
-    def views(self, cars: Sequence[Car]) -> list[View]:
-        """What each car sees, with the advice for its goal; a picture is rendered only where nothing is remembered."""
-        states = [self._state(car) for car in cars]
+    def views(self, cars: Sequence[PerceivingCar]) -> list[View]:
+        """Return the view of each car, with the advice for its goal.
+
+        A picture is rendered only where no reading is remembered.
+        """
+        spots = [self._spot(car) for car in cars]
+        remembered = [self._find(spot) for spot in spots]
         readings = [
-            None if state is None else self._cache.find(car.scene_hash, state)
-            for car, state in zip(cars, states, strict=True)
+            self._read(car, spot) if reading is None else reading
+            for car, spot, reading in zip(cars, spots, remembered, strict=True)
         ]
-        unread = [index for index, reading in enumerate(readings) if reading is None]
-        for index in unread:
-            car, state = cars[index], states[index]
-            picture = car.picture(None if state is None else self._grid.pose(state))
-            # One at a time: read together with others, the last bits of a reading depend on how many there are.
-            reading = Reading(*(part[0] for part in self._visual_act.read(picture[None])))
-            readings[index] = reading if state is None else self._cache.keep(car.scene_hash, state, reading)
-        self._count(cars, states, unread)
-        goals = np.array([car.goal_seen_from_here() for car in cars], dtype=np.float32)
+        self.hits += sum(reading is not None for reading in remembered)
+        self.bypasses += sum(car.trains and spot is None for car, spot in zip(cars, spots, strict=True))
+        goals = np.array([car.goal_from_here() for car in cars], dtype=np.float32)
         together = Reading(*(np.stack(parts) for parts in zip(*readings, strict=True)))
-        return self._visual_act.views(together, goals[:, 0], goals[:, 1])
+        return [limited(view, self._rays) for view in self._visual_act.views(together, goals[:, 0], goals[:, 1])]
 
     def statistics(self) -> dict[str, float]:
-        """Counts of readings that were remembered, that were not, and that could not be; nothing without a cache."""
+        """Return counts of readings that were remembered, that were not, and that could not be; none without memory."""
         if self._cache is None:
             return {}
         return {"cache_hits": self.hits, "cache_misses": self.misses, "cache_bypasses": self.bypasses}
 
     def close(self) -> None:
-        """Lets go of the memory, once no car drives any more."""
+        """Release the memory, once no car drives any more."""
         if self._cache is not None:
             self._cache.close()
 
-    def _state(self, car: Car) -> LatticeState | None:
-        """The lattice state at which a remembered reading would do for this car, None where none would."""
+    def _spot(self, car: PerceivingCar) -> _Spot | None:
+        """Return where a remembered reading would do for a car; None where none would."""
         if self._cache is None or car.scene_hash is None:
             return None
         pose = car.pose
         state = self._grid.lattice_state(pose)
         there = self._grid.pose(state)
         turn = math.remainder(there.heading_rad - pose.heading_rad, math.tau)
-        return state if math.dist(there[:2], pose[:2]) <= NEAR_M and abs(turn) <= NEAR_RAD else None
+        near = math.dist(there[:2], pose[:2]) <= NEAR_M and abs(turn) <= NEAR_RAD
+        return _Spot(car.scene_hash, state) if near else None
 
-    def _count(self, cars: Sequence[Car], states: Sequence[LatticeState | None], unread: Sequence[int]) -> None:
-        may = sum(state is not None for state in states)
-        missed = sum(states[index] is not None for index in unread)
-        self.hits += may - missed
-        self.misses += missed
-        self.bypasses += sum(car.task.trains for car in cars) - may
+    def _find(self, spot: _Spot | None) -> Reading | None:
+        return None if spot is None or self._cache is None else self._cache.find(*spot)
+
+    def _read(self, car: PerceivingCar, spot: _Spot | None) -> Reading:
+        """Return the reading of a new picture, which is remembered where it may be."""
+        picture = car.picture(None if spot is None else self._grid.pose(spot.state))
+        # One at a time: read together with others, the last bits of a reading depend on how many there are.
+        reading = Reading(*(part[0] for part in self._visual_act.read(picture[None])))
+        if spot is None or self._cache is None:
+            return reading
+        self.misses += 1
+        return self._cache.keep(*spot, reading)

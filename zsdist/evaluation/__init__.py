@@ -1,1 +1,1 @@
-"""Greedy episodes, their metrics and the baselines they are held against."""
+"""Greedy episodes, their metrics, and the baselines with which they are compared."""

@@ -1,4 +1,4 @@
-"""Policies without learning that every learned one is held against, by name and one line each."""
+"""Baselines: policies without learning with which every learned one is compared, by name and one line each."""
 
 import math
 from collections.abc import Callable
@@ -28,32 +28,34 @@ _NOTHING_LEARNED = {
 
 
 class Random(Driver):
-    """Any action that does not lead off the grid, each as likely."""
+    """Draws any action that does not lead off the grid, each as likely."""
 
     def begin(self, pose: Pose, goal: tuple[float, float], truth: Scene | None, rng: np.random.Generator) -> None:
-        """Takes the episode's randomness."""
+        """Take the episode's randomness."""
         self._rng = rng
 
     def act(self, observed: Observed) -> int:
-        """A uniform draw."""
+        """Return a uniform draw."""
         return int(self._rng.choice(np.flatnonzero(observed.allowed)))
 
 
 class GoalGreedy(Driver):
-    """Turns to the goal and drives there, whatever stands in the way."""
+    """Turns to the goal and drives there, through whatever stands in the way."""
 
     def begin(self, pose: Pose, goal: tuple[float, float], truth: Scene | None, rng: np.random.Generator) -> None:
-        """Nothing to prepare."""
+        """Prepare nothing."""
 
     def act(self, observed: Observed) -> int:
-        """The action after which the car points best at the goal."""
+        """Return the action after which the car points best at the goal."""
         pose = observed.pose
         direction = np.array(observed.goal) - pose[:2]
-        return int(potential.action_along(direction, pose.heading_rad, observed.allowed))
+        action = potential.action_along(direction, pose.heading_rad, observed.allowed)
+        assert action is not None, "turns in place never lead off the grid"
+        return int(action)
 
 
 class AStar(Driver):
-    """The shortest way on the whole true map, without what walks on it: what is possible at best in a still scene."""
+    """Drives the shortest way on the whole true map without walking obstacles: the best possible in a still scene."""
 
     def __init__(self, config: Config) -> None:
         self._grid = Grid.from_config(config.grid)
@@ -61,15 +63,15 @@ class AStar(Driver):
         self._radius_m = config.sim.success_radius_m - ARRIVAL_SLACK_M
 
     def begin(self, pose: Pose, goal: tuple[float, float], truth: Scene | None, rng: np.random.Generator) -> None:
-        """Plans once; `truth` is the scene."""
+        """Plan once; `truth` is the scene."""
         if truth is None:
-            raise ValueError("A* on the true map needs the scene")
+            raise ValueError("A* plans on the true map and needs the scene")
         self._blocked = footprints(self._grid).blocked(truth.occupancy(self._grid))
         goals = shortest_path.goal_mask(self._grid, goal, self._radius_m)
         self._cost = shortest_path.cost_to_go(self._blocked, goals, self._metres)
 
     def act(self, observed: Observed) -> int:
-        """The plan's action at the true pose; a turn in place where no way leads on."""
+        """Return the plan's action at the true pose, or a turn in place where no way leads on."""
         state = self._grid.lattice_state(observed.pose)
         if not math.isfinite(self._cost[state.iy, state.ix, state.heading]):
             return int(Action.TURN_LEFT_90)
@@ -78,7 +80,7 @@ class AStar(Driver):
 
 
 def _unlearned(low_policy: str, **agent: float) -> Callable[[Config, See], Driver]:
-    """The agent itself with the goal as its only subgoal and `low_policy` in the low level's place."""
+    """Return a maker of the agent with the goal as its only subgoal and `low_policy` in the low level's place."""
 
     def make(config: Config, see: See) -> Driver:
         settings = config.agent.model_copy(update={"high_policy": "goal", "low_policy": low_policy, **agent})
@@ -89,7 +91,7 @@ def _unlearned(low_policy: str, **agent: float) -> Callable[[Config, See], Drive
 
 @dataclass(frozen=True)
 class Baseline:
-    """One entry of the list: its `line` says what it does, `observability` what it is shown."""
+    """Entry of the list: `line` is its description, `observability` what it observes."""
 
     line: str
     observability: Observability

@@ -1,4 +1,4 @@
-"""Two policies on the same scenes: paired differences with their intervals."""
+"""Comparison of two policies on the same scenes: paired differences with their intervals."""
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -20,18 +20,18 @@ from zsdist.evaluation.statistics import bootstrap_95
 from zsdist.types import Outcome
 
 LABELS = {"success": "success", "collision": "collision", "spl": "SPL"}
-_Drive = tuple[str, int, int]  # hash of the scene, seed, place among the scenes: what makes two episodes a pair
+_Drive = tuple[str, int, int]  # hash of the scene, seed, index among the scenes: equal for episodes that are a pair
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Differences of the first file's episodes to the second's; `result` is its JSON."""
+    """Differences of the first file's episodes to the second's; `result` is its JSON, `notes` what was left out."""
 
     result: dict[str, Any]
     notes: Sequence[str]
 
     def show(self, console: Console) -> None:
-        """Prints the differences with what they stand on."""
+        """Print the differences with the figures that they are of."""
         result = self.result
         table = Table(title=f"{result['a']} against {result['b']}", title_justify="left")
         for heading in ("figure", "n", "first", "second", "difference", "95%"):
@@ -50,11 +50,11 @@ class Comparison:
 
 
 def compare(first: Path, second: Path, seed: int = 0) -> Comparison:
-    """Paired differences over the episodes that both files have: the same scene, seed and place.
+    """Return paired differences over the episodes that both files have: of the same scene, seed and index.
 
     Where a file has several policies (training seeds of one method), a scene counts with their mean. Lines of older
-    code, weights or settings do not count, nor do those without the shield beside others under it. The intervals are
-    bootstraps over the pairs. SPL is of scenes in which nothing moves.
+    code, weights or settings do not count. Lines without the shield do not count where the file has others under it.
+    The intervals are bootstraps over the pairs. SPL is of scenes in which nothing moves.
 
     Args:
         first: file of episodes.
@@ -66,10 +66,12 @@ def compare(first: Path, second: Path, seed: int = 0) -> Comparison:
     """
     (ours, code, notes), (theirs, other, more) = _episodes(first), _episodes(second)
     if other not in equivalent(code):
-        notes.append(f"the two were measured with different code, {code} and {other}")
+        notes.append(f"the two files were measured with different code, {code} and {other}")
     shared = sorted(ours.keys() & theirs.keys())
     if not shared:
-        raise RunError(f"{first} and {second} have no scene, seed and place in common; allowed are files that do")
+        raise RunError(
+            f"{first} and {second} have no scene, seed and index in common; allowed are files that have some"
+        )
     rng, figures = np.random.default_rng(seed), {}
     for name in LABELS:
         pairs = [
@@ -91,10 +93,10 @@ def compare(first: Path, second: Path, seed: int = 0) -> Comparison:
 
 
 def _episodes(file: Path) -> tuple[dict[_Drive, list[EpisodeRecord]], str, list[str]]:
-    """The records of each drive, one a policy; the newest code, of which alone they are; and what there is to say.
+    """Return the records of each drive, one a policy; the newest code, to which they all belong; and notes.
 
-    Several policies are training seeds of one method. Of each only what it was last driven with counts, and only under
-    the shield where some of it was.
+    Several policies are training seeds of one method. Of each only the weights and settings count with which it was
+    driven last. Where any line is under the shield, only such lines count.
     """
     lines = episode_store.read(file)
     if not lines:
@@ -127,7 +129,7 @@ def _episodes(file: Path) -> tuple[dict[_Drive, list[EpisodeRecord]], str, list[
 
 
 def _method(line: Line) -> str:
-    """A baseline by its name, a learned policy, of whatever weights, by its variant."""
+    """Return the name of a baseline, or of a learned policy of any weights the variant."""
     about = line.about
     return f"the variant {about['variant']}" if about["weights_sha256"] else str(about["policy"])
 

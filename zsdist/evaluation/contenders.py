@@ -1,4 +1,4 @@
-"""Who can be evaluated: a baseline, or a learned policy as it is or with parts of it replaced."""
+"""Contenders of an evaluation: baselines, and learned policies as they are or with parts of them replaced."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -7,7 +7,7 @@ from typing import Any
 from zsdist.config import Config
 from zsdist.dqn import network
 from zsdist.evaluation.baselines import BASELINES
-from zsdist.evaluation.drivers import Driver, LearnedDriver, Observability, VisualAct
+from zsdist.evaluation.drivers import Driver, LearnedDriver, Observability, ViewPredictor
 from zsdist.evaluation.oracle_view import by_camera, by_truth
 from zsdist.types import Level, Parameters
 
@@ -16,15 +16,15 @@ FULL, HYBRID = "full", "hybrid"
 
 @dataclass(frozen=True)
 class Variant:
-    """A learned policy of which something is replaced.
+    """Learned policy of which a part is replaced.
 
     Attributes:
-        line: what it is.
+        line: its description.
         agent: settings of `agent` that differ from the policy's own.
         untrained: levels whose networks are as before training.
-        observability: what it is shown.
-        shuffled: fields of what it sees whose entries, one a direction, are exchanged by chance at every look.
-        exact: whether the car stands exactly where each action should have brought it.
+        observability: what it observes.
+        shuffled: fields of its views whose entries, one a direction, are permuted at random at every observation.
+        exact: whether each action brings the car exactly to where it should.
     """
 
     line: str
@@ -43,9 +43,9 @@ VARIANTS: dict[str, Variant] = {
     "untrained-high": Variant("the high level's network as before training", untrained=(Level.HIGH,)),
     "untrained-low": Variant("the low level's network as before training", untrained=(Level.LOW,)),
     "untrained": Variant("both networks as before training", untrained=tuple(Level)),
-    "shuffled-advice": Variant("the entries of R_p exchanged by chance at every look", shuffled=("advice",)),
+    "shuffled-advice": Variant("the entries of R_p permuted at random at every observation", shuffled=("advice",)),
     "shuffled-vision": Variant(
-        "the same with the rays too: all that vision says of one direction is of another",
+        "the same with the rays too: every output of vision is of another direction",
         shuffled=("advice", "clearance_m", "dynamic", "ray_probabilities"),
     ),
     "oracle-depth": Variant("vision replaced by true distances in view", observability=Observability.RANGES),
@@ -57,7 +57,7 @@ VARIANTS: dict[str, Variant] = {
 
 @dataclass(frozen=True)
 class Contender:
-    """Who is evaluated, as data that other processes can be sent.
+    """Contender of an evaluation, as data that can be sent to other processes.
 
     Attributes:
         config: grid, camera, vision, agent and reward of the policy.
@@ -75,23 +75,23 @@ class Contender:
 
     @property
     def observability(self) -> Observability:
-        """What it is shown."""
+        """Part of its surroundings that it observes."""
         return BASELINES[self.baseline].observability if self.baseline else VARIANTS[self.variant].observability
 
     @property
     def exact(self) -> bool:
-        """Whether its car moves exactly."""
+        """True if each action brings its car exactly to where it should."""
         return not self.baseline and VARIANTS[self.variant].exact
 
     @cached_property
     def settings(self) -> Config:
-        """The configuration that it drives under, with what the variant changes."""
+        """Configuration that it drives under, with the changes of its variant."""
         agent = {} if self.baseline else VARIANTS[self.variant].agent
         return self.config.model_copy(update={"agent": self.config.agent.model_copy(update=agent)})
 
     @cached_property
     def networks(self) -> dict[Level, Parameters] | None:
-        """The networks that it drives with, with what the variant changes."""
+        """Networks that it drives with, with the changes of its variant; None for a baseline."""
         if self.parameters is None:
             return None
         fresh = VARIANTS[self.variant].untrained
@@ -100,17 +100,18 @@ class Contender:
             for level, parameters in self.parameters.items()
         }
 
-    def driver(self, visual_act: VisualAct | None) -> Driver:
-        """A driver of its own; `visual_act` is needed where it sees by the camera."""
+    def driver(self, visual_act: ViewPredictor | None) -> Driver:
+        """Return a new driver; `visual_act` is needed where it observes by the camera."""
         see = by_truth if visual_act is None else by_camera(visual_act)
         if self.baseline:
             return BASELINES[self.baseline].make(self.settings, see)
+        assert self.networks is not None, "a learned policy has networks"
         shuffled = VARIANTS[self.variant].shuffled
         return LearnedDriver(self.settings, self.networks, see, shielded=self.shielded, shuffled=shuffled)
 
 
 def untrained(parameters: Parameters, seed: int) -> Parameters:
-    """Fresh weights of the same shapes."""
+    """Return fresh weights of the same shapes."""
     hidden = [len(value) for name, value in parameters.items() if name.startswith("hidden") and name.endswith(".bias")]
     actions = len(parameters["output.bias"])
     return network.initial_parameters(parameters["hidden0.weight"].shape[1], actions, hidden, seed)

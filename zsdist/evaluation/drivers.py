@@ -1,7 +1,7 @@
-"""Who drives an evaluated episode: the contract of a driver, what it may see, and the learned policy under it."""
+"""Drivers of evaluated episodes: their contract, what each may observe, and the driver of a learned policy."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -10,15 +10,18 @@ import numpy as np
 from zsdist.agent.hierarchy import Decision, HierarchicalAgent, q_functions
 from zsdist.agent.situation import Situation
 from zsdist.config import Config
+from zsdist.driving.settings import agent_settings
 from zsdist.planning.rewards import RewardTerms
 from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Level, Parameters, Pose, View
+from zsdist.vision.ray_ablation import limited
 
-VisualAct = Callable[[np.ndarray, np.ndarray, np.ndarray], Sequence[View]]
+# Views of images `(B, px, px, 3)` for goals at bearings and distances `(B,)`, as `zsdist.vision.visual_act` makes them.
+ViewPredictor = Callable[[np.ndarray, np.ndarray, np.ndarray], Sequence[View]]
 
 
 class Observability(StrEnum):
-    """What a driver learns of its surroundings."""
+    """Part of its surroundings that a driver observes."""
 
     NOTHING = "pose and goal only"
     CAMERA = "the camera, by the visual-act model"
@@ -28,14 +31,14 @@ class Observability(StrEnum):
 
 @dataclass(frozen=True)
 class Observed:
-    """What a driver decides on.
+    """Observation on which a driver decides.
 
     Attributes:
         image: `(px, px, 3)` uint8, of the camera at the true pose; None where nobody asked for pictures.
         pose: the true pose.
         goal: `(x_m, y_m)`.
         allowed: `(5,)` bool, actions that do not lead off the grid.
-        truth: what a faultless model would say of the image; None unless it sees true distances.
+        truth: view of a faultless model; None unless the driver observes true distances.
     """
 
     image: np.ndarray | None
@@ -45,12 +48,12 @@ class Observed:
     truth: View | None = None
 
 
-See = Callable[[Observed], View]  # how a driver comes by its view
+See = Callable[[Observed], View]  # makes a driver's view of an observation
 
 
 @dataclass(frozen=True)
 class Thought:
-    """What a hierarchical driver decided, and what it knew when it did."""
+    """Decision of a hierarchical driver, and the situation in which it was made."""
 
     situation: Situation
     decision: Decision
@@ -69,59 +72,63 @@ class Driver(ABC):
 
     @abstractmethod
     def begin(self, pose: Pose, goal: tuple[float, float], truth: Scene | None, rng: np.random.Generator) -> None:
-        """A new episode; `truth` is given to drivers that see the whole true map, and to no other."""
+        """Begin an episode; `truth` is given to drivers that observe the whole true map, and to no other."""
 
     @abstractmethod
     def act(self, observed: Observed) -> int:
-        """The next action."""
+        """Return the next action."""
 
     def result(self, terms: RewardTerms, terminated: bool, truncated: bool) -> None:  # noqa: B027 (most learn nothing)
-        """How the action went."""
+        """Report the outcome of the action."""
 
 
 class LearnedDriver(Driver):
-    """The greedy policy of both networks: argmax only, and the shield may only mask.
+    """Greedy policy of both networks: argmax only, and the shield may only mask.
 
     Args:
         config: of grid, agent and vision; `agent.high_policy` and `agent.low_policy` may put planners in the networks'
             places.
         parameters: of both networks.
-        see: how it comes by its view.
+        see: makes its views.
         shielded: whether the shield masks.
-        shuffled: fields of the `View` whose entries, one a direction, are exchanged by chance at every look.
+        shuffled: fields of the `View` whose entries, one a direction, are permuted at random at every observation.
     """
 
     def __init__(
         self,
         config: Config,
-        parameters: dict[Level, Parameters],
+        parameters: Mapping[Level, Parameters],
         see: See,
         *,
         shielded: bool = True,
         shuffled: Sequence[str] = (),
     ) -> None:
-        self._agent = HierarchicalAgent(config)
-        self._see, self._shielded, self._shuffled = see, shielded, shuffled
+        self._agent = HierarchicalAgent(agent_settings(config))
+        self._see, self._rays, self._shielded, self._shuffled = see, config.vision.rays, shielded, shuffled
         self._q = q_functions(parameters)
 
     def begin(self, pose: Pose, goal: tuple[float, float], truth: Scene | None, rng: np.random.Generator) -> None:
-        """Starts the agent without exploration."""
+        """Start the agent without exploration and without a recorder."""
         self.shield_changes, self._rng = 0, rng
-        versions = dict.fromkeys(Level, 0)
-        self._agent.begin(
-            pose, goal, epsilon=0.0, shielded=self._shielded, rng=rng, weight_versions=versions, learning=False
-        )
+        self._agent.begin(pose, goal, epsilon=0.0, shielded=self._shielded, rng=rng)
 
     def act(self, observed: Observed) -> int:
-        """Looks, then takes the best action of Q_low under the best subgoal of Q_high."""
-        view = self._see(observed)
-        view = replace(view, **{name: self._rng.permutation(getattr(view, name)) for name in self._shuffled})
-        self._agent.observe(observed.pose, view)
+        """Observe, and return the best action of Q_low under the best subgoal of Q_high."""
+        self._agent.observe(observed.pose, self._view(observed))
         decision = self._agent.act(self._q)
         self.thought = Thought(self._agent.situation, decision)
         self.shield_changes += bool(decision.shield_changed)
         return int(decision.action)
 
     def result(self, terms: RewardTerms, terminated: bool, truncated: bool) -> None:
-        """Tells the agent, whose options end with the episode."""
+        """Report the outcome to the agent, whose options end with the episode."""
         self._agent.result(terms, terminated, truncated)
+
+    def _view(self, observed: Observed) -> View:
+        """Return the view that reaches the agent: fields shuffled first, then limited as `vision.rays` says.
+
+        The order matters: with `three`, rays are made from clearances, which may have been shuffled.
+        """
+        view = self._see(observed)
+        view = replace(view, **{name: self._rng.permutation(getattr(view, name)) for name in self._shuffled})
+        return limited(view, self._rays)

@@ -1,4 +1,4 @@
-"""Episodes on file, one JSON line each, with the hashes of what they depend on: measured once, not driven again."""
+"""Store of evaluated episodes, one JSON line each, with the hashes of all they depend on; none is driven twice."""
 
 import json
 import os
@@ -9,45 +9,45 @@ from typing import Any
 
 from zsdist.errors import RunError
 from zsdist.evaluation.contenders import Contender
-from zsdist.evaluation.fingerprint import EQUIVALENT_CODE, code_sha256, entrant_sha256, equivalent
+from zsdist.evaluation.fingerprint import EQUIVALENT_CODE, code_sha256, contender_sha256, equivalent
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Outcome, Pose
 
 _RECORD = {item.name for item in fields(EpisodeRecord)}
 _NATURAL = ("index", "seed", "steps", "shield_changes")
-_BEGINNING = b'{"code": "'  # of a line, however little of it was written
+_BEGINNING = b'{"code": "'  # of every line, also of one that was cut off
 _ABOUT = ("code", "entrant", "policy", "variant", "weights_sha256", "shielded", "scenes", "seed", "index", "scene_hash")
 
 
 @dataclass(frozen=True)
 class Line:
-    """One line of the file: an episode's `record`, and `about` it the hashes and what was asked for."""
+    """One line of the file: an episode's `record`, and `about` it the hashes and the evaluation it is of."""
 
     about: Mapping[str, Any]
     record: EpisodeRecord
 
 
 class EpisodeStore:
-    """The episodes of one evaluation in a file that may hold those of others.
+    """Episodes of one evaluation in a file that may hold those of others.
 
     Args:
-        file: is made where it is not there.
-        contender: who drives.
-        policy: what the result calls it.
+        file: made where it does not exist.
+        contender: evaluated.
+        policy: its name in the result.
         weights_sha256: of its networks.
-        scenes: what was asked for.
+        scenes: name of the scenes, as it was asked for.
         seed: of scenes and drivers.
         chosen: the scenes themselves.
         equivalents: file that lists equivalent code, see `fingerprint.equivalent`.
 
     Attributes:
-        known: episodes on file, by their place among the chosen scenes, measured with the same or
-            equivalent code, the same entrant and seed.
-        stale: lines of the same policy, variant and scenes that are not: of other code, weights or settings.
+        known: episodes on file by their index among the chosen scenes, of the same or equivalent code, of the same
+            contender and seed.
+        stale: number of lines of the same policy, variant and scenes, but of other code, weights or settings.
 
     Raises:
-        RunError: the file holds something else, or cannot be written.
+        RunError: the file has other content, or cannot be written.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class EpisodeStore:
             "scenes": scenes,
             "seed": seed,
         }
-        code, who = code_sha256(), entrant_sha256(contender)
+        code, who = code_sha256(), contender_sha256(contender)
         codes = equivalent(code, equivalents)
         self._about = {"code": code, "entrant": who, **asked, "weights_sha256": weights_sha256}
         self._hashes = [scene.hash() for scene in chosen]
@@ -84,7 +84,7 @@ class EpisodeStore:
                 self.stale += 1
 
     def _begin(self) -> list[Line]:
-        """What is on file; what was cut off as it was written is taken out of it, so that the next line is whole."""
+        """Return the lines on file, and remove a last line that was cut off, so that the next one is whole."""
         if not self._file.exists():
             return []
         lines, size = _read(self._file)
@@ -96,7 +96,7 @@ class EpisodeStore:
         return lines
 
     def add(self, index: int, record: EpisodeRecord) -> None:
-        """Writes one episode to the file."""
+        """Append one episode to the file."""
         fields_ = asdict(record) | {"poses": [[round(value, 4) for value in pose] for pose in record.poses]}
         line = {**self._about, "index": index, "scene_hash": self._hashes[index], **fields_}
         try:
@@ -107,16 +107,16 @@ class EpisodeStore:
 
 
 def read(file: Path) -> list[Line]:
-    """All lines of a file; a last line that was cut off, or is being written, is left out.
+    """Return all lines of a file; a last line that was cut off, or is being written, is left out.
 
     Raises:
-        RunError: it cannot be read, or holds something else.
+        RunError: it cannot be read, or has other content.
     """
     return _read(file)[0]
 
 
 def _read(file: Path) -> tuple[list[Line], int]:
-    """The lines of a file that are whole, and how many bytes they take."""
+    """Return the lines of a file that are complete, and the number of bytes they take."""
     try:
         content = file.read_bytes()
         size = content.rfind(b"\n") + 1
@@ -125,7 +125,7 @@ def _read(file: Path) -> tuple[list[Line], int]:
         raise RunError(f"episodes cannot be read from {file}: {error}") from error
     rest = content[size:]
     if rest[: len(_BEGINNING)] != _BEGINNING[: len(rest)]:
-        raise RunError(f"{file} ends with what is no episode of an evaluation; allowed are lines that --out wrote")
+        raise RunError(f"{file} does not end with an episode of an evaluation; allowed are lines that --out wrote")
     return [_line(text, f"{file}, line {number}") for number, text in enumerate(texts, 1)], size
 
 
@@ -134,23 +134,23 @@ def _unwritable(file: Path, error: OSError) -> RunError:
 
 
 def _refuse(constant: str) -> None:
-    raise ValueError(f"{constant} is no number of JSON")
+    raise ValueError(f"{constant} is not a number of JSON")
 
 
 def _line(text: str, place: str) -> Line:
     try:
-        told = json.loads(text, parse_constant=_refuse)
+        fields_read = json.loads(text, parse_constant=_refuse)
         for name in _NATURAL:
-            if type(told[name]) is not int or told[name] < 0:
-                raise ValueError(f"{name} is {told[name]!r}; allowed is a natural number")
-        record = {name: told[name] for name in _RECORD}
+            if type(fields_read[name]) is not int or fields_read[name] < 0:
+                raise ValueError(f"{name} is {fields_read[name]!r}; allowed is a natural number")
+        record = {name: fields_read[name] for name in _RECORD}
         record |= {
             "outcome": Outcome(record["outcome"]),
             "decision_ms": tuple(record["decision_ms"]),
             "poses": tuple(Pose(*map(float, pose)) for pose in record["poses"]),
         }
-        return Line({name: told[name] for name in _ABOUT}, EpisodeRecord(**record))
+        return Line({name: fields_read[name] for name in _ABOUT}, EpisodeRecord(**record))
     except (ValueError, KeyError, TypeError) as error:
         raise RunError(
-            f"{place} is no episode of an evaluation ({error}); allowed are lines that --out wrote"
+            f"{place} is not an episode of an evaluation ({error}); allowed are lines that --out wrote"
         ) from error

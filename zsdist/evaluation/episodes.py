@@ -1,20 +1,20 @@
-"""Drives one greedy episode and writes down what an evaluation needs of it."""
+"""Greedy episodes of an evaluation, driven and recorded."""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, Protocol
 
-import gymnasium
 import numpy as np
 
 from zsdist.config import Config
+from zsdist.driving.episode import DrivingEnv, Episode
 from zsdist.evaluation.drivers import Driver, Observability, Observed, Thought
 from zsdist.evaluation.oracle_view import true_view
 from zsdist.evaluation.records import EpisodeRecord, path_length_m
 from zsdist.planning import shortest_path
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
-from zsdist.planning.rewards import RewardTerms
 from zsdist.sim.physics.collision import clearance_m
 from zsdist.sim.scenes.scene import Scene
 from zsdist.sim.scenes.solvability import footprints
@@ -23,12 +23,12 @@ from zsdist.types import Outcome, Pose
 
 @dataclass(frozen=True)
 class Moment:
-    """One decision, or the end of an episode, as a watcher of it sees it.
+    """One decision, or the end of an episode, as it is shown to a watcher.
 
     Attributes:
         scene: that is driven.
-        observed: what the driver was shown.
-        people: `(W, 2)` places of the walking obstacles; None where nobody walks.
+        observed: observation of the driver.
+        people: `(W, 2)` positions of the walking obstacles; None where nobody walks.
         action: chosen; None at the end.
         thought: behind it, of drivers that have one to show.
         outcome: of the episode; None before its end.
@@ -45,8 +45,16 @@ class Moment:
 Watch = Callable[[Moment], None]
 
 
+class WalkedEnv(DrivingEnv, Protocol):
+    """Environment whose unwrapped form has a `world` that knows the positions of walking obstacles."""
+
+    @property
+    def unwrapped(self) -> Any:
+        """Environment without wrappers."""
+
+
 class Course:
-    """The shortest drivable way of one scene: what a driven path is held against."""
+    """Shortest drivable way of one scene, with which a driven path is compared."""
 
     def __init__(self, scene: Scene, table: FootprintTable, success_radius_m: float) -> None:
         self._grid = table.grid
@@ -57,7 +65,7 @@ class Course:
         self._start = table.grid.lattice_state(scene.start.pose)
 
     def length_m(self, pose: Pose) -> float | None:
-        """Metres to the goal from the lattice state nearest to a pose; None where no way leads on from it."""
+        """Return the metres to the goal from the lattice state nearest to a pose; None where no way leads there."""
         state = self._grid.lattice_state(pose)
         if not math.isfinite(self._cost[state.iy, state.ix, state.heading]):
             return None
@@ -65,26 +73,26 @@ class Course:
         return shortest_path.length_m(way.states, self._grid.cell_size_m)
 
     def fewest_steps(self) -> int | None:
-        """Fewest actions from the start to the goal; None where there is no way."""
+        """Return the fewest actions from the start to the goal; None where there is no way."""
         costs = shortest_path.cost_to_go(self._blocked, self._goals, shortest_path.STEPS_COST)
         fewest = float(costs[self._start.iy, self._start.ix, self._start.heading])
         return int(fewest) if math.isfinite(fewest) else None
 
 
 class EpisodeRunner:
-    """Puts a driver through episodes in one environment.
+    """Drives episodes with one driver in one environment.
 
     Args:
         env: a `CarNavigation`, or anything with its observations and infos.
-        config: the run's; the grid, the camera and the success radius are read.
-        driver: who drives.
-        observability: what it is shown.
+        config: of the run; the grid, the camera and the success radius are read.
+        driver: chooses the actions.
+        observability: what the driver observes.
         clock: monotonic seconds, by which decisions are timed.
     """
 
     def __init__(
         self,
-        env: gymnasium.Env,
+        env: WalkedEnv,
         config: Config,
         driver: Driver,
         observability: Observability,
@@ -98,36 +106,35 @@ class EpisodeRunner:
         self._table = footprints(Grid.from_config(config.grid))
 
     def drive(self, scene: Scene, rng: np.random.Generator, watch: Watch | None = None) -> EpisodeRecord:
-        """One episode.
+        """Drive one episode and return its record.
 
         Args:
             scene: driven.
             rng: the driver's.
-            watch: shown every decision as it is made, and the end.
+            watch: called with every decision as it is made, and with the end.
         """
         driver = self._driver
-        observation, info = self._env.reset(options={"scene": scene})
-        poses = [_pose(observation)]
-        driver.begin(poses[0], scene.goal, scene if self._observability is Observability.MAP else None, rng)
-        decision_ms, terminated, truncated = [], False, False
-        least_m = self._clearance_m(scene, poses[0])
-        while not (terminated or truncated):
-            observed = self._observed(observation, info, scene)
+        episode = Episode(self._env, scene)
+        driver.begin(episode.pose, scene.goal, scene if self._observability is Observability.MAP else None, rng)
+        decision_ms: list[float] = []
+        least_m = self._clearance_m(scene, episode.pose)
+        while not episode.over:
+            observed = self._observed(episode, scene)
             began_s = self._clock()
             action = driver.act(observed)
             decision_ms.append(round(1000 * (self._clock() - began_s), 3))
             if watch is not None:
                 watch(Moment(scene, observed, self._people(scene), action, driver.thought, None))
-            observation, _, terminated, truncated, info = self._env.step(action)
-            driver.result(RewardTerms(**info["reward_terms"]), terminated, truncated)
-            poses.append(_pose(observation))
-            least_m = min(least_m, self._clearance_m(scene, poses[-1]))
-        outcome = Outcome.TIMEOUT
-        if terminated:
-            outcome = Outcome.SUCCESS if info["success"] else Outcome.COLLISION
+            driver.result(*episode.step(action))
+            least_m = min(least_m, self._clearance_m(scene, episode.pose))
         if watch is not None:
-            observed = self._observed(observation, info, scene)
-            watch(Moment(scene, observed, self._people(scene), None, driver.thought, outcome))
+            end = self._observed(episode, scene)
+            watch(Moment(scene, end, self._people(scene), None, driver.thought, episode.outcome))
+        return self._record(scene, episode, least_m, decision_ms)
+
+    def _record(self, scene: Scene, episode: Episode, least_m: float, decision_ms: list[float]) -> EpisodeRecord:
+        poses, outcome = episode.poses, episode.outcome
+        assert outcome is not None, "only an episode that is over is recorded"
         course = Course(scene, self._table, self._config.sim.success_radius_m)
         return EpisodeRecord(
             scene=scene.name,
@@ -140,15 +147,15 @@ class EpisodeRunner:
             min_clearance_m=0.0 if outcome is Outcome.COLLISION else least_m,
             static=not scene.walkers(),
             decision_ms=tuple(decision_ms),
-            shield_changes=driver.shield_changes,
+            shield_changes=self._driver.shield_changes,
             poses=tuple(poses),
         )
 
-    def _observed(self, observation: dict, info: dict, scene: Scene) -> Observed:
-        pose, truth = _pose(observation), None
+    def _observed(self, episode: Episode, scene: Scene) -> Observed:
+        pose, truth = episode.pose, None
         if self._observability is Observability.RANGES:
             truth = true_view(scene, pose, self._config.camera, self._config.grid.arena_m, self._people(scene))
-        return Observed(observation.get("image"), pose, scene.goal, info["action_mask"], truth)
+        return Observed(episode.observation.get("image"), pose, scene.goal, episode.info["action_mask"], truth)
 
     def _people(self, scene: Scene) -> np.ndarray | None:
         return self._env.unwrapped.world.people if scene.walkers() else None
@@ -156,7 +163,3 @@ class EpisodeRunner:
     def _clearance_m(self, scene: Scene, pose: Pose) -> float:
         circles = scene.circles(self._people(scene))
         return clearance_m(pose, circles, scene.boxes(), arena_m=self._config.grid.arena_m)
-
-
-def _pose(observation: dict) -> Pose:
-    return Pose(*(float(value) for value in observation["pose"]))

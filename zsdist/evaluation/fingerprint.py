@@ -1,4 +1,4 @@
-"""What an episode depends on, as hashes: the code that drives it, and who drives."""
+"""Hashes of all that an episode depends on: the code that drives it, and the contender."""
 
 import hashlib
 import json
@@ -17,16 +17,16 @@ from zsdist.evaluation.drivers import Observability
 from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.vision.visual_act import VisualAct
 
-ROOT = "zsdist.evaluation.workers"  # all that drives an episode is imported from here
+ROOT = "zsdist.evaluation.workers"  # imports everything that drives an episode
 EQUIVALENT_CODE = Path(__file__).with_name("equivalent_code.yaml")
 _HASH = re.compile(rf"[0-9a-f]{{{code_hash.DIGITS}}}")
 _ENTRY = {"commit", "hashes", "proof"}
 
 
 def code_sha256() -> str:
-    """Hash of the code that determines an episode: simulator, vision, planning, agent and drivers.
+    """Return the hash of the code that determines an episode: simulator, vision, planning, agent and drivers.
 
-    What measures, reports, learns or distributes is not in it, nor are settings: those are hashed as values.
+    Code that measures, reports, learns or distributes is not part of it. Settings are hashed as values instead.
     """
     return code_hash.sha256(ROOT)
 
@@ -80,11 +80,11 @@ def _hashes(entry: Any, place: str) -> frozenset[str]:
     return frozenset(hashes)
 
 
-def entrant_sha256(contender: Contender) -> str:
-    """Hash of who drives: the baseline or variant, its settings, its networks, and what it sees by.
+def contender_sha256(contender: Contender) -> str:
+    """Return the hash of a contender: baseline or variant, settings, networks, and the vision model it uses.
 
     Raises:
-        WeightsError: it sees by vision weights that are missing or damaged.
+        WeightsError: its vision weights are missing or damaged.
     """
     settings = contender.settings.model_dump(mode="json", include={"grid", "sim", "camera", "vision", "agent"})
     settings["vision"].pop("cache_bytes")
@@ -93,5 +93,5 @@ def entrant_sha256(contender: Contender) -> str:
         model = VisualAct.load(contender.settings.vision, contender.settings.camera)
         perception = VisionIdentity.of(model, contender.settings.vision.network).written()
     networks = {level: network.sha256(parameters) for level, parameters in (contender.networks or {}).items()}
-    told = [contender.baseline, contender.variant, contender.shielded, settings, perception, networks]
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[: code_hash.DIGITS]
+    parts = [contender.baseline, contender.variant, contender.shielded, settings, perception, networks]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[: code_hash.DIGITS]

@@ -1,4 +1,4 @@
-"""What an evaluation says of its episodes. Pure functions of records; lengths in metres, rates in [0, 1]."""
+"""Metrics of evaluated episodes: pure functions of records; lengths in metres, rates in [0, 1]."""
 
 from collections.abc import Sequence
 
@@ -10,12 +10,12 @@ from zsdist.types import Outcome
 
 
 def spl(record: EpisodeRecord) -> float:
-    """Success weighted by path length: 1 for the shortest path, 0 for a failure."""
+    """Return success weighted by path length: 1 for the shortest path, 0 for a failure."""
     return _detour(record) if record.outcome is Outcome.SUCCESS else 0.0
 
 
 def soft_spl(record: EpisodeRecord) -> float:
-    """As `spl`, with the share of the way that was made good in place of success."""
+    """Return `spl` with progress in place of success: the share by which the remaining way became shorter."""
     if record.outcome is Outcome.SUCCESS:
         return _detour(record)
     if not record.shortest_m or record.remaining_m is None:
@@ -24,9 +24,9 @@ def soft_spl(record: EpisodeRecord) -> float:
 
 
 def path_efficiency(record: EpisodeRecord) -> float | None:
-    """Length of the shortest way over that of the driven one, at most 1.
+    """Return the length of the shortest way over that of the driven one, at most 1.
 
-    None for a failure, whose path leads nowhere, and where the planner knows no way.
+    It is None for a failure, whose path leads nowhere, and where the planner knows no way.
     """
     if record.outcome is not Outcome.SUCCESS or record.shortest_m is None:
         return None
@@ -34,9 +34,9 @@ def path_efficiency(record: EpisodeRecord) -> float | None:
 
 
 def step_efficiency(record: EpisodeRecord) -> float | None:
-    """Fewest possible steps over the steps taken: the paper's "step costs compared to the shortest possible paths".
+    """Return the fewest possible steps over those taken: "step costs compared to the shortest possible paths" (paper).
 
-    None as of `path_efficiency`.
+    It is None where `path_efficiency` is.
     """
     if record.outcome is not Outcome.SUCCESS or record.fewest_steps is None or record.steps == 0:
         return None
@@ -44,9 +44,9 @@ def step_efficiency(record: EpisodeRecord) -> float | None:
 
 
 def summarise(records: Sequence[EpisodeRecord], rng: np.random.Generator) -> dict[str, object]:
-    """The figures of an evaluation's JSON, from `success` to `per_scene`.
+    """Return the figures of an evaluation's JSON, from `success` to `per_scene`.
 
-    SPL and SoftSPL are over the scenes in which nothing moves, the efficiencies over the successful episodes; a figure
+    SPL and SoftSPL are over the scenes in which nothing moves, the efficiencies over the successful episodes. A figure
     without any such episode is None and has no interval. `shield_changed_share` is of all decisions.
 
     Args:
@@ -88,7 +88,7 @@ def summarise(records: Sequence[EpisodeRecord], rng: np.random.Generator) -> dic
 
 
 def _detour(record: EpisodeRecord) -> float:
-    """Shortest over driven length, at most 1; 1 where the car did what the planner holds impossible."""
+    """Return shortest over driven length, at most 1; 1 where the planner knows no way, though the car may have."""
     if record.shortest_m is None:
         return 1.0
     longest = max(record.path_m, record.shortest_m)

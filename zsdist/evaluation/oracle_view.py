@@ -1,11 +1,11 @@
-"""How drivers come by a view: from the camera by the visual-act model, or from the truth."""
+"""Views of drivers: made from the camera's image by the visual-act model, or from the truth."""
 
 import math
 
 import numpy as np
 
 from zsdist.config import CameraConfig
-from zsdist.evaluation.drivers import Observed, See, VisualAct
+from zsdist.evaluation.drivers import Observed, See, ViewPredictor
 from zsdist.sim.ground_truth import rays_met
 from zsdist.sim.physics.raycast import ray_distances
 from zsdist.sim.scenes.scene import Scene
@@ -14,13 +14,14 @@ from zsdist.vision.labels import nearest, openness, progress, reward_label
 from zsdist.vision.rays import RAYS, ray_angles_rad
 
 TRUE_ANGLES_RAD = np.linspace(math.pi / 4, -math.pi / 4, 91)  # of the true distances: 90 degrees, leftmost first
-TRUE_EDGES_M = np.linspace(0.05, 5.0, 100, dtype=np.float32)  # bins of a true distance, fine beside the map's squares
+TRUE_EDGES_M = np.linspace(0.05, 5.0, 100, dtype=np.float32)  # bins of a true distance, finer than the map's cells
 
 
-def by_camera(visual_act: VisualAct) -> See:
-    """What the visual-act model says of the observed's image."""
+def by_camera(visual_act: ViewPredictor) -> See:
+    """Return a function that makes the visual-act model's view of the observed image."""
 
     def see(observed: Observed) -> View:
+        assert observed.image is not None, "a driver with a camera is shown pictures"
         bearing_rad, distance_m = observed.pose.towards(*observed.goal)
         (view,) = visual_act(observed.image[None], np.array([bearing_rad]), np.array([distance_m]))
         return view
@@ -29,19 +30,20 @@ def by_camera(visual_act: VisualAct) -> See:
 
 
 def by_truth(observed: Observed) -> View:
-    """What a faultless model would say: the true distances in view, and the advice that follows from them."""
+    """Return the view of a faultless model: the true distances in view, and the advice that follows from them."""
+    assert observed.truth is not None, "a driver of true distances is shown them"
     return observed.truth
 
 
 def true_view(scene: Scene, pose: Pose, camera: CameraConfig, arena_m: float, people: np.ndarray | None) -> View:
-    """The view of a faultless model: each ray's distribution is certain, and the advice is the true label.
+    """Return the view of a faultless model: each ray's distribution is certain, and the advice is the true label.
 
     Args:
-        scene: what stands in the arena.
+        scene: obstacles of the arena.
         pose: of the car.
         camera: mount and range.
         arena_m: side of the walled arena.
-        people: `(W, 2)` places of the walking obstacles; None: where they start.
+        people: `(W, 2)` positions of the walking obstacles; None: where they start.
     """
     distances_m, _ = ray_distances(
         scene.circles(people),
@@ -56,13 +58,13 @@ def true_view(scene: Scene, pose: Pose, camera: CameraConfig, arena_m: float, pe
     met = rays_met(scene, pose, camera, angles_rad, people)
     clearance_m, moves = nearest(met.distance_m, met.dynamic, angles_rad)
     dynamic = moves.astype(np.float32)
-    bearing, goal_m = map(np.float32, pose.towards(*scene.goal))
-    advice = reward_label(openness(clearance_m, dynamic, goal_m), progress(bearing, goal_m)).astype(np.float32)
-    return View(advice, clearance_m, dynamic, certain(distances_m), TRUE_ANGLES_RAD, TRUE_EDGES_M)
+    bearing, goal_m = (np.asarray(value, np.float32) for value in pose.towards(*scene.goal))
+    advice: np.ndarray = reward_label(openness(clearance_m, dynamic, goal_m), progress(bearing, goal_m))
+    return View(advice.astype(np.float32), clearance_m, dynamic, certain(distances_m), TRUE_ANGLES_RAD, TRUE_EDGES_M)
 
 
 def certain(distances_m: np.ndarray) -> np.ndarray:
-    """Distances `(R,)` as distributions `(R, K)` over the bins of `TRUE_EDGES_M`, each certain."""
+    """Return distances `(R,)` as distributions `(R, K)` over the bins of `TRUE_EDGES_M`, each certain."""
     bins = np.searchsorted(TRUE_EDGES_M, distances_m, side="right") - 1
     bins = np.where(distances_m >= TRUE_EDGES_M[-1], len(TRUE_EDGES_M) - 1, np.maximum(bins, 0))
     return np.eye(len(TRUE_EDGES_M), dtype=np.float32)[bins]

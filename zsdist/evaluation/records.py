@@ -1,4 +1,4 @@
-"""What is written down of a driven episode."""
+"""Record of a driven episode."""
 
 import math
 from collections.abc import Sequence
@@ -42,5 +42,5 @@ class EpisodeRecord:
 
 
 def path_length_m(poses: Sequence[Pose]) -> float:
-    """Length of the polyline through the poses' positions."""
+    """Return the length of the polyline through the poses' positions."""
     return sum(math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) for a, b in pairwise(poses))

@@ -1,12 +1,12 @@
-"""A whole evaluation: scenes chosen, driven with progress shown, summed up as JSON and as a table."""
+"""Whole evaluations: scenes are selected and driven with progress shown, and summarised as JSON and as a table."""
 
 import sys
 import time
-from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
 from rich.console import Console
@@ -46,13 +46,13 @@ class Report:
     records: Sequence[EpisodeRecord] = field(repr=False)
 
     def beside(self, bare: "Report") -> "Report":
-        """This one with the figures of another in which the same policy drove the same scenes without the shield."""
+        """Return this with the figures of the report `bare`: the same policy and scenes without the shield."""
         figures = {name: bare.result[name] for name in ("success", "collision", "timeout", "spl")}
         interval = bare.result["confidence_95"]["success"]
         return replace(self, result=self.result | {"without_shield": figures | {"success_95": interval}})
 
     def show(self, console: Console) -> None:
-        """Prints the figures with what they stand on."""
+        """Print the figures with the circumstances they were measured under."""
         result, settings = self.result, self.contender.config.sim
         table = Table(title=f"{result['policy']} on {result['scenes']}", title_justify="left")
         table.add_column("figure")
@@ -73,7 +73,7 @@ class Report:
         console.print(table)
         decisions = sum(record.steps for record in self.records)
         changed = sum(record.shield_changes for record in self.records)
-        told = [
+        notes = [
             f"n {result['episodes']}, seed {result['seed']}, success within {settings.success_radius_m} m, at most "
             f"{settings.max_steps} actions; sees {self.contender.observability}; "
             f"shield changed {changed} of {decisions} actions ({result['shield_changed_share']:.1%}). "
@@ -81,9 +81,9 @@ class Report:
         ]
         if not self.contender.baseline:
             trained = ", ".join(self.contender.config.scenes.train)
-            told.append(f"Trained on {trained}; weights {result['weights_sha256'][:16]}.")
-        for line in told:
-            console.print(line, highlight=False)
+            notes.append(f"Trained on {trained}; weights {result['weights_sha256'][:16]}.")
+        for note in notes:
+            console.print(note, highlight=False)
 
 
 def evaluate(
@@ -97,32 +97,33 @@ def evaluate(
     workers: int,
     out: Path | None = None,
 ) -> Report:
-    """Drives the episodes with progress on the standard error stream.
+    """Drive the episodes with progress on the standard error stream, and return the report.
 
     Args:
-        contender: who drives.
-        policy: what it was called by; a variant is called by its own name in the result, beside this as `run`.
+        contender: evaluated.
+        policy: name that was asked for. The result calls a variant by its own name and has this one as `run`.
         weights_sha256: of its networks.
         scenes: a folder, a family or a split, as `selection.select` takes them.
-        episodes: how many; None: every file of a folder, else 50.
+        episodes: number of them; None: every file of a folder, else 50.
         seed: of scenes and drivers.
         workers: processes.
-        out: file of episodes, as `ledger.Ledger` keeps it; those that are there are not driven again.
+        out: file of an `EpisodeStore`; episodes that are in it are not driven again.
     """
-    chosen, known, keep = select(scenes, contender.config, episodes, seed), {}, None
+    chosen, store = select(scenes, contender.config, episodes, seed), None
+    known: Mapping[int, EpisodeRecord] = {}
     if out is not None:
-        ledger = EpisodeStore(out, contender, policy, weights_sha256, scenes, seed, chosen)
-        known, keep = ledger.known, ledger.add
-        if ledger.stale:
-            print(f"{out}: {ledger.stale} episodes of other code, weights or settings are left out", file=sys.stderr)
+        store = EpisodeStore(out, contender, policy, weights_sha256, scenes, seed, chosen)
+        known = store.known
+        if store.stale:
+            print(f"{out}: {store.stale} episodes of other code, weights or settings are left out", file=sys.stderr)
         if known:
             print(f"{out}: {len(known)} of {len(chosen)} episodes are there already", file=sys.stderr)
     name = policy if contender.variant == FULL else contender.variant
     with _Progress(name, len(chosen), list(known.values())) as progress:
 
         def on_record(index: int, record: EpisodeRecord) -> None:
-            if keep is not None:
-                keep(index, record)
+            if store is not None:
+                store.add(index, record)
             progress.count(record)
 
         records = drive_all(contender, chosen, seed, workers, on_record, known)
@@ -134,7 +135,7 @@ def evaluate(
         "seed": seed,
     }
     sim = contender.config.sim
-    stands_on = {
+    circumstances = {
         "run": policy,
         "variant": contender.variant,
         "shielded": contender.shielded,
@@ -142,11 +143,11 @@ def evaluate(
         "max_steps": sim.max_steps,
         "code_sha256": code_sha256(),
     }
-    return Report(contender, about | summarise(records, np.random.default_rng(seed)) | stands_on, records)
+    return Report(contender, about | summarise(records, np.random.default_rng(seed)) | circumstances, records)
 
 
 def together(reports: Sequence[Report], seed: int) -> dict[str, Any]:
-    """Several runs of one method (its training seeds) on the same scenes as one JSON object.
+    """Return several runs of one method (its training seeds) on the same scenes as one JSON object.
 
     The interquartile means are over the runs, with a bootstrap over runs and, family by family, over scenes.
     """
@@ -172,7 +173,7 @@ def together(reports: Sequence[Report], seed: int) -> dict[str, Any]:
 
 
 def show_together(result: dict[str, Any], console: Console) -> None:
-    """Prints what `together` found."""
+    """Print the result of `together`."""
     table = Table(title=f"{len(result['runs'])} runs on {result['scenes']}", title_justify="left")
     for heading in (
         "figure",
@@ -191,32 +192,38 @@ def show_together(result: dict[str, Any], console: Console) -> None:
     )
 
 
-class _Progress(AbstractContextManager):
-    """A bar on a terminal, else a plain line every few seconds."""
+class _Progress:
+    """Progress of an evaluation: a bar on a terminal, else a plain line every few seconds."""
 
     def __init__(self, title: str, total: int, known: Sequence[EpisodeRecord]) -> None:
         self._title, self._total = title, total
         self._outcomes = {outcome: sum(record.outcome is outcome for record in known) for outcome in Outcome}
-        self._said_s = time.monotonic()
+        self._printed_s = time.monotonic()
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        self._bar = Progress(*columns, console=Console(stderr=True), transient=True) if sys.stderr.isatty() else None
-        self._task = self._bar.add_task(title, total=total, completed=len(known)) if self._bar else None
+        self._bar: Progress | None = None
+        if sys.stderr.isatty():
+            self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
+            self._task = self._bar.add_task(title, total=total, completed=len(known))
 
-    def __enter__(self) -> "_Progress":
-        (self._bar or nullcontext()).__enter__()
+    def __enter__(self) -> Self:
+        if self._bar:
+            self._bar.__enter__()
         return self
 
-    def __exit__(self, *error: object) -> None:
-        (self._bar or nullcontext()).__exit__(*error)
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar:
+            self._bar.__exit__(kind, error, trace)
 
     def count(self, record: EpisodeRecord) -> None:
-        """One more episode is over."""
+        """Count one more episode."""
         self._outcomes[record.outcome] += 1
         line = ", ".join(f"{outcome} {count}" for outcome, count in self._outcomes.items())
         if self._bar:
             self._bar.update(self._task, advance=1, description=f"{self._title}: {line}")
-        elif time.monotonic() - self._said_s > PLAIN_EVERY_S:
-            self._said_s = time.monotonic()
+        elif time.monotonic() - self._printed_s > PLAIN_EVERY_S:
+            self._printed_s = time.monotonic()
             print(
                 f"{self._title}: {sum(self._outcomes.values())} of {self._total}: {line}", file=sys.stderr, flush=True
             )

@@ -1,4 +1,4 @@
-"""Which scenes an evaluation drives: of a folder, a family, or a split of the configuration."""
+"""Selection of an evaluation's scenes: of a folder, a family, or a split of the configuration."""
 
 from pathlib import Path
 
@@ -6,38 +6,40 @@ from zsdist.config import Config
 from zsdist.errors import SceneError
 from zsdist.planning.grid import Grid
 from zsdist.sim.scenes import families, scene
+from zsdist.sim.scenes.manifest import Split
 from zsdist.sim.scenes.scene import Scene
 
 DEFAULT_EPISODES = 50
 SEED_STRIDE = 1000  # seeds of evaluations are this many scenes apart
 SPLIT_SIZE = 1_000_000
-SPLITS = ("train", "validation", "test")
+SPLITS: tuple[Split, ...] = ("train", "validation", "test")
 
 
 def select(name: str, config: Config, episodes: int | None, seed: int) -> list[Scene]:
-    """The scenes of an evaluation, in the order in which they are reported.
+    """Return the scenes of an evaluation, in the order in which they are reported.
 
     Args:
         name: a family, of which the test scenes are taken; a split of the configuration, `train` and `validation` (of
-            `scenes.train`) or `test` (of `scenes.test`), the families in turn; or else a folder of scene files.
-        config: whose families, and whose grid scene files are held against.
-        episodes: how many; None: all files of a folder, else 50. More than a folder has go through it again.
-        seed: which scenes of a family, the same for every policy; a folder's are always its files in order.
+            `scenes.train`) or `test` (of `scenes.test`), the families in turn; else a folder of scene files.
+        config: has the families of the splits, and the grid that scene files must fit.
+        episodes: number of scenes; None: all files of a folder, else 50. A folder with fewer files is repeated.
+        seed: selects the scenes of a family, the same for every policy; of a folder it is always the files in order.
 
     Raises:
         SceneError: the name is none of these, or a scene file is wrong.
     """
     if name in families.FAMILIES:
         return [_draw(name, "test", index, seed) for index in range(episodes or DEFAULT_EPISODES)]
-    if name in SPLITS:
-        sources = config.scenes.test if name == "test" else config.scenes.train
+    split = next((split for split in SPLITS if split == name), None)
+    if split is not None:
+        sources = config.scenes.test if split == "test" else config.scenes.train
         grid, drawn = Grid.from_config(config.grid), []
         folders = {source: scene.read_folder(source, grid) for source in sources if source not in families.FAMILIES}
         for index in range(episodes or DEFAULT_EPISODES):
             source = sources[index % len(sources)]
             turn = index // len(sources)
             files = folders.get(source)
-            drawn.append(files[turn % len(files)] if files else _draw(source, name, turn, seed))
+            drawn.append(files[turn % len(files)] if files else _draw(source, split, turn, seed))
         return drawn
     if Path(name).is_dir():
         files = scene.read_folder(name, Grid.from_config(config.grid))
@@ -46,5 +48,5 @@ def select(name: str, config: Config, episodes: int | None, seed: int) -> list[S
     raise SceneError(f"scenes is {name!r}; allowed are {allowed} and a folder of scene files")
 
 
-def _draw(family: str, split: str, index: int, seed: int) -> Scene:
+def _draw(family: str, split: Split, index: int, seed: int) -> Scene:
     return families.draw(family, split, (seed * SEED_STRIDE + index) % SPLIT_SIZE)

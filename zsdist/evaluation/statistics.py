@@ -11,14 +11,16 @@ RESAMPLES = 2000
 
 
 def wilson_95(successes: int, trials: int) -> tuple[float, float]:
-    """Wilson's score interval of a rate: keeps inside [0, 1] and has a width even where every trial went one way.
+    """Return Wilson's score interval of a rate, which stays in [0, 1] and has a width even if all trials are alike.
 
     Args:
-        successes: of `trials`.
+        successes: number of them, at most `trials`.
         trials: at least 1.
     """
     if not 0 <= successes <= trials or trials < 1:
-        raise ValueError(f"{successes} successes of {trials} trials; allowed are 0 to trials, of at least one")
+        raise ValueError(
+            f"{successes} successes of {trials} trials; allowed are 1 trial or more, and 0 to {trials} successes"
+        )
     rate = successes / trials
     spread = Z_95**2 / trials
     centre = (rate + spread / 2) / (1 + spread)
@@ -27,43 +29,43 @@ def wilson_95(successes: int, trials: int) -> tuple[float, float]:
 
 
 def bootstrap_95(values: np.ndarray, rng: np.random.Generator) -> tuple[float, float]:
-    """Percentile bootstrap interval of a mean.
+    """Return the percentile bootstrap interval of a mean.
 
     Args:
         values: `(n,)`, at least one.
         rng: draws the resamples.
     """
     if len(values) == 0:
-        raise ValueError("no values; a mean needs at least one")
+        raise ValueError("there are no values; a mean needs at least one")
     picks = rng.integers(len(values), size=(RESAMPLES, len(values)))
     low, high = np.quantile(np.asarray(values, dtype=float)[picks].mean(axis=1), (0.025, 0.975))
     return float(low), float(high)
 
 
 def interquartile_mean(values: np.ndarray) -> np.ndarray:
-    """Mean of the middle half along the last axis: a quarter, rounded down, is left out at either end.
+    """Return the mean of the middle half along the last axis: a quarter, rounded down, is left out at either end.
 
-    Of fewer than four values it is their mean.
+    For fewer than four values it is their mean.
     """
     return trim_mean(values, 0.25, axis=-1)
 
 
 def runs_95(scores: np.ndarray, strata: Sequence[str], rng: np.random.Generator) -> tuple[float, float, float]:
-    """The interquartile mean over runs of their mean score, and its stratified bootstrap interval.
+    """Return the interquartile mean over runs of their mean score, and its stratified bootstrap interval.
 
-    A resample draws runs, and within each stratum episodes, the same for all runs since they drove the same scenes;
-    each run's mean follows, and their interquartile mean.
+    A resample draws runs, and within each stratum episodes, the same for all runs since they drove the same scenes.
+    From it follow the mean of each run, and their interquartile mean.
 
     Args:
         scores: `(runs, episodes)`, at least one of each.
-        strata: `(episodes,)` by which episodes are resampled apart, such as families of scenes.
+        strata: `(episodes,)` names of groups that are resampled separately, such as families of scenes.
         rng: draws the resamples.
 
     Returns:
         The interquartile mean, and the ends of its interval.
     """
     if scores.size == 0:
-        raise ValueError("no scores; an interquartile mean needs at least one")
+        raise ValueError("there are no scores; an interquartile mean needs at least one")
     runs, names = len(scores), np.asarray(strata)
     groups = [np.flatnonzero(names == name) for name in dict.fromkeys(strata)]
     means = np.empty((RESAMPLES, runs))

@@ -1,4 +1,4 @@
-"""Drives an evaluation's episodes, in this process or in several."""
+"""Driving of an evaluation's episodes, in this process or in several."""
 
 import contextlib
 import time
@@ -12,20 +12,20 @@ import numpy as np
 from zsdist.common import process_pool as pool
 from zsdist.config import Config
 from zsdist.evaluation.contenders import Contender
-from zsdist.evaluation.drivers import Observability, VisualAct
+from zsdist.evaluation.drivers import Observability, ViewPredictor
 from zsdist.evaluation.episodes import EpisodeRunner
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.sim.physics.kinematic import make_env
 from zsdist.sim.scenes.scene import Scene
-from zsdist.vision.visual_act import VisualAct as PretrainedVisualAct
+from zsdist.vision.visual_act import VisualAct
 
 
 @dataclass(frozen=True)
 class Simulation:
-    """What episodes are driven in; `make_env` has the arguments of `zsdist.sim.physics.kinematic.make_env`."""
+    """Makers of environments and vision; `make_env` has the arguments of `zsdist.sim.physics.kinematic.make_env`."""
 
     make_env: Callable[..., gymnasium.Env] = make_env
-    load_vision: Callable[[Config], VisualAct] = lambda config: PretrainedVisualAct.load(config.vision, config.camera)
+    load_vision: Callable[[Config], ViewPredictor] = lambda config: VisualAct.load(config.vision, config.camera)
 
 
 def drive_all(
@@ -36,37 +36,37 @@ def drive_all(
     on_record: Callable[[int, EpisodeRecord], None],
     known: Mapping[int, EpisodeRecord] = MappingProxyType({}),
 ) -> list[EpisodeRecord]:
-    """Every scene once, in order of the scenes; the result does not depend on the number of workers.
+    """Drive every scene once and return the records in order; they do not depend on the number of workers.
 
     Args:
-        contender: who drives.
-        scenes: what is driven.
-        seed: of the drivers' randomness, with the scene's place in the list.
+        contender: evaluated.
+        scenes: to drive.
+        seed: of the drivers' randomness, with the index of the scene.
         workers: processes; 1: this one.
-        on_record: called here with its place in the list as each episode ends, in the order in which they end.
-        known: episodes by their place in the list that were driven before and are not driven again.
+        on_record: called in this process with the index of the scene and the record, as each episode ends.
+        known: episodes by the index of their scene that were driven before and are not driven again.
 
     Raises:
         ZsdistError: as the episodes do.
         RunError: a worker died.
     """
-    records = [known.get(index) for index in range(len(scenes))]
-    drives = [(index, scene) for index, scene in enumerate(scenes) if records[index] is None]
+    records = dict(known)
+    drives = [(index, scene) for index, scene in enumerate(scenes) if index not in known]
     driven = pool.each(_drive, drives, min(workers, len(drives)), _begin, (contender, seed))
     with contextlib.closing(driven):
         for index, record in driven:
             records[index] = record
             on_record(index, record)
-    return records
+    return [records[index] for index in range(len(scenes))]
 
 
-def make_examiner(contender: Contender, simulation: Simulation | None = None, images: bool = False) -> EpisodeRunner:
-    """The entrant in an environment of its own.
+def make_runner(contender: Contender, simulation: Simulation | None = None, images: bool = False) -> EpisodeRunner:
+    """Return a runner of a contender in an environment of its own.
 
     Args:
-        contender: who drives.
-        simulation: in which; None: physics and the camera.
-        images: whether pictures are wanted although the driver does not see by them.
+        contender: evaluated.
+        simulation: to drive in; None: physics and the camera.
+        images: whether pictures are wanted although the driver does not observe them.
     """
     simulation = simulation or Simulation()
     visual_act = simulation.load_vision(contender.config) if contender.observability is Observability.CAMERA else None
@@ -79,7 +79,7 @@ def make_examiner(contender: Contender, simulation: Simulation | None = None, im
 
 
 class _Worker:
-    """What a process that drives holds; the examiner is made with the first episode, where its errors are answered."""
+    """State of a worker process. The runner is made with the first episode, whose errors are reported."""
 
     contender: Contender
     seed: int
@@ -93,5 +93,5 @@ def _begin(contender: Contender, seed: int) -> None:
 def _drive(drive: tuple[int, Scene]) -> tuple[int, EpisodeRecord]:
     index, scene = drive
     if _Worker.runner is None:
-        _Worker.runner = make_examiner(_Worker.contender)
+        _Worker.runner = make_runner(_Worker.contender)
     return index, _Worker.runner.drive(scene, np.random.default_rng([_Worker.seed, index]))

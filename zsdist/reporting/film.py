@@ -17,7 +17,7 @@ from zsdist.errors import RunError, WeightsError
 from zsdist.evaluation.contenders import Contender
 from zsdist.evaluation.drivers import Observability
 from zsdist.evaluation.episodes import Moment
-from zsdist.evaluation.workers import Simulation, make_examiner
+from zsdist.evaluation.workers import Simulation, make_runner
 from zsdist.planning.footprint import ADVANCES
 from zsdist.planning.grid import Grid
 from zsdist.reporting import style
@@ -82,7 +82,7 @@ def film(
     except OSError as error:
         raise RunError(f"--video {folder} cannot be written: {error.strerror or error}") from error
     simulation = simulation or Simulation()
-    runner = make_examiner(contender, simulation, images=True)
+    runner = make_runner(contender, simulation, images=True)
     visual_act = simulation.load_vision(contender.config) if contender.observability is Observability.CAMERA else None
     files = []
     for index, scene in enumerate(scenes):

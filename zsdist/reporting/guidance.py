@@ -16,7 +16,7 @@ from zsdist.agent.reward_shaping import way_costs
 from zsdist.agent.situation import Situation
 from zsdist.config import Config
 from zsdist.dqn import network
-from zsdist.evaluation.drivers import VisualAct
+from zsdist.evaluation.drivers import ViewPredictor
 from zsdist.planning import forward_search
 from zsdist.planning.grid import HEADINGS, STEPS
 from zsdist.reporting import style
@@ -59,7 +59,7 @@ def guidance_of(
     parameters: Parameters,
     known: Situation,
     picture: Callable[[Pose], np.ndarray],
-    visual_act: VisualAct,
+    visual_act: ViewPredictor,
 ) -> Guidance:
     """Return the values of the network for a car that starts in each block with the known map.
 

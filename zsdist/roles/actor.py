@@ -1,4 +1,4 @@
-"""The actor role: drives several cars by camera with local visual-act inference, and pushes what they lived through."""
+"""Actor role: drives several cars by camera with local visual-act inference, and pushes their transitions."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -8,34 +8,36 @@ import numpy as np
 from zsdist.agent.hierarchy import QFunctions, q_functions
 from zsdist.dqn import network
 from zsdist.dqn.exploration import epsilon
-from zsdist.driving.episode import Car, EpisodeTask
+from zsdist.driving.actor_car import ActorCar, EpisodeTask
 from zsdist.driving.perception import Perception
-from zsdist.errors import RunError, WeightsError
-from zsdist.protocol.outbox import Outbox
+from zsdist.errors import WeightsError
+from zsdist.roles.actor_outboxes import ActorOutboxes, CreditAccount
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.schemas import ActorOrders, DriveJobs
 from zsdist.roles.shapes import SHAPES
 from zsdist.types import Level, Parameters
-from zsdist.wire import codec, keys
-from zsdist.wire.messages import EPISODES, EVALUATION, Ack, Candidate, Jobs, Orders, Push, Records, WeightsMessage
+from zsdist.wire import keys
+from zsdist.wire.messages import EPISODES, EVALUATION, Ack, Candidate, Jobs, Orders, WeightsMessage
 
-MAX_CANDIDATES = 16  # pairs kept; a merge has three
+MAX_CANDIDATES = 16  # pairs of networks kept; a merge has three
 
 
 class SceneSource(Protocol):
-    """Which scene belongs to which number: a pure function of the run's seed."""
+    """Scenes by number: a pure function of the run's seed."""
 
     def training(self, number: int) -> object:
-        """Scene of training episode `number`."""
+        """Return the scene of training episode `number`."""
 
     def validation(self, merge: int, index: int) -> object:
-        """Validation scene `index` of a merge."""
+        """Return validation scene `index` of a merge."""
 
 
 class Actor(Role):
     """Several cars in one process with batched inference; pictures never leave it."""
 
-    def __init__(self, context: Context, cars: Sequence[Car], perception: Perception, schedule: SceneSource) -> None:
+    def __init__(
+        self, context: Context, cars: Sequence[ActorCar], perception: Perception, schedule: SceneSource
+    ) -> None:
         super().__init__(context)
         self.cars = list(cars)
         self.perception = perception
@@ -44,29 +46,18 @@ class Actor(Role):
         self.waiting_credit_s = 0.0
         self._waiting_since_s: float | None = None
         self._weights: dict[Level, WeightsMessage] = {}
-        self._lags_s: dict[Level, float] = {}  # how long the weights before the present ones were out of date
+        self._lags_s: dict[Level, float] = {}  # age at which the weights before the present ones were replaced
         self._max_lag_s = 0.0
         self._candidates: dict[tuple[int, str], dict[Level, Parameters]] = {}
         self._leases: list[int] = []
-        self._started: set[int] = set()  # leases taken up; a number is driven once by this process
+        self._started: set[int] = set()  # leases begun; this process drives a number once
         self._jobs = DriveJobs(merge=0, drives=[])
         self._driven: set[tuple[int, str, int]] = set()
         self._finished_episodes = 0
         self._closing = False
         self._cut = False
-        settings = context.config.transport
-        self._outboxes = {
-            stream: Outbox(
-                stream,
-                context.name,
-                context.epoch,
-                window_frames=settings.window_frames,
-                resend_after_s=settings.resend_after_s,
-                give_up_after_s=settings.give_up_after_s,
-                make_frame=Push if stream in (Level.HIGH, Level.LOW) else Records,
-            )
-            for stream in (Level.HIGH, Level.LOW, EPISODES, EVALUATION)
-        }
+        self._outboxes = ActorOutboxes(context.run, context.name, context.epoch, context.config.transport)
+        self._accounts = {car: CreditAccount() for car in self.cars}
         run = context.run
         self._acks = self.mailbox("ack")
         self._news = self.mailbox("weights")
@@ -78,31 +69,28 @@ class Actor(Role):
         self.transport.subscribe(keys.evaluation(run, context.name), self._orders, retained=True)
 
     def work(self, now: float) -> float:
-        """One action of every car that may act, and whatever has to be sent."""
+        """Drive one action of every car that may act, and send what is due."""
         self._receive(now)
         self._cut_short()
         self._assign()
-        driving = [car for car in self.cars if car.task]
-        ready = [car for car in driving if self._reserve(car)]
+        driving = [car for car in self.cars if not car.idle]
+        ready = [car for car in driving if self._may_act(car)]
         self._account_waiting(now, len(ready) < len(driving))
         if ready:
             self._advance(ready)
-        if self._closing and not any(car.task for car in self.cars):
+        if self._closing and all(car.idle for car in self.cars):
             self.perception.close()
-            for outbox in self._outboxes.values():
-                outbox.close()
-        self._flush(now)
-        self.finished = all(outbox.drained for outbox in self._outboxes.values())
-        if ready:
-            return now
-        return min([now + HEARTBEAT_S, *(wake for box in self._outboxes.values() if (wake := box.next_wake(now)))])
+            self._outboxes.close(now)
+        self._outboxes.flush(self.transport, now)
+        self.finished = self._outboxes.drained
+        return now if ready else min([now + HEARTBEAT_S, *self._outboxes.wakes(now)])
 
     def statistics(self) -> dict[str, float | str]:
-        """Steps driven, cars, readings remembered or not, versions acted with, and what waits in the outboxes."""
+        """Return steps driven, cars, readings remembered or not, versions acted with, and counts of the outboxes."""
         fields: dict[str, float | str] = {
             "env_steps": self.env_steps,
             "cars": len(self.cars),
-            "cars_driving": sum(1 for car in self.cars if car.task),
+            "cars_driving": sum(not car.idle for car in self.cars),
             "waiting_credit_s": round(self.waiting_credit_s, 3),
             "started_episodes": len(self._started),
             **self.perception.statistics(),
@@ -110,27 +98,25 @@ class Actor(Role):
         fields |= {f"{level}_weight_version": message.weights.version for level, message in self._weights.items()}
         fields |= {f"{level}_weights_lag_s": round(lag_s, 4) for level, lag_s in self._lags_s.items()}
         fields["weights_max_lag_s"] = round(self._max_lag_s, 4)
-        for stream, outbox in self._outboxes.items():
-            fields |= {f"{stream}_{name}": value for name, value in outbox.statistics().items()}
-        return fields
+        return fields | self._outboxes.statistics()
 
     def _receive(self, now: float) -> None:
         for _, ack in self.messages(self._acks, Ack):
-            self._outboxes[ack.stream].on_ack(ack, now)
+            self._outboxes.on_ack(ack, now)
         for _, message in self.messages(self._news, WeightsMessage, Candidate):
             if isinstance(message, WeightsMessage):
                 self._take_weights(message, now)
-            elif self._fits(message.level, message.parameters):
+            elif isinstance(message, Candidate) and self._fits(message.level, message.parameters):
                 self._take_candidate(message)
         for content in self.orders(self._orders, {Orders: ActorOrders, Jobs: DriveJobs}):
             if isinstance(content, DriveJobs):
                 self._jobs = content
-            else:
+            elif isinstance(content, ActorOrders):
                 self._follow(content)
 
     def _follow(self, content: ActorOrders) -> None:
         if content.epochs.get(self.context.name) != self.context.epoch:
-            return  # said to a predecessor of this process, or to its successor
+            return  # meant for a predecessor of this process, or for its successor
         self._leases = content.leases.get(self.context.name, [])
         self._finished_episodes = content.finished
         self._closing = content.closing
@@ -146,7 +132,7 @@ class Actor(Role):
             self.refuse("candidates")
 
     def _fits(self, level: Level, parameters: Parameters, sha256: str | None = None) -> bool:
-        """Whether these are weights of a level's network, and those that the hash is of; counted where not."""
+        """Return whether these are weights of a level's network, and of the given hash; count those that are not."""
         shape = SHAPES[level]
         try:
             network.check(parameters, shape.state_size, shape.actions)
@@ -167,21 +153,21 @@ class Actor(Role):
             return
         self._weights[level] = message
         if held is not None:
-            # Where a version was missed nobody knows when it came to be: at the earliest with the one that was held.
+            # The time at which a missed version was made is unknown. It was made after the version that was held.
             follows = version == held.weights.version + 1 or message.sender_epoch != held.sender_epoch
             self._lags_s[level] = max(0.0, now - (message if follows else held).made_s)
             self._max_lag_s = max(self._max_lag_s, self._lags_s[level])
 
     def _assign(self) -> None:
-        """Gives idle cars their next errand: evaluation drives first, then leases."""
+        """Give idle cars their next task: drives of candidates first, then leases."""
         if self._closing or len(self._weights) < len(Level):
             return
         versions = {level: message.weights.version for level, message in self._weights.items()}
         for car in self.cars:
-            if car.task is None and (task := self._next_errand()) is not None:
+            if car.idle and (task := self._next_task()) is not None:
                 car.begin(task, versions, self._candidate_q(task))
 
-    def _next_errand(self) -> EpisodeTask | None:
+    def _next_task(self) -> EpisodeTask | None:
         merge, agent = self._jobs.merge, self.config.agent
         for candidate, index in self._jobs.drives:
             job = (merge, candidate, index)
@@ -199,30 +185,19 @@ class Actor(Role):
                 return EpisodeTask(self.schedule.training(number), number, share, shielded, seed)
         return None
 
-    def _reserve(self, car: Car) -> bool:
-        """Takes credit for one more transition of each level before it is lived, so that flushing never has to wait.
+    def _may_act(self, car: ActorCar) -> bool:
+        """Return whether a car may act: a step of a training episode needs credit for its transitions."""
+        return not car.trains or car.over or self._outboxes.reserve(self._accounts[car])
 
-        The replay grants a stream at least one whole option a car ahead of what it holds, so every option can end.
-        """
-        if not car.task.trains or car.over:
-            return True
-        for level, outbox in self._metered():
-            missing = car.unoffered[level] + 1 - car.credit[level]
-            if missing > 0:
-                if not outbox.reserve(missing):
-                    return False
-                car.credit[level] += missing
-        return True
-
-    def _advance(self, cars: list[Car]) -> None:
+    def _advance(self, cars: list[ActorCar]) -> None:
         for car, view in zip(cars, self.perception.views(cars), strict=True):
             ended = car.over
             car.advance(view, car.candidate_q or self._online_q())
-            if car.task.trains:
-                self.env_steps += not ended
-                for level in Level:
-                    car.unoffered[level] += not ended
-                self._collect(car)
+            if car.trains:
+                if not ended:
+                    self.env_steps += 1
+                    self._accounts[car].count_step()
+                self._outboxes.offer(car.drain(), self._accounts[car])
             if ended:
                 self._report(car)
 
@@ -234,58 +209,23 @@ class Actor(Role):
             return None
         return q_functions(self._candidates[task.merge, task.candidate])
 
-    def _collect(self, car: Car) -> None:
-        for trajectory in car.agent.drain():
-            self._outboxes[trajectory.level].offer([trajectory])
-            car.credit[trajectory.level] -= len(trajectory)
-            car.unoffered[trajectory.level] -= len(trajectory)
-
-    def _report(self, car: Car) -> None:
-        trains = car.task.trains
+    def _report(self, car: ActorCar) -> None:
+        stream = EPISODES if car.trains else EVALUATION
         record = car.record() | {"actor": self.context.name}
-        self._release(car)
-        self._outboxes[EPISODES if trains else EVALUATION].offer([record])
-
-    def _release(self, car: Car) -> None:
-        for level, outbox in self._metered():
-            outbox.release(car.credit[level])
-            car.credit[level] = 0
+        self._outboxes.release(self._accounts[car])
+        self._outboxes.offer_record(stream, record)
 
     def _cut_short(self) -> None:
-        """Ends what nobody waits for any more: drives of a candidate that was dropped, and everything at a stop."""
+        """End what nobody waits for any more: drives of a candidate that was dropped, and everything at a stop."""
         for car in self.cars:
-            if car.task is None or not (self._cut or self._unwanted(car.task)):
-                continue
-            trains = car.task.trains
-            car.cut()
-            if trains:
-                self._collect(car)
-            self._release(car)
+            if not car.idle and (self._cut or self._unwanted(car.task)):
+                self._outboxes.offer(car.cut(), self._accounts[car])
+                self._outboxes.release(self._accounts[car])
 
     def _unwanted(self, task: EpisodeTask) -> bool:
         if task.trains:
             return False
         return task.merge != self._jobs.merge or (task.candidate, task.number) not in self._jobs.drives
-
-    def _metered(self) -> list[tuple[Level, Outbox]]:
-        return [(level, self._outboxes[level]) for level in Level]
-
-    def _flush(self, now: float) -> None:
-        name = self.context.name
-        for stream, outbox in self._outboxes.items():
-            if outbox.stuck(now):
-                raise RunError(
-                    f"{name}: the oldest frame of stream {stream!r} has gone unacknowledged for "
-                    f"{self.config.transport.give_up_after_s:g} s while its receiver lives"
-                )
-            for frame in outbox.poll(now):
-                self.transport.publish(self._key_of(stream), codec.encode(frame))
-
-    def _key_of(self, stream: Level | str) -> str:
-        run, name, epoch = self.context.run, self.context.name, self.context.epoch
-        if stream == EVALUATION:
-            return keys.evaluation(run, name)
-        return keys.episodes(run, name, epoch) if stream == EPISODES else keys.push(run, stream, name, epoch)
 
     def _account_waiting(self, now: float, waiting: bool) -> None:
         if self._waiting_since_s is not None:

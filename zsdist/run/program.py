@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from zsdist.agent import features
-from zsdist.agent.hierarchy import HierarchicalAgent, q_functions
+from zsdist.agent.hierarchy import q_functions
 from zsdist.common import code_hash
 from zsdist.config import Config
 from zsdist.dqn import network
-from zsdist.driving.episode import CameraEnv, Car, EpisodeTask
+from zsdist.driving.actor_car import ActorCar, CameraEnv, EpisodeTask
 from zsdist.driving.perception import Perception, VisionModel
 from zsdist.errors import ConfigError, SceneError, WeightsError
 from zsdist.planning.grid import Grid
@@ -190,10 +190,10 @@ def warm_up(config: Config) -> VisionIdentity:
 
 def try_out(parts: ActorParts, config: Config) -> None:
     """Drives a car for two steps: what is loaded or made at first use, which takes half a second, then is there."""
-    car = Car(parts.make_env(), HierarchicalAgent(config))
+    car = ActorCar(parts.make_env(), config)
     car.begin(EpisodeTask(parts.schedule.training(1), 1, 1.0, True, (0,)), dict.fromkeys(Level, 0))
     q = q_functions({level: _untrained(config, level) for level in Level})
-    perception = Perception(parts.visual_act, Grid.from_config(config.grid), None)
+    perception = Perception(parts.visual_act, Grid.from_config(config.grid), config.vision.rays, None)
     for _ in range(2):
         car.advance(*perception.views([car]), q)
     car.env.close()
@@ -277,14 +277,14 @@ class RunSpec:
                     raise WeightsError(
                         f"{role_spec.name} sees by {seen}; allowed is what the run sees by, {self.vision}"
                     )
-                cars = [Car(parts.make_env(), HierarchicalAgent(config)) for _ in range(config.run.cars_per_actor)]
+                cars = [ActorCar(parts.make_env(), config) for _ in range(config.run.cars_per_actor)]
                 return Actor(context, cars, self._perception(parts.visual_act), parts.schedule)
         raise ValueError(f"no role is called {role_spec.role!r}")
 
     def _perception(self, visual_act: VisionModel) -> Perception:
         size = self.config.vision.cache_bytes
         cache = ReadingCache(size, _seen_by(self.config, visual_act)) if size else None
-        return Perception(visual_act, Grid.from_config(self.config.grid), cache)
+        return Perception(visual_act, Grid.from_config(self.config.grid), self.config.vision.rays, cache)
 
 
 def _seen_by(config: Config, visual_act: VisionModel) -> str:

@@ -139,7 +139,7 @@ def test_mirroring_twice_changes_nothing(level):
     assert (mirror.action_index[mirror.action_index] == np.arange(len(mirror.action_index))).all()
 
 
-def test_a_blocked_action_has_no_promise_and_a_free_one_towards_the_subgoal_gains():
+def test_a_blocked_action_has_no_features_and_a_free_one_towards_the_subgoal_gains():
     parts = world(1) | {"occupied": np.zeros((FINE, FINE), bool), "state": LatticeState(10, 10, 0)}
     x, y = GRID.centre(10, 10)
     low, _, _, _ = states(situation(parts), (x + 4.0, y))
@@ -153,7 +153,7 @@ def test_a_blocked_action_has_no_promise_and_a_free_one_towards_the_subgoal_gain
 
 
 @pytest.mark.parametrize("count", [5, 50, 500])
-def test_a_car_that_goes_in_circles_never_looks_as_it_did_before(count):
+def test_the_state_of_a_car_that_drives_in_circles_keeps_changing(count):
     parts = world(1) | {"occupied": np.zeros((FINE, FINE), bool), "state": LatticeState(12, 12, 0)}
 
     def after(turns):

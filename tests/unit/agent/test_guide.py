@@ -56,7 +56,7 @@ def test_advice_is_not_followed_twice_in_a_state_nor_away_from_the_subgoal():
     assert low.explored == 0
 
 
-def test_the_guide_never_names_a_masked_action():
+def test_the_guide_never_returns_a_masked_action():
     low = guide.LowGuide(AgentConfig())
     for action in Action:
         mask = np.arange(5) == action
@@ -78,7 +78,7 @@ def choose(known):
     return guide.high_choice(known, choices(known), field, costs)
 
 
-def test_the_planner_names_the_goal_where_the_way_is_about_straight_and_else_the_block_on_the_way():
+def test_the_planner_chooses_the_goal_where_the_way_is_about_straight_and_else_the_next_block():
     assert choose(situation(goal=GRID.centre(30, 12))) == GOAL_CHOICE
     wall = np.zeros((GRID.fine_size, GRID.fine_size), bool)
     x, y = GRID.fine_index(*GRID.centre(26, 12))
@@ -94,7 +94,7 @@ def test_the_planner_goes_round_a_wall():
     assert choose(known) in (1, 2)  # to the left
 
 
-def test_where_the_goal_is_walled_in_the_planner_has_only_the_goal_to_name():
+def test_the_planner_chooses_the_goal_where_it_is_walled_in():
     walls = np.zeros((GRID.fine_size, GRID.fine_size), bool)
     x, y = GRID.fine_index(*GRID.centre(28, 12))
     walls[y - 10 : y + 10, x - 10 : x + 10] = True

@@ -8,8 +8,10 @@ from fakes import FakeVisualAct, LatticeEnv
 from zsdist.agent import features
 from zsdist.agent.blocks import GOAL_CHOICE, HIGH_ACTIONS
 from zsdist.agent.hierarchy import HierarchicalAgent
+from zsdist.agent.recorder import Recorder
 from zsdist.config import Config
 from zsdist.dqn import network
+from zsdist.driving.settings import agent_settings, recorder_settings
 from zsdist.planning.rewards import RewardTerms
 from zsdist.sim.scenes import families
 from zsdist.types import NO_GUIDE, Behaviour, Level, Pose
@@ -29,19 +31,20 @@ def networks(seed=0):
 
 
 class Drive:
-    """One episode, with everything that was said on the way."""
+    """One episode with all its decisions, rewards, trajectories, masks and poses."""
 
-    def __init__(self, scene, q=None, config=CONFIG, steps=40, seed=0, **begin):
+    def __init__(self, scene, q=None, config=CONFIG, steps=40, seed=0, recorded=True, **begin):
         self.env, visual_act = LatticeEnv(config=config), FakeVisualAct()
-        self.agent = HierarchicalAgent(config)
+        self.agent = HierarchicalAgent(agent_settings(config))
+        recorder = Recorder(recorder_settings(config), {Level.HIGH: 3, Level.LOW: 4}) if recorded else None
         self.decisions, self.terms, self.trajectories, self.masks, self.poses = [], [], [], [], []
         observation, info = self.env.reset(options={"scene": scene})
-        settings = {"epsilon": 0.5, "shielded": True, "learning": True} | begin
+        settings = {"epsilon": 0.5, "shielded": True} | begin
         self.agent.begin(
             Pose(*observation["pose"]),
             tuple(observation["goal"]),
             rng=np.random.default_rng(seed),
-            weight_versions={Level.HIGH: 3, Level.LOW: 4},
+            recorder=recorder,
             **settings,
         )
         self.outcome = None
@@ -60,11 +63,11 @@ class Drive:
             self.terms.append(RewardTerms(**info["reward_terms"]))
             self.agent.result(self.terms[-1], terminated, truncated)
             self.decisions.append(decision)
-            self.trajectories += self.agent.drain()
+            self.trajectories += recorder.drain() if recorder else []
             if terminated or truncated:
                 self.outcome = "success" if info["success"] else "collision" if info["collision"] else "timeout"
         self.agent.finish()
-        self.trajectories += self.agent.drain()
+        self.trajectories += recorder.drain() if recorder else []
 
     def of(self, level):
         return [trajectory for trajectory in self.trajectories if trajectory.level is level]
@@ -101,7 +104,7 @@ def test_low_trajectories_hold_the_actions_driven_in_order():
     assert {Behaviour.GREEDY, Behaviour.GUIDE} <= set(behaviours)
 
 
-def test_a_low_trajectory_is_of_one_subgoal_and_its_last_state_too():
+def test_all_states_of_a_low_trajectory_are_relative_to_one_subgoal():
     drive = Drive(SCENES[1], epsilon=1.0)
     subgoals = [decision.subgoal for decision in drive.decisions]
     start = 0
@@ -155,7 +158,7 @@ def test_nothing_is_bootstrapped_after_the_goal_and_everything_after_a_cut():
     assert all(cut.of(level)[-1].discounts[-1] > 0 for level in Level)
 
 
-def test_shielded_and_greedy_the_choice_is_the_best_of_what_is_allowed():
+def test_a_greedy_choice_under_the_shield_is_the_best_allowed_one():
     values = {level: np.arange(size[1], dtype=np.float32) for level, size in SIZES.items()}
     q = {level: lambda states, level=level: np.tile(values[level], (len(states), 1)) for level in Level}
     drive = Drive(SCENES[0], q=q, epsilon=0.0, steps=25)
@@ -184,13 +187,13 @@ def test_exploration_follows_the_guide_in_the_configured_share():
     assert 0.65 < counts[Behaviour.GUIDE] / counts.sum() < 0.93
 
 
-def test_a_drive_that_is_not_learned_from_asks_no_guide_and_leaves_no_trajectory(monkeypatch):
+def test_without_a_recorder_no_guide_and_no_planner_is_asked(monkeypatch):
     def refuse(*_):
         raise AssertionError("a guide or a planner was asked")
 
-    for name in ("guide.high_choice", "guide.LowGuide.action", "hierarchy.CostField.costs_on"):
+    for name in ("guide.high_choice", "guide.LowGuide.action", "planner.CostField.costs_on"):
         monkeypatch.setattr(f"zsdist.agent.{name}", refuse)
-    drive = Drive(SCENES[0], epsilon=0.0, learning=False)
+    drive = Drive(SCENES[0], epsilon=0.0, recorded=False)
     assert len(drive.decisions) > 5 and not drive.trajectories
 
 
@@ -222,7 +225,7 @@ def test_statistics_are_plain_finite_numbers():
 
 def greedy(scene, **agent):
     config = CONFIG.model_copy(update={"agent": CONFIG.agent.model_copy(update=agent)})
-    return Drive(scene, config=config, steps=200, epsilon=0.0, learning=False)
+    return Drive(scene, config=config, steps=200, epsilon=0.0, recorded=False)
 
 
 def test_planners_in_both_networks_places_arrive_whatever_the_weights():

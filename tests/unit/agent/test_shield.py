@@ -58,7 +58,7 @@ def test_an_obstacle_ahead_masks_moving_on_but_not_turning():
     assert not gave_way
 
 
-def test_ground_never_seen_beside_the_car_is_not_swept_while_there_is_another_way():
+def test_the_car_does_not_sweep_unseen_ground_while_there_is_another_way():
     belief = BeliefMap(GRID)
     x, y = GRID.centre(16, 16)
     belief.clear_disc(x, y, 1.5)
@@ -99,7 +99,7 @@ def test_a_passage_too_narrow_to_turn_in_is_entered_only_once_its_end_was_seen()
     assert not judgement.allowed[Action.FORWARD] and judgement.allowed.any()
 
 
-def test_a_car_walled_in_by_a_narrow_belief_is_given_a_smaller_margin_and_says_so():
+def test_a_car_walled_in_by_a_narrow_belief_gets_a_smaller_margin_and_the_judgement_reports_it():
     ring = np.zeros((GRID.fine_size, GRID.fine_size), bool)
     fx, fy = GRID.fine_index(*GRID.centre(16, 16))
     ring[fy + 4 : fy + 6, fx - 12 : fx + 30] = True  # walls so near that only less than the usual margin passes
@@ -133,7 +133,7 @@ def seen_disc_beyond_a_wall():
     return belief
 
 
-def test_before_unseen_ground_is_entered_the_car_looks_about_where_it_has_not_looked():
+def test_the_car_looks_in_all_directions_before_it_enters_unseen_ground():
     belief, been = seen_disc_beyond_a_wall(), [EAST]
     assert list(np.flatnonzero(shield.judge(belief, EAST, goals(28, 16), visited(*been)).allowed)) == TURNS
     been += [EAST._replace(heading=heading) for heading in (2, 4)]
@@ -151,7 +151,7 @@ def test_a_state_not_yet_looked_from_may_lead_over_unseen_ground():
     assert not judgement.moves.blocked[16, 16, 2, Action.RIGHT_45] and not judgement.gave_way
 
 
-def test_unseen_ground_is_suspect_up_to_its_edge_but_for_slivers():
+def test_unseen_ground_counts_as_occupied_up_to_its_edge_except_for_slivers():
     belief = known_free()
     x, y = GRID.fine_index(*GRID.centre(16, 16))
     side = slice(y - 12, y - 5)  # the edge of this is 0.3 m beside the car
@@ -166,7 +166,7 @@ def test_moves_off_the_grid_are_masked_for_everyone():
     assert shield.on_grid(EAST, 32).all()
 
 
-def test_what_is_reached_backwards_agrees_with_the_cost_to_go_and_forwards_with_driving():
+def test_backward_reachability_agrees_with_the_cost_to_go_and_forward_reachability_with_driving():
     rng = np.random.default_rng(5)
     squares = np.zeros((GRID.fine_size, GRID.fine_size), bool)
     for fx, fy in rng.integers(20, 140, (20, 2)):
@@ -192,7 +192,7 @@ def blob_cells(squares):
     return squares[start::4, start::4][:32, :32] & squares[start - 1 :: 4, start - 1 :: 4][:32, :32]
 
 
-def test_width_of_the_car_is_what_the_shield_keeps_clear():
+def test_the_shield_keeps_the_width_of_the_car_clear():
     for aside, free in ((3, False), (9, True)):
         fx, fy = GRID.fine_index(*GRID.centre(18, 16))
         squares = np.zeros((GRID.fine_size, GRID.fine_size), bool)

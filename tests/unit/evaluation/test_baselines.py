@@ -67,13 +67,13 @@ def test_astar_refuses_to_drive_without_the_map():
 
 
 @pytest.mark.parametrize("name", ["astar", "astar-frontier", "astar-vision", "potential-field"])
-def test_planners_and_field_come_round_a_wall(name):
+def test_planners_and_field_drive_round_a_wall(name):
     record = drive(name, DETOUR)
     assert record.outcome is Outcome.SUCCESS
     assert record.min_clearance_m > 0
 
 
-def test_what_was_not_seen_costs_the_frontier_planner_a_longer_way():
+def test_the_frontier_planner_drives_a_longer_way_than_the_planner_on_the_true_map():
     assert drive("astar-frontier", DETOUR).path_m > drive("astar", DETOUR).path_m
 
 
@@ -91,6 +91,6 @@ def test_goal_greedy_drives_straight_at_the_goal_and_into_what_stands_there():
     assert drive("goal-greedy", DETOUR).outcome is Outcome.COLLISION
 
 
-def test_without_its_trail_the_field_stays_in_the_pocket_that_it_leaves_with_it():
+def test_the_field_leaves_a_pocket_with_its_trail_only():
     assert drive("potential-field", POCKET).outcome is Outcome.SUCCESS
     assert drive("potential-field-no-trail", POCKET).outcome is Outcome.TIMEOUT

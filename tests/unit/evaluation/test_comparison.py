@@ -31,9 +31,9 @@ def write_learned(file, records, policy, weights=0, **kind):
 
 
 def put(file, records, contender, policy, weights_sha256, seed):
-    book = episode_store.EpisodeStore(file, contender, policy, weights_sha256, "iid", seed, SCENES)
+    store = episode_store.EpisodeStore(file, contender, policy, weights_sha256, "iid", seed, SCENES)
     for index, record in enumerate(records):
-        book.add(index, record)
+        store.add(index, record)
     return file
 
 
@@ -48,13 +48,13 @@ def test_differences_are_of_the_same_scenes(tmp_path):
     assert compared.notes == [f"{a}: 2 episodes have no partner and are left out"]
 
 
-def test_pairing_takes_what_is_common_to_all_scenes_out_of_the_interval(tmp_path):
+def test_pairing_removes_the_variance_of_scenes_from_the_interval(tmp_path):
     a = write(tmp_path / "a", [RECORD, FAILED] * 3)
     b = write(tmp_path / "b", [RECORD, FAILED] * 3, "random")
     assert compare(a, b).result["figures"]["success"]["confidence_95"] == [0.0, 0.0]
 
 
-def test_of_several_training_seeds_in_a_file_a_scene_counts_with_their_mean(tmp_path):
+def test_a_scene_counts_with_the_mean_of_a_files_training_seeds(tmp_path):
     a = write_learned(tmp_path / "a", [RECORD] * 6, "runs/1", weights=1)
     write_learned(a, [FAILED] * 6, "runs/2", weights=2)
     b = write(tmp_path / "b", [FAILED] * 6, "random")
@@ -62,7 +62,7 @@ def test_of_several_training_seeds_in_a_file_a_scene_counts_with_their_mean(tmp_
     assert (compared.result["figures"]["success"]["a"], compared.notes) == (0.5, [])
 
 
-def test_what_a_policy_was_driven_with_before_it_was_trained_on_does_not_count_and_is_said(tmp_path):
+def test_episodes_of_older_weights_do_not_count_and_are_noted(tmp_path):
     a = write_learned(tmp_path / "a", [FAILED] * 6, "runs/1", weights=1)
     write_learned(a, [RECORD] * 4, "runs/1", weights=2)
     compared = compare(a, write(tmp_path / "b", [RECORD] * 6, "random"))
@@ -70,7 +70,7 @@ def test_what_a_policy_was_driven_with_before_it_was_trained_on_does_not_count_a
     assert f"{a}: 6 lines of older weights or settings are left out" in compared.notes
 
 
-def test_drives_without_the_shield_do_not_count_beside_those_under_it_and_count_alone(tmp_path):
+def test_drives_without_the_shield_count_only_where_there_are_no_others(tmp_path):
     bare = write_learned(tmp_path / "bare", [FAILED] * 6, "runs/1", shielded=False)
     both = write_learned(tmp_path / "both", [RECORD] * 6, "runs/1")
     write_learned(both, [FAILED] * 6, "runs/1", shielded=False)
@@ -96,7 +96,7 @@ def test_scenes_in_which_something_moves_have_no_spl(tmp_path):
     assert set(result["figures"]) == {"success", "collision"}
 
 
-def test_lines_of_older_code_are_left_out_and_said(tmp_path, monkeypatch):
+def test_lines_of_older_code_are_left_out_and_noted(tmp_path, monkeypatch):
     a = write(tmp_path / "a", [FAILED] * 6)
     monkeypatch.setattr(episode_store, "code_sha256", lambda: "newer")
     write(a, [RECORD] * 3)
@@ -118,7 +118,7 @@ def test_lines_of_equivalent_code_count(tmp_path, monkeypatch):
 
 def test_files_without_a_common_scene_are_refused(tmp_path):
     a, b = write(tmp_path / "a", [RECORD] * 2), write(tmp_path / "b", [RECORD] * 2, "random", seed=1)
-    with pytest.raises(RunError, match="no scene, seed and place in common"):
+    with pytest.raises(RunError, match="no scene, seed and index in common"):
         compare(a, b)
 
 

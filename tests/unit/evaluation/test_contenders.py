@@ -7,7 +7,7 @@ from zsdist.dqn import network
 from zsdist.evaluation.baselines import BASELINES
 from zsdist.evaluation.contenders import VARIANTS, Contender, untrained
 from zsdist.evaluation.drivers import Observability
-from zsdist.evaluation.workers import Simulation, make_examiner
+from zsdist.evaluation.workers import Simulation, make_runner
 from zsdist.run import program
 from zsdist.sim.scenes import families
 from zsdist.types import Level, Outcome
@@ -27,7 +27,7 @@ KINEMATIC = Simulation(make_env, lambda config: FakeVisualAct())
 
 def drive(contender, index=0):
     scene = families.draw("iid", "validation", index)
-    return make_examiner(contender, KINEMATIC).drive(scene, np.random.default_rng(0))
+    return make_runner(contender, KINEMATIC).drive(scene, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -51,7 +51,7 @@ def test_untrained_levels_have_fresh_networks_of_the_same_shapes_and_the_others_
         }
 
 
-def test_untrained_is_what_a_learner_of_such_shapes_and_seed_starts_from():
+def test_untrained_weights_are_the_initial_ones_of_a_learner_of_these_shapes_and_this_seed():
     assert network.sha256(untrained(TRAINED[Level.LOW], 0)) == network.sha256(TRAINED[Level.LOW])
 
 
@@ -69,12 +69,12 @@ def test_variants_leave_the_policys_own_configuration_alone():
     assert contender.config is CONFIG and Contender(CONFIG, TRAINED).settings == CONFIG
 
 
-def test_pictures_are_taken_for_those_that_see_by_them_and_the_car_is_exact_where_asked():
+def test_environments_have_pictures_and_exact_motion_where_a_contender_needs_them():
     asked = {}
     for variant in ("full", "oracle-depth", "oracle-motion"):
-        make_examiner(Contender(CONFIG, TRAINED, variant=variant), KINEMATIC)
+        make_runner(Contender(CONFIG, TRAINED, variant=variant), KINEMATIC)
         asked[variant] = ASKED[-1]
     assert asked == {"full": (True, False), "oracle-depth": (False, False), "oracle-motion": (True, True)}
-    make_examiner(Contender(CONFIG, TRAINED, variant="oracle-depth"), KINEMATIC, images=True)
+    make_runner(Contender(CONFIG, TRAINED, variant="oracle-depth"), KINEMATIC, images=True)
     assert ASKED[-1] == (True, False)
     assert Contender(CONFIG, TRAINED, variant="oracle-depth").observability is Observability.RANGES

@@ -23,18 +23,18 @@ def opened(file, contender=ASTAR, seed=0, chosen=SCENES, policy="astar", scenes=
 @pytest.fixture
 def file(tmp_path):
     path = tmp_path / "episodes.jsonl"
-    book = opened(path)
-    book.add(0, RECORD)
-    book.add(2, dataclasses.replace(RECORD, steps=7))
+    store = opened(path)
+    store.add(0, RECORD)
+    store.add(2, dataclasses.replace(RECORD, steps=7))
     return path
 
 
-def test_what_was_written_is_known_again(file):
+def test_written_episodes_are_known_again(file):
     again = opened(file)
     assert again.known == {0: RECORD, 2: dataclasses.replace(RECORD, steps=7)} and again.stale == 0
 
 
-def test_fewer_scenes_take_what_there_is_of_them(file):
+def test_fewer_scenes_use_the_known_episodes_among_them(file):
     assert list(opened(file, chosen=SCENES[:2]).known) == [0]
 
 
@@ -70,10 +70,10 @@ def test_lines_of_other_policies_scenes_and_seeds_are_neither_known_nor_stale(fi
         opened(file, seed=1),
         opened(file, scenes="ood-layout", chosen=[families.draw("ood-layout", "test", 0)]),
     )
-    assert [(book.known, book.stale) for book in others] == [({}, 0)] * 3
+    assert [(store.known, store.stale) for store in others] == [({}, 0)] * 3
 
 
-def test_a_line_that_was_cut_off_as_it_was_written_is_taken_out(file):
+def test_a_line_that_was_cut_off_is_removed(file):
     with file.open("a") as out:
         out.write('{"code": "abc')
     assert len(opened(file).known) == 2
@@ -81,7 +81,7 @@ def test_a_line_that_was_cut_off_as_it_was_written_is_taken_out(file):
     assert len(opened(file).known) == 3
 
 
-def test_reading_leaves_the_file_as_it_is_even_where_its_last_line_is_being_written(file):
+def test_reading_does_not_change_a_file_whose_last_line_is_incomplete(file):
     with file.open("a") as out:
         out.write('{"code": "abc')
     before = file.read_bytes()
@@ -90,10 +90,10 @@ def test_reading_leaves_the_file_as_it_is_even_where_its_last_line_is_being_writ
 
 
 @pytest.mark.parametrize("content", ["seed: 1", '{"ended": "complete"\n}', "line 1\nlast line", '{"code": 7'])
-def test_a_file_of_something_else_without_a_last_newline_is_refused_and_left_as_it_is(tmp_path, content):
+def test_a_file_with_other_content_and_no_last_newline_is_refused_and_not_changed(tmp_path, content):
     file = tmp_path / "other"
     file.write_text(content)
-    with pytest.raises(RunError, match="no episode of an evaluation"):
+    with pytest.raises(RunError, match=r"(not|does not end with) an episode of an evaluation"):
         opened(file)
     assert file.read_text() == content
 
@@ -102,16 +102,16 @@ def test_a_file_of_something_else_without_a_last_newline_is_refused_and_left_as_
     ("name", "value"),
     [("index", "1"), ("index", -1), ("steps", "many"), ("poses", [["a", 0, 0]]), ("path_m", float("nan"))],
 )
-def test_a_line_with_a_value_that_none_has_is_refused(file, name, value):
+def test_a_line_with_an_impossible_value_is_refused(file, name, value):
     line = json.loads(file.read_text().splitlines()[0])
     file.write_text(json.dumps(line | {name: value}) + "\n")
-    with pytest.raises(RunError, match="line 1 is no episode"):
+    with pytest.raises(RunError, match="line 1 is not an episode"):
         episode_store.read(file)
 
 
 @pytest.mark.parametrize("line", ["{}", "nonsense", "[1, 2]", '{"outcome": "victory"}'])
-def test_a_file_of_something_else_is_refused_by_line(tmp_path, line):
+def test_a_file_with_other_content_is_refused_with_the_number_of_its_line(tmp_path, line):
     file = tmp_path / "other.jsonl"
     file.write_text(line + "\n")
-    with pytest.raises(RunError, match=r"other\.jsonl, line 1 is no episode"):
+    with pytest.raises(RunError, match=r"other\.jsonl, line 1 is not an episode"):
         opened(file)

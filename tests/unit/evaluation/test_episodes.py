@@ -1,3 +1,4 @@
+import dataclasses
 import itertools
 import math
 
@@ -5,17 +6,20 @@ import numpy as np
 import pytest
 from fakes import FakeVisualAct, LatticeEnv
 
+from zsdist.agent.memory import START_DISC_M
 from zsdist.config import Config, load
 from zsdist.evaluation.contenders import VARIANTS
 from zsdist.evaluation.drivers import Driver, LearnedDriver, Observability
 from zsdist.evaluation.episodes import Course, EpisodeRunner
 from zsdist.evaluation.oracle_view import TRUE_EDGES_M, by_camera
+from zsdist.planning.belief import BeliefMap
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
 from zsdist.run import program
 from zsdist.sim.scenes import families
 from zsdist.sim.scenes.scene import Obstacle, Scene, Start
 from zsdist.types import Action, Level, Outcome
+from zsdist.vision.ray_ablation import limited
 
 CONFIG = Config()
 TABLE = FootprintTable(Grid.from_config(CONFIG.grid))
@@ -88,7 +92,7 @@ def test_decisions_are_timed_by_the_clock():
 
 
 @pytest.mark.parametrize(
-    ("sees", "map_shown", "truth_shown"),
+    ("observability", "map_shown", "truth_shown"),
     [
         (Observability.NOTHING, False, False),
         (Observability.CAMERA, False, False),
@@ -96,7 +100,7 @@ def test_decisions_are_timed_by_the_clock():
         (Observability.MAP, True, False),
     ],
 )
-def test_a_driver_is_shown_only_what_it_declared(observability, map_shown, truth_shown):
+def test_a_driver_observes_only_what_it_declared(observability, map_shown, truth_shown):
     driver = Scripted(Action.FORWARD)
     examine(driver, POLE, observability)
     assert (driver.truth is not None) == map_shown
@@ -111,7 +115,7 @@ def test_true_distances_are_those_of_the_camera_at_its_place():
     assert middle == pytest.approx(expected, abs=0.05)
 
 
-def test_the_driver_hears_how_each_action_went():
+def test_the_result_of_each_action_is_reported_to_the_driver():
     driver = Scripted(Action.FORWARD)
     examine(driver, OPEN)
     assert [terminated for _, terminated, _ in driver.results] == [False] * 17 + [True]
@@ -135,14 +139,14 @@ def test_the_learned_driver_is_greedy_so_randomness_changes_nothing():
     assert first.poses == second.poses and math.isfinite(first.path_m)
 
 
-def test_the_learned_driver_counts_what_the_shield_changed_for_each_episode_anew():
+def test_the_learned_driver_counts_changes_by_the_shield_for_each_episode():
     config = load(overrides=("sim.max_steps=25",))
     runner = EpisodeRunner(LatticeEnv(config=config), config, learned(config), Observability.CAMERA, lambda: 0.0)
     first, second = (runner.drive(POLE, np.random.default_rng(0)) for _ in range(2))
     assert first.shield_changes == second.shield_changes <= first.steps
 
 
-def test_a_watcher_sees_every_decision_with_what_was_known_and_then_the_end():
+def test_a_watcher_is_shown_every_decision_with_its_situation_and_then_the_end():
     config = load(overrides=("sim.max_steps=5",))
     moments = []
     runner = EpisodeRunner(LatticeEnv(config=config), config, learned(config), Observability.CAMERA, lambda: 0.0)
@@ -154,14 +158,14 @@ def test_a_watcher_sees_every_decision_with_what_was_known_and_then_the_end():
     assert [moment.outcome for moment in moments] == [None] * record.steps + [record.outcome]
 
 
-def test_watching_changes_nothing_of_an_episode():
+def test_watching_does_not_change_an_episode():
     config = load(overrides=("sim.max_steps=25",))
     runner = EpisodeRunner(LatticeEnv(config=config), config, learned(config), Observability.CAMERA, lambda: 0.0)
     first = runner.drive(POLE, np.random.default_rng(0))
     assert runner.drive(POLE, np.random.default_rng(0), lambda moment: None) == first
 
 
-def test_shuffled_advice_is_drawn_anew_by_the_episodes_randomness():
+def test_shuffled_advice_depends_on_the_seed_of_the_episode():
     config = load(overrides=("sim.max_steps=25", "seed=1"))  # of networks in which the advice turns a choice
     driver = learned(config, shuffled=("advice",))
     runner = EpisodeRunner(LatticeEnv(config=config), config, driver, Observability.CAMERA, lambda: 0.0)
@@ -170,7 +174,7 @@ def test_shuffled_advice_is_drawn_anew_by_the_episodes_randomness():
     assert one == again and len({plain, one, two}) > 1
 
 
-def test_shuffled_rays_draw_another_map():
+def test_shuffled_rays_lead_to_another_map():
     config = load(overrides=("sim.max_steps=1",))
     scene = families.draw("iid", "validation", 0)
     plain, shuffled = learned(config), learned(config, shuffled=VARIANTS["shuffled-vision"].shuffled)
@@ -183,3 +187,22 @@ def test_without_the_shield_nothing_is_changed():
     config = load(overrides=("sim.max_steps=25",))
     shielded, bare = (examine(learned(config, shielded=on), POLE, Observability.CAMERA, config) for on in (True, False))
     assert bare.shield_changes == 0 < shielded.shield_changes
+
+
+@pytest.mark.parametrize("rays", ["three", "none"])
+def test_the_learned_driver_limits_its_views_after_shuffling_them(rays):
+    config = load(overrides=("sim.max_steps=1", f"vision.rays={rays}"))
+    scene = families.draw("iid", "validation", 0)
+    expected, seen = BeliefMap(Grid.from_config(config.grid)), []
+    driver = learned(config, shuffled=("advice", "clearance_m"))
+    record = EpisodeRunner(LatticeEnv(config=config), config, driver, Observability.CAMERA, lambda: 0.0).drive(
+        scene, np.random.default_rng(3), seen.append
+    )
+    rng = np.random.default_rng(3)
+    view = by_camera(FakeVisualAct())(seen[0].observed)
+    view = dataclasses.replace(view, advice=rng.permutation(view.advice), clearance_m=rng.permutation(view.clearance_m))
+    view = limited(view, rays)
+    expected.clear_disc(record.poses[0].x_m, record.poses[0].y_m, START_DISC_M)
+    expected.update(record.poses[0], view, config.camera.forward_m)
+    np.testing.assert_array_equal(driver.thought.situation.advice, view.advice)
+    np.testing.assert_array_equal(driver.thought.situation.occupied, expected.occupied())

@@ -15,7 +15,7 @@ A, B, C = "a" * 16, "b" * 16, "c" * 16
 ENTRY = "- {{commit: 1a2b3c4, hashes: {}, proof: equal episodes}}\n"
 
 
-def test_the_hash_is_of_what_drives_an_episode_and_of_nothing_else():
+def test_the_hash_covers_the_code_that_drives_an_episode_and_nothing_else():
     names = code_hash.modules(fingerprint.ROOT)
     drives = (
         "sim.physics.world",
@@ -38,10 +38,10 @@ def test_the_hash_of_the_code_is_the_same_each_time():
 
 def learned(config=CONFIG, **changes):
     parameters = {level: program.make_learner(config, level).parameters() for level in Level}
-    return fingerprint.entrant_sha256(Contender(config, parameters, **changes))
+    return fingerprint.contender_sha256(Contender(config, parameters, **changes))
 
 
-def test_whatever_an_episode_depends_on_makes_another_entrant():
+def test_everything_an_episode_depends_on_changes_the_hash_of_a_contender():
     hashes = [
         learned(),
         learned(variant="hybrid"),
@@ -51,12 +51,12 @@ def test_whatever_an_episode_depends_on_makes_another_entrant():
         learned(load(overrides=("seed=1",))),
         learned(load(overrides=("vision.network=student",))),
         learned(load(overrides=("sim.max_steps=20",))),
-        fingerprint.entrant_sha256(Contender(CONFIG, baseline="random")),
+        fingerprint.contender_sha256(Contender(CONFIG, baseline="random")),
     ]
     assert len(set(hashes)) == len(hashes)
 
 
-def test_what_only_training_depends_on_makes_the_same_entrant():
+def test_settings_of_training_do_not_change_the_hash_of_a_contender():
     assert learned(load(overrides=("vision.cache_bytes=0", "run.actors=7", "replay.adaptive=false"))) == learned()
 
 

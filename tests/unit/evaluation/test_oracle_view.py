@@ -33,7 +33,7 @@ def test_true_distances_become_a_map_of_the_surface_they_met():
     assert at(1.0, 3.0)[1] is False  # beside the view
 
 
-def test_the_advice_of_the_truth_is_against_the_wall_and_for_the_side_of_the_goal():
+def test_the_true_advice_is_against_the_wall_and_for_the_side_of_the_goal():
     forward, left, right = view().advice
     assert left > right and left > forward
     free = true_view(Scene("free", "grass", SCENE.start, (10.0, 0.0), ()), Pose(0, 0, 0), CONFIG.camera, 25.0, None)

@@ -26,7 +26,7 @@ def test_a_folder_is_driven_once_in_the_order_of_its_files(folder):
     assert hashes(str(folder), CONFIG, None, 7) == expected == hashes(str(folder), CONFIG, 3, 0)
 
 
-def test_more_episodes_than_files_go_through_the_folder_again(folder):
+def test_more_episodes_than_files_repeat_the_folder(folder):
     once = hashes(str(folder), CONFIG, None, 0)
     assert hashes(str(folder), CONFIG, 5, 0) == once + once[:2]
 
@@ -58,7 +58,7 @@ def test_a_configured_folder_serves_as_a_training_family(folder):
     assert chosen[1::2] == [families.draw("iid", "train", index).hash() for index in range(2)]
 
 
-def test_a_folder_of_the_working_directory_does_not_take_the_place_of_a_family_or_a_split(folder, monkeypatch):
+def test_a_folder_in_the_working_directory_does_not_replace_a_family_or_a_split(folder, monkeypatch):
     before = [hashes(name, CONFIG, 3, 7) for name in ("iid", "test")]
     for name in ("iid", "test"):
         shutil.copytree(folder, folder / "elsewhere" / name, ignore=shutil.ignore_patterns("elsewhere"))
@@ -67,7 +67,7 @@ def test_a_folder_of_the_working_directory_does_not_take_the_place_of_a_family_o
     assert hashes("./iid", CONFIG, None, 7) == hashes(str(folder), CONFIG, None, 7)
 
 
-def test_a_configured_folder_may_be_called_as_a_split_is(folder, tmp_path, monkeypatch):
+def test_a_configured_folder_may_have_the_name_of_a_split(folder, tmp_path, monkeypatch):
     shutil.copytree(folder, tmp_path / "elsewhere" / "test", ignore=shutil.ignore_patterns("elsewhere"))
     monkeypatch.chdir(tmp_path / "elsewhere")
     assert hashes("train", load(overrides=("scenes.train=[test]",)), 3, 0) == hashes(str(folder), CONFIG, None, 0)

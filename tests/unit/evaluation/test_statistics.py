@@ -54,7 +54,7 @@ def test_the_interquartile_mean_leaves_a_quarter_out_at_either_end():
     assert statistics.interquartile_mean(np.array([0.0, 1.0, 5.0])) == pytest.approx(2.0)
 
 
-def test_runs_that_agree_have_an_interval_of_their_scenes_and_equal_scores_have_none():
+def test_the_interval_of_equal_runs_comes_from_their_scenes_and_equal_scores_have_none():
     rng = np.random.default_rng(0)
     scores = np.tile([0.0, 1.0] * 50, (3, 1))
     mean, low, high = statistics.runs_95(scores, ["a"] * 100, rng)
@@ -69,6 +69,6 @@ def test_differing_runs_widen_the_interval():
     assert low < 0.2 and high > 0.8
 
 
-def test_strata_are_resampled_apart_so_their_difference_adds_no_width():
+def test_a_difference_between_strata_adds_no_width():
     rng, scores = np.random.default_rng(0), np.tile([0.0] * 50 + [1.0] * 50, (3, 1))
     assert statistics.runs_95(scores, ["a"] * 50 + ["b"] * 50, rng) == pytest.approx((0.5, 0.5, 0.5))

@@ -40,51 +40,51 @@ class Bench:
         context = Context(CONFIG, RUN, "actor", "0", 1, MemoryTransport(broker), threading.Event())
         self.actor = Actor(context, [], Blind(), None)
 
-    def say(self, version, made_s, epoch=1):
+    def publish(self, version, made_s, epoch=1):
         message = WeightsMessage(epoch, 0, network.sha256(PARAMETERS), made_s, Weights(Level.LOW, version, PARAMETERS))
         self.others.publish(keys.weights(RUN, Level.LOW), codec.encode(message))
 
-    def told(self, now):
+    def statistics(self, now):
         self.actor.step(now)
         return self.actor.statistics()
 
 
 def test_the_first_weights_of_an_actor_are_not_late(bench):
-    bench.say(7, 10.0)
-    told = bench.told(400.0)
-    assert "low_weights_lag_s" not in told
-    assert told["weights_max_lag_s"] == 0.0
+    bench.publish(7, 10.0)
+    statistics = bench.statistics(400.0)
+    assert "low_weights_lag_s" not in statistics
+    assert statistics["weights_max_lag_s"] == 0.0
 
 
 def test_weights_lag_by_the_time_from_their_making_to_their_use(bench):
-    bench.say(7, 10.0)
-    bench.told(10.1)
-    bench.say(8, 11.0)
-    assert bench.told(11.25)["low_weights_lag_s"] == pytest.approx(0.25)
-    bench.say(9, 12.0)
-    told = bench.told(12.1)
-    assert told["low_weights_lag_s"] == pytest.approx(0.1)
-    assert told["weights_max_lag_s"] == pytest.approx(0.25)
+    bench.publish(7, 10.0)
+    bench.statistics(10.1)
+    bench.publish(8, 11.0)
+    assert bench.statistics(11.25)["low_weights_lag_s"] == pytest.approx(0.25)
+    bench.publish(9, 12.0)
+    statistics = bench.statistics(12.1)
+    assert statistics["low_weights_lag_s"] == pytest.approx(0.1)
+    assert statistics["weights_max_lag_s"] == pytest.approx(0.25)
 
 
-def test_where_versions_were_missed_the_lag_counts_from_the_version_held(bench):
-    bench.say(7, 10.0)
-    bench.told(10.1)
-    bench.say(9, 13.0)
-    assert bench.told(13.1)["low_weights_lag_s"] == pytest.approx(3.1)
+def test_after_missed_versions_the_lag_counts_from_the_version_held(bench):
+    bench.publish(7, 10.0)
+    bench.statistics(10.1)
+    bench.publish(9, 13.0)
+    assert bench.statistics(13.1)["low_weights_lag_s"] == pytest.approx(3.1)
 
 
-def test_weights_said_again_and_those_of_a_learner_that_was_replaced_change_no_lag(bench):
-    bench.say(7, 10.0, epoch=3)
-    bench.told(10.1)
-    bench.say(7, 10.0, epoch=3)
-    bench.say(8, 50.0, epoch=2)
-    assert "low_weights_lag_s" not in bench.told(60.0)
-    assert bench.told(60.1)["low_weight_version"] == 7
+def test_repeated_weights_and_those_of_a_replaced_learner_change_no_lag(bench):
+    bench.publish(7, 10.0, epoch=3)
+    bench.statistics(10.1)
+    bench.publish(7, 10.0, epoch=3)
+    bench.publish(8, 50.0, epoch=2)
+    assert "low_weights_lag_s" not in bench.statistics(60.0)
+    assert bench.statistics(60.1)["low_weight_version"] == 7
 
 
-def test_the_weights_of_a_learner_that_follows_another_lag_from_their_own_making(bench):
-    bench.say(7, 10.0)
-    bench.told(10.1)
-    bench.say(3, 200.0, epoch=5)
-    assert bench.told(200.5)["low_weights_lag_s"] == pytest.approx(0.5)
+def test_weights_of_a_new_learner_lag_by_the_time_from_their_own_making(bench):
+    bench.publish(7, 10.0)
+    bench.statistics(10.1)
+    bench.publish(3, 200.0, epoch=5)
+    assert bench.statistics(200.5)["low_weights_lag_s"] == pytest.approx(0.5)

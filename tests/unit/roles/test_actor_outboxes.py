@@ -1,0 +1,100 @@
+import numpy as np
+import pytest
+
+from zsdist.config import Config
+from zsdist.errors import RunError
+from zsdist.roles.actor_outboxes import ActorOutboxes, CreditAccount
+from zsdist.transport.memory import MemoryBroker, MemoryTransport
+from zsdist.types import Ack, Level, Trajectory
+from zsdist.wire import codec, keys
+from zsdist.wire.messages import EPISODES, EVALUATION
+
+SETTINGS = Config().transport
+
+
+def trajectory(level, steps):
+    return Trajectory(
+        level=level,
+        states=np.zeros((steps + 1, 3), np.float32),
+        actions=np.zeros(steps, np.uint8),
+        rewards=np.zeros(steps, np.float32),
+        discounts=np.ones(steps, np.float32),
+        successors=np.arange(1, steps + 1, dtype=np.uint16),
+        masks=np.ones((steps + 1, 5), bool),
+        guides=np.zeros(steps, np.int8),
+        behaviours=np.zeros(steps, np.uint8),
+        weight_version=1,
+    )
+
+
+@pytest.fixture
+def outboxes():
+    return ActorOutboxes("run", "actor-0", 7, SETTINGS)
+
+
+def grant(outboxes, credit, now=0.0):
+    for level in Level:
+        outboxes.on_ack(Ack(1, "actor-0", 7, level, 0, credit), now)
+
+
+def driven(outboxes, steps):
+    """Return the account of a car that has driven so many steps."""
+    account = CreditAccount()
+    for _ in range(steps):
+        assert outboxes.reserve(account)
+        account.count_step()
+    return account
+
+
+def test_without_credit_no_step_may_be_driven(outboxes):
+    account = CreditAccount()
+    assert not outboxes.reserve(account)
+    grant(outboxes, 2)
+    assert outboxes.reserve(account) and account.reserved == {Level.HIGH: 1, Level.LOW: 1}
+
+
+def test_a_step_reserves_one_transition_of_each_level_beside_those_pending(outboxes):
+    grant(outboxes, 3)
+    account = driven(outboxes, 3)
+    assert not outboxes.reserve(account)
+    assert account.reserved == account.pending == {Level.HIGH: 3, Level.LOW: 3}
+
+
+def test_trajectories_use_up_their_credit_and_the_rest_can_be_released(outboxes):
+    grant(outboxes, 4)
+    account, other = driven(outboxes, 3), CreditAccount()
+    assert outboxes.reserve(account)
+    outboxes.offer([trajectory(level, 3) for level in Level], account)
+    assert account.reserved == {Level.HIGH: 1, Level.LOW: 1} and set(account.pending.values()) == {0}
+    assert not outboxes.reserve(other)
+    outboxes.release(account)
+    assert set(account.reserved.values()) == {0} and outboxes.reserve(other)
+
+
+def test_every_stream_goes_out_under_its_own_key(outboxes):
+    transport, sent = MemoryTransport(MemoryBroker()), []
+    transport.publish = lambda key, payload: sent.append((key, codec.decode(payload)))
+    grant(outboxes, None)
+    outboxes.offer([trajectory(level, 20) for level in Level], driven(outboxes, 20))
+    for stream in (EPISODES, EVALUATION):
+        outboxes.offer_record(stream, {"episode": 1})
+    outboxes.flush(transport, 0.0)
+    assert dict(sent).keys() == {
+        keys.push("run", Level.HIGH, "actor-0", 7),
+        keys.push("run", Level.LOW, "actor-0", 7),
+        keys.episodes("run", "actor-0", 7),
+        keys.evaluation("run", "actor-0"),
+    }
+    assert outboxes.statistics()["episodes_produced"] == 1
+
+
+def test_a_frame_that_a_living_receiver_does_not_acknowledge_ends_the_run(outboxes):
+    transport = MemoryTransport(MemoryBroker())
+    heard_s = np.arange(0.0, SETTINGS.give_up_after_s + 2.0)
+    grant(outboxes, None)
+    outboxes.offer([trajectory(Level.LOW, 20)], driven(outboxes, 20))
+    outboxes.flush(transport, 0.0)
+    for now in heard_s:
+        grant(outboxes, None, now)
+    with pytest.raises(RunError, match="stream 'low' has gone unacknowledged for 60 s"):
+        outboxes.flush(transport, heard_s[-1])

@@ -1,0 +1,93 @@
+"""Memory of one car over one episode: its believed map, its visits, and the options that it has tried."""
+
+import numpy as np
+
+from zsdist.agent import shield
+from zsdist.agent.reward_shaping import way_costs
+from zsdist.agent.shield import Judgement
+from zsdist.agent.situation import Situation
+from zsdist.planning import forward_search
+from zsdist.planning.belief import BeliefMap
+from zsdist.planning.grid import HEADINGS, Grid
+from zsdist.planning.shortest_path import goal_mask
+from zsdist.types import Pose, View
+
+START_DISC_M = 1.5  # radius about the start that is known to be free
+
+
+class EpisodeMemory:
+    """Memory of one car over one episode, from which the `Situation` of each step is made.
+
+    Args:
+        grid: frames.
+        pose: start of the episode; the ground within `START_DISC_M` of it is free.
+        goal: `(x_m, y_m)`.
+        success_radius_m: distance from the goal within which it is reached.
+        camera_forward_m: mount of the camera, ahead of the car's centre.
+
+    Attributes:
+        goals: `(cells, cells)` bool, the cells in which the goal is reached.
+        revisits: steps that led into a state in which the car had been before.
+    """
+
+    def __init__(
+        self, grid: Grid, pose: Pose, goal: tuple[float, float], success_radius_m: float, camera_forward_m: float
+    ) -> None:
+        self._grid, self._goal, self._camera_forward_m = grid, goal, camera_forward_m
+        self.goals = goal_mask(grid, goal, success_radius_m)
+        self.revisits = 0
+        self._belief = BeliefMap(grid)
+        self._belief.clear_disc(pose.x_m, pose.y_m, START_DISC_M)
+        self._visits = np.zeros((grid.cells, grid.cells, HEADINGS), np.int32)
+        self._block_visits = np.zeros((grid.blocks, grid.blocks), np.int32)
+        self._tries = np.zeros((grid.blocks, grid.blocks), np.int32)
+        self._goal_tries = 0
+        self._block: tuple[int, int] | None = None
+
+    def observe(self, pose: Pose, view: View) -> tuple[Situation, Judgement]:
+        """Add one view to the belief and one visit to the counts.
+
+        Args:
+            pose: where the car is.
+            view: what it sees from there.
+
+        Returns:
+            The situation, and the shield's judgement of it.
+        """
+        self._belief.update(pose, view, self._camera_forward_m)
+        state = self._grid.lattice_state(pose)
+        block = self._grid.block_of(state.ix, state.iy)
+        self.revisits += bool(self._visits[state.iy, state.ix, state.heading] > 0)
+        self._visits[state.iy, state.ix, state.heading] += 1
+        if block != self._block:
+            self._block_visits[block[1], block[0]] += 1
+        self._block = block
+        judgement = shield.judge(self._belief, state, self.goals, self._visits)
+        situation = Situation(
+            grid=self._grid,
+            state=state,
+            goal=self._goal,
+            goals=self.goals,
+            advice=view.advice,
+            occupied=self._belief.occupied(),
+            seen=self._belief.seen(),
+            moves=judgement.moves,
+            squeezed=judgement.gave_way,
+            drive_m=forward_search.path_lengths_from(judgement.moves.blocked, state, way_costs(self._grid)),
+            visits=self._visits,
+            block_visits=self._block_visits,
+            tries=self._tries,
+            goal_tries=self._goal_tries,
+        )
+        return situation, judgement
+
+    def count_try(self, block: tuple[int, int] | None) -> None:
+        """Count an option that ended without its aim.
+
+        Args:
+            block: `(bx, by)` that it was to enter; None: it was to reach the goal.
+        """
+        if block is None:
+            self._goal_tries += 1
+        else:
+            self._tries[block[1], block[0]] += 1
