@@ -1,0 +1,90 @@
+"""The documents: links and paths that exist, and figures that are those of the measurements."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+MEASURED = ROOT / "docs" / "measured"
+DOCUMENTS = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")]
+DOCUMENTS += sorted((ROOT / "docs").glob("*.md"))
+VISION_SETS = {
+    "as in training, new scenes": "same",
+    "new kinds of obstacle": "new_kinds",
+    "new ground": "new_grounds",
+    "new kinds and ground": "both",
+    "PyBullet's renderer, street": "other_renderer_urban",
+    "PyBullet's renderer, wild": "other_renderer_wild",
+}
+
+
+def rows(document: str, after: str) -> list[list[str]]:
+    """The cells of the first table after a line, without its head."""
+    text = (ROOT / document).read_text().split(after, 1)[1]
+    table = re.search(r"((?:^\|.*\|\n)+)", text, re.MULTILINE).group(1)
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
+
+
+def measured(name: str) -> dict:
+    return json.loads((MEASURED / f"{name}.json").read_text())
+
+
+def outcomes(name: str, split: str) -> str:
+    """Success and collisions in percent of one policy in one split, as the tables show them."""
+    figures = measured(f"driving/{name}-{split}")
+    figures = figures.get("interquartile_mean", figures)
+    return f"{100 * figures['success']:.1f} / {100 * figures['collision']:.1f}"
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text().split()) <= 800
+
+
+def test_the_results_of_the_readme_are_those_measured():
+    for split, *cells, _paper in rows("README.md", "## Results"):
+        assert cells == [outcomes(name, split) for name in ("full", "potential-field", "astar-frontier")], split
+
+
+def test_the_picture_sets_of_the_vision_document_are_those_measured():
+    sets = measured("vision-seed31")["sets"]
+    table = {name: cells for name, *cells in rows("docs/vision.md", "## Accuracy on sets of pictures")}
+    assert set(table) == set(VISION_SETS)
+    for name, key in VISION_SETS.items():
+        figures = sets[key]
+        expected = [f"{figures['best_action_accuracy']:.3f}"]
+        expected += [f"{100 * figures[share]:.1f}%" for share in ("miss_rate", "false_alarm_rate", "calibration_10")]
+        assert table[name] == expected, name
+
+
+def test_the_families_of_the_vision_document_are_those_measured():
+    check = measured("vision-seed31")
+    families = {"all seven": check, **check["families"]}
+    columns = ("best_action_accuracy", "regret", "mae", "miss_rate", "false_alarm_rate")
+    expected = [[name, *(f"{figures[column]:.3f}" for column in columns)] for name, figures in families.items()]
+    assert rows("docs/vision.md", "## Accuracy by test family") == expected
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_links_lead_somewhere(document):
+    links = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", document.read_text())
+    missing = [link for link in links if "://" not in link and not (document.parent / link).exists()]
+    assert missing == []
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_paths_of_the_checkout_that_are_named_exist(document):
+    named = re.findall(
+        r"`((?:zsdist|tests|benchmarks|configs|docs|examples|deploy)/[\w./-]*\w)`", document.read_text()
+    )
+    assert [path for path in named if not (ROOT / path).exists()] == []
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_modules_and_make_targets_that_are_named_exist(document):
+    text = document.read_text()
+    modules = {module.replace(".", "/") for module in re.findall(r"python -m (zsdist[\w.]*\w)", text)}
+    assert [name for name in modules if not (ROOT / f"{name}.py").exists()] == []
+    targets = set(re.findall(r"`make (\w+)", text)) | set(re.findall(r"^    make (\w+)", text, re.MULTILINE))
+    assert targets <= set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
