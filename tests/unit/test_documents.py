@@ -14,6 +14,7 @@ ENVIRONMENTS = {"zsdist/CarNavigation-v0"}  # names that look like paths
 COMING = {  # files that the documents describe and that are still being split off
     "zsdist/agent/memory.py",
     "zsdist/agent/recorder.py",
+    "zsdist/diagnostics",
     "zsdist/dqn/fused.py",
     "zsdist/roles/actor_outboxes.py",
     "zsdist/roles/scheduler/checkpointing.py",
@@ -73,6 +74,21 @@ def test_the_families_of_the_vision_document_are_those_measured():
     columns = ("best_action_accuracy", "regret", "mae", "miss_rate", "false_alarm_rate")
     expected = [[name, *(f"{figures[column]:.3f}" for column in columns)] for name, figures in families.items()]
     assert rows("docs/vision.md", "## Accuracy by test family") == expected
+
+
+def test_the_architecture_lists_every_folder_of_the_package():
+    named = {cells[1].split("`")[1] for cells in rows("docs/architecture.md", "## Rooms and layers")}
+    folders = {f"zsdist/{path.parent.name}" for path in (ROOT / "zsdist").glob("*/__init__.py")}
+    assert folders <= named
+
+
+def test_the_glossary_explains_each_term_once_and_in_one_sentence():
+    lines = (ROOT / "docs" / "glossary.md").read_text().splitlines()
+    entries = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("| ")]
+    entries = [entry for entry in entries if entry[0] != "term"]
+    terms = [entry[0] for entry in entries]
+    assert len(terms) == len(set(terms)) > 50
+    assert [meaning for _, meaning, _ in entries if not meaning.endswith(".") or ". " in meaning] == []
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
