@@ -21,6 +21,7 @@ TORCH_MATCH := $(if $(shell nvidia-smi -L 2>/dev/null),===,==)
 INSTALL_TORCH = -m pip install --quiet $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) 'torch$(TORCH_MATCH)$(TORCH_VERSION)'
 PYTHON ?= $(shell for name in python3.11 python3 python; do \
 	"$$name" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null && echo "$$name" && break; done)
+FIND_PYTHON = test -n "$(PYTHON)" || { echo "zsdist needs Python 3.11, and none was found on the path; install it or run make PYTHON=/path/to/python3.11" >&2; exit 1; }
 # Tests and roles are many processes on few cores: one thread each.
 export OMP_NUM_THREADS ?= 1
 
@@ -33,7 +34,7 @@ PROOF ?= .proof
 install: $(TOOLS)
 
 $(STAMP): pyproject.toml constraints.txt
-	@test -n "$(PYTHON)" || { echo "zsdist needs Python 3.11, and none was found on the path; install it or say make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@$(FIND_PYTHON)
 	@test -x $(BIN)/python || "$(PYTHON)" -m venv $(VENV)
 	@echo "Installing into $(VENV); this takes a few minutes the first time."
 	$(BIN)/python $(INSTALL_TORCH)
@@ -61,7 +62,8 @@ test: lint
 
 # The wheel is built from the sdist, so both are checked. The program runs outside the checkout, with nothing else on
 # its path: files that are missing from the package show up here.
-dist: $(STAMP)
+dist:
+	@$(FIND_PYTHON)
 	rm -rf dist $(DIST_CHECK)
 	"$(PYTHON)" -m venv $(DIST_CHECK)/build
 	$(DIST_CHECK)/build/bin/python -m pip install --quiet --constraint constraints.txt build
