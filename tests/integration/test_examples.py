@@ -15,7 +15,7 @@ from zsdist.types import Outcome
 from zsdist.wire import keys
 
 ROOT = Path(__file__).parents[2]
-pytestmark = pytest.mark.integration
+pytestmark = [pytest.mark.integration, pytest.mark.timeout(300)]
 
 
 def example(name: str) -> ModuleType:

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from zsdist.reporting.tables import TABLE_4
+
 ROOT = Path(__file__).parents[2]
 MEASURED = ROOT / "docs" / "measured"
 DOCUMENTS = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")]
@@ -52,9 +54,11 @@ def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_text().split()) <= 800
 
 
-def test_the_results_of_the_readme_are_those_measured():
-    for split, *cells, _paper in rows("README.md", "## Results"):
+def test_the_results_of_the_readme_are_those_measured_and_those_of_the_paper():
+    for split, *cells, paper in rows("README.md", "## Results"):
         assert cells == [outcomes(name, split) for name in ("full", "potential-field", "astar-frontier")], split
+        success, collision = TABLE_4[split][-2:] if split in TABLE_4 else ("", "")
+        assert paper == (f"{float(success):.1f} / {float(collision):.1f}" if success else "-"), split
 
 
 def test_the_picture_sets_of_the_vision_document_are_those_measured():
