@@ -23,6 +23,23 @@ COMING = {  # files that the documents describe and that are still being split o
     "zsdist/run/restarts.py",
     "zsdist/run/scene_schedule.py",
 }
+DRIVING_BASELINES = {
+    "potential field, trail and shield": "potential-field",
+    "potential field without the trail": "potential-field-no-trail",
+    "goal-greedy": "goal-greedy",
+    "random": "random",
+    "traditional HRL": "traditional-hrl",
+    "HRL + vision, three seeds": "hrl-vision",
+    "flat DQN, three seeds": "flat-dqn",
+    "no merge, three seeds": "no-merge",
+    "fixed replay, three seeds": "fixed-replay",
+    "no contrastive loss, three seeds": "no-contrast",
+    "three directions": "three-directions",
+    "`paper.yaml` to the letter": "paper-scattered",
+    "A* by our vision": "astar-vision",
+    "A*, true distances in 5 m": "astar-frontier",
+    "A*, the whole true map": "astar",
+}
 VISION_SETS = {
     "as in training, new scenes": "same",
     "new kinds of obstacle": "new_kinds",
@@ -60,6 +77,17 @@ def test_the_results_of_the_readme_are_those_measured_and_those_of_the_paper():
         assert cells == [outcomes(name, split) for name in ("full", "potential-field", "astar-frontier")], split
         success, collision = TABLE_4[split][-2:] if split in TABLE_4 else ("", "")
         assert paper == (f"{float(success):.1f} / {float(collision):.1f}" if success else "-"), split
+
+
+def test_the_baselines_of_the_driving_document_are_those_measured():
+    table = {name: cells for name, *cells in rows("docs/driving.md", "## Baselines")}
+    splits = ("iid", "ood-start-goal", "ood-layout", "ood-clusters", "ood-dynamic")
+    for name, file in DRIVING_BASELINES.items():
+        for split, cell in zip(splits, table[name], strict=True):
+            figures = measured(f"driving/{file}-{split}")
+            spl = figures.get("interquartile_mean", figures).get("spl")
+            lengths = "" if spl is None else f" / {spl:.2f}".replace("0.", ".")
+            assert cell == outcomes(file, split) + lengths, (name, split)
 
 
 def test_the_picture_sets_of_the_vision_document_are_those_measured():
