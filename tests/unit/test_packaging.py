@@ -8,6 +8,7 @@ from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
+import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -46,21 +47,25 @@ def test_package_imports_only_what_it_declares():
     assert imported_distributions(ROOT / "zsdist") <= names(PROJECT["dependencies"] + WORDS) | APART
 
 
+def test_examples_import_only_what_the_package_declares():
+    assert imported_distributions(ROOT / "examples") <= names(PROJECT["dependencies"])
+
+
 def test_tests_import_only_what_is_declared():
     assert imported_distributions(ROOT / "tests") <= names(PROJECT["dependencies"] + DEV) | APART
 
 
-def test_the_tools_of_the_tests_include_what_words_need():
+def test_the_tools_of_the_tests_include_the_packages_of_the_text_tower():
     assert set(WORDS) <= set(DEV)
 
 
 @pytest.mark.parametrize("package", sorted(APART))
-def test_packages_installed_apart_are_pinned_and_come_without_what_they_ask_for(tmp_path, package):
+def test_packages_installed_apart_are_pinned_and_come_without_their_dependencies(tmp_path, package):
     assert package in pins()
     assert f"--no-deps {package}\n" in dry_run(tmp_path, "install")
 
 
-def test_what_only_tests_and_words_need_is_not_installed_for_a_run(tmp_path):
+def test_a_run_installs_no_packages_of_the_tests_or_the_text_tower(tmp_path):
     commands = dry_run(tmp_path, "run")
     assert "[dev]" not in commands and not any(package in commands for package in APART)
 
@@ -92,7 +97,7 @@ def dry_run(tmp_path: Path, *arguments: str) -> str:
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
 
 
-def test_make_install_puts_the_environment_where_it_is_told(tmp_path):
+def test_make_install_puts_the_environment_into_the_given_folder(tmp_path):
     commands = dry_run(tmp_path, "install")
     assert f"-m venv {tmp_path}/elsewhere" in commands and ".venv/bin" not in commands
 
@@ -104,9 +109,16 @@ def test_make_run_installs_and_then_trains(tmp_path):
 
 def test_make_test_installs_lints_and_runs_both_kinds_of_tests(tmp_path):
     commands = dry_run(tmp_path, "test")
-    order = ["pip install", "ruff check", "ruff format --check", "pytest tests/unit", "pytest tests/integration"]
-    places = [commands.index(step) for step in order]
-    assert places == sorted(places)
+    order = [
+        "pip install",
+        "ruff check",
+        "ruff format --check",
+        "bin/mypy",
+        "pytest tests/unit",
+        "pytest tests/integration",
+    ]
+    positions = [commands.index(step) for step in order]
+    assert positions == sorted(positions)
 
 
 def test_make_says_in_one_line_that_python_is_missing(tmp_path):
@@ -116,6 +128,58 @@ def test_make_says_in_one_line_that_python_is_missing(tmp_path):
     assert not (tmp_path / "elsewhere").exists()
 
 
+def test_make_dist_uses_the_wheel_outside_the_checkout(tmp_path):
+    commands = dry_run(tmp_path, "dist", f"DIST_CHECK={tmp_path}/check")
+    order = ["-m build", "dist/*.whl", "zsdist.evaluate --list", "zsdist.launch --single-process"]
+    positions = [commands.index(step) for step in order]
+    assert positions == sorted(positions)
+    used = [line for line in commands.splitlines() if "-m zsdist." in line]
+    assert used and all(line.startswith(f"cd {tmp_path}/check && env -u PYTHONPATH clean/bin/python") for line in used)
+
+
+def test_make_dist_and_make_proof_are_no_part_of_the_tests(tmp_path):
+    commands = dry_run(tmp_path, "test")
+    assert "-m build" not in commands and "tests/proof.py" not in commands
+
+
+def test_the_package_is_marked_as_typed():
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]["zsdist"]
+    assert "py.typed" in settings and (ROOT / "zsdist" / "py.typed").read_bytes() == b""
+
+
 def test_ci_runs_make_test():
     script = ROOT / ".ci" / "run"
     assert os.access(script, os.X_OK) and "make test" in script.read_text()
+
+
+def test_the_public_ci_lints_and_tests_with_the_python_of_the_package():
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text())
+    (job,) = workflow["jobs"].values()
+    assert [step["run"] for step in job["steps"] if "run" in step] == ["make lint", "make test"]
+    assert {"3.11"} == {
+        step["with"]["python-version"] for step in job["steps"] if "setup-python" in step.get("uses", "")
+    }
+
+
+def test_pre_commit_runs_the_checks_of_make_lint_in_the_environment_of_the_project():
+    (repository,) = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"]
+    entries = [hook["entry"] for hook in repository["hooks"]]
+    assert repository["repo"] == "local"
+    assert entries == [
+        ".venv/bin/ruff check --force-exclude",
+        ".venv/bin/ruff format --force-exclude",
+        ".venv/bin/mypy",
+    ]
+
+
+@pytest.mark.parametrize(
+    "template", sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml")), ids=lambda path: path.stem
+)
+def test_issue_templates_are_valid_yaml(template):
+    assert isinstance(yaml.safe_load(template.read_text()), dict)
+
+
+def test_the_citation_names_the_software_and_the_paper():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == zsdist.__version__ and citation["license"] == PROJECT["license"]
+    assert citation["references"][0]["title"].startswith("Path Planning for Robots Combined with Zero-Shot")

@@ -29,7 +29,7 @@ from zsdist.agent.reward_shaping import way_costs
 from zsdist.agent.situation import Situation
 from zsdist.planning.grid import Grid
 from zsdist.planning.lattice import successors_or_self
-from zsdist.types import Action, Level
+from zsdist.types import Action, Level, Mirror
 
 LOW_ACTIONS = len(Action)
 HERE_FEATURES = 10  # of the goal and of the block the car is in
@@ -39,15 +39,6 @@ HIGH_STATE_SIZE = NEIGHBOURS * BLOCK_FEATURES + HERE_FEATURES + DIRECTIONS + 3
 _ACTION_SINE = 3  # column of `action_features` whose sign a reflection changes
 _BLOCK_SINE = 8  # the same of `block_features`
 _FAR_M = 10.0
-
-
-@dataclass(frozen=True)
-class Mirror:
-    """Left-right reflection: `mirrored = sign * state[index]`, and `action_index[a]` is the mirrored action of `a`."""
-
-    state_index: np.ndarray
-    state_sign: np.ndarray
-    action_index: np.ndarray
 
 
 class StepFeatures:

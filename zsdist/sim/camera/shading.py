@@ -70,7 +70,7 @@ class Span(NamedTuple):
     step: float
 
 
-class Frame(NamedTuple):
+class ShapeFrame(NamedTuple):
     """A primitive's frame: cosine and sine of its heading, the camera's offset from it, and the sun in its frame."""
 
     cos: np.float32
@@ -176,11 +176,11 @@ def _ground(
 
 
 @compiled(**ROWWISE)
-def _frame(row: np.ndarray, origin: np.ndarray, light: np.ndarray) -> Frame:
+def _frame(row: np.ndarray, origin: np.ndarray, light: np.ndarray) -> ShapeFrame:
     """Return the frame of a primitive."""
     co, si = math.cos(row[6]), math.sin(row[6])
     sun_x, sun_y = co * light[0] + si * light[1], co * light[1] - si * light[0]
-    return Frame(
+    return ShapeFrame(
         np.float32(co),
         np.float32(si),
         np.float32(origin[0] - row[0]),
@@ -197,7 +197,7 @@ def _surface(
     row: np.ndarray,
     material: np.ndarray,
     light: np.ndarray,
-    frame: Frame,
+    frame: ShapeFrame,
     origin: np.ndarray,
     axes: np.ndarray,
     span: Span,
