@@ -12,7 +12,7 @@ from zsdist.sim.camera.appearance import Appearance, of_scene
 from zsdist.sim.camera.kernels import SKY, SKY_DEPTH_M, cast, look_up
 from zsdist.sim.camera.optics import mount, tangents
 from zsdist.sim.camera.primitives import ARENA_HALF_M, Primitives, primitives_of
-from zsdist.sim.camera.shading import Palette, Scratch, Shadows, shade
+from zsdist.sim.camera.shading import shade
 from zsdist.sim.camera.shadows import shadow_corners, shadow_map
 from zsdist.sim.camera.textures import noise_pyramid
 from zsdist.sim.scenes.kinds import SEGMENT_GROUND, SEGMENT_SKY
@@ -56,7 +56,8 @@ class CasterCamera:
         self._depth = np.empty((size, size), np.float32)
         self._index = np.empty((size, size), np.int32)
         self._packed = np.empty((size, size), np.int32)
-        self._scratch = Scratch(np.empty((12, size), np.float32), np.empty(size, np.uint32))
+        self._work = np.empty((12, size), np.float32)
+        self._at = np.empty(size, np.uint32)
         self._tangents = tangents(size, float(np.deg2rad(config.field_of_view_deg)))
 
     def render(
@@ -113,11 +114,10 @@ class CasterCamera:
         discs = rows[primitives.walkers[:, 0]][:, [0, 1, 4]] if len(primitives.walkers) else _NO_DISCS
         rectangles = np.empty((len(rows), 4), np.int64)
         cast(primitives.forms, rows, origin, axes, self._tangents, self._depth, self._index, rectangles)
-        palette = Palette(look.materials, look.ground, look.sky, look.light)
-        shadows = Shadows(prepared.shadow, ARENA_HALF_M, discs)
         shade(
-            primitives.forms, rows, palette, shadows, noise_pyramid(), origin, axes, self._tangents, self._depth,
-            self._index, rectangles, self._scratch, self._packed,
+            primitives.forms, rows, look.materials, look.ground, look.sky, look.light, prepared.shadow, ARENA_HALF_M,
+            discs, noise_pyramid(), origin, axes, self._tangents, self._depth, self._index, rectangles,
+            self._work, self._at, self._packed,
         )  # fmt: skip
         return cv2.cvtColor(self._packed.view(np.uint8).reshape(*self._packed.shape, 4), cv2.COLOR_RGBA2RGB), prepared
 

@@ -32,6 +32,7 @@ _NEVER = np.float32(1e9)
 _BARK_STRETCH = np.float32(0.2)
 
 
+# numba's cache refers to these classes by name: after one is renamed or removed, delete the cached files.
 class Palette(NamedTuple):
     """Arrays of an `Appearance`."""
 
@@ -70,8 +71,8 @@ class Span(NamedTuple):
     step: float
 
 
-class ShapeFrame(NamedTuple):
-    """A primitive's frame: cosine and sine of its heading, the camera's offset from it, and the sun in its frame."""
+class PrimitiveFrame(NamedTuple):
+    """Frame of a primitive: cosine and sine of its heading, the offset of the camera, and the sun in its frame."""
 
     cos: np.float32
     sin: np.float32
@@ -176,11 +177,11 @@ def _ground(
 
 
 @compiled(**ROWWISE)
-def _frame(row: np.ndarray, origin: np.ndarray, light: np.ndarray) -> ShapeFrame:
+def _frame(row: np.ndarray, origin: np.ndarray, light: np.ndarray) -> PrimitiveFrame:
     """Return the frame of a primitive."""
     co, si = math.cos(row[6]), math.sin(row[6])
     sun_x, sun_y = co * light[0] + si * light[1], co * light[1] - si * light[0]
-    return ShapeFrame(
+    return PrimitiveFrame(
         np.float32(co),
         np.float32(si),
         np.float32(origin[0] - row[0]),
@@ -197,7 +198,7 @@ def _surface(
     row: np.ndarray,
     material: np.ndarray,
     light: np.ndarray,
-    frame: ShapeFrame,
+    frame: PrimitiveFrame,
     origin: np.ndarray,
     axes: np.ndarray,
     span: Span,
@@ -275,8 +276,13 @@ def _paint(palette: Palette, work: np.ndarray, which: np.ndarray, p: int, line: 
 def shade(
     forms: np.ndarray,
     rows: np.ndarray,
-    palette: Palette,
-    shadows: Shadows,
+    materials: np.ndarray,
+    ground: np.ndarray,
+    sky: np.ndarray,
+    light: np.ndarray,
+    shadow: np.ndarray,
+    shadow_half: float,
+    discs: np.ndarray,
     pyramid: np.ndarray,
     origin: np.ndarray,
     axes: np.ndarray,
@@ -284,16 +290,24 @@ def shade(
     depth: np.ndarray,
     index: np.ndarray,
     rectangles: np.ndarray,
-    scratch: Scratch,
+    work: np.ndarray,
+    at: np.ndarray,
     image: np.ndarray,
 ) -> None:
     """Write the colour of every pixel, from the results of `kernels.cast`.
 
+    The arguments are flat, since numba needs about 30 us per picture to unpack four named tuples from Python.
+
     Args:
         forms: see `Primitives`.
         rows: see `Primitives`.
-        palette: appearance of the scene.
-        shadows: shadows on the ground.
+        materials: see `Appearance`.
+        ground: see `Appearance`.
+        sky: see `Appearance`.
+        light: see `Appearance`.
+        shadow: see `Shadows.corners`.
+        shadow_half: see `Shadows.half_m`.
+        discs: see `Shadows`.
         pyramid: from `noise_pyramid`.
         origin: position of the camera, see `optics.mount`.
         axes: axes of the camera, see `optics.mount`.
@@ -301,9 +315,12 @@ def shade(
         depth: `(n, n)` metres along the camera's axis.
         index: `(n, n)` number of the primitive, or `GROUND` or `SKY`.
         rectangles: `(P, 4)` rows and columns within which each primitive is drawn.
-        scratch: memory, written.
+        work: see `Scratch.rows`, written.
+        at: see `Scratch.indices`, written.
         image: `(n, n)` int32, written: the bytes red, green, blue and 0 of each pixel.
     """
+    palette, scratch = Palette(materials, ground, sky, light), Scratch(work, at)
+    shadows = Shadows(shadow, shadow_half, discs)
     n = depth.shape[0]
     step = float(tangents[0] - tangents[n - 1]) / (n - 1)
     for i in range(n):

@@ -31,7 +31,7 @@ _UPRIGHT = [0.0, 0.0, 0.0, 1.0]
 _ACROSS = [math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]  # a cylinder's axis along the axle
 
 
-class Car:
+class CarBody:
     """The car's body in a physics client.
 
     Args:
@@ -152,6 +152,6 @@ def heading_and_speed(
     north_mps: float,
     turn_rate: float,
 ) -> tuple[float, float, float]:
-    """Return heading, speed along it and turn rate from the numbers of `Car.raw_motion`."""
+    """Return heading, speed along it and turn rate from the numbers of `CarBody.raw_motion`."""
     heading = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
     return heading, east_mps * math.cos(heading) + north_mps * math.sin(heading), turn_rate

@@ -10,7 +10,7 @@ from zsdist.errors import SceneError
 from zsdist.planning.footprint import ADVANCES, CAR_LENGTH_M, CAR_WIDTH_M, TURNS, successor
 from zsdist.planning.grid import HEADINGS, Grid
 from zsdist.sim.bullet import pybullet
-from zsdist.sim.physics.car import GROUND_GROUP, OBSTACLE_GROUP, SKIN_GROUP, WHEEL_GROUP, Car, heading_and_speed
+from zsdist.sim.physics.car import GROUND_GROUP, OBSTACLE_GROUP, SKIN_GROUP, WHEEL_GROUP, CarBody, heading_and_speed
 from zsdist.sim.physics.collision import NO_BOXES, NO_CIRCLES, box_clearance, touching
 from zsdist.sim.physics.controller import Manoeuvre, Rates, steer
 from zsdist.sim.scenes.scene import Scene
@@ -236,7 +236,7 @@ class World:
         ground = pybullet.createMultiBody(baseCollisionShapeIndex=plane, **_RIGID, physicsClientId=client)
         pybullet.setCollisionFilterGroupMask(ground, -1, GROUND_GROUP, WHEEL_GROUP, physicsClientId=client)
         pybullet.changeDynamics(ground, -1, lateralFriction=1.0, physicsClientId=client)
-        self._car = Car(client)
+        self._car = CarBody(client)
         middle = (self.grid.arena_m + _WALL_M) / 2
         side = self.grid.arena_m + 2 * _WALL_M
         walls = [(x, y, side, _WALL_M, turn) for x, y, turn in _sides(middle)]
@@ -333,7 +333,7 @@ def _control(
         circles: as in `clearance_m`.
         boxes: as in `clearance_m`.
         wall: half the arena's side.
-        *motion: from `Car.raw_motion`.
+        *motion: from `CarBody.raw_motion`.
     """
     x_m, y_m = motion[0], motion[1]
     heading, speed_mps, turn_rate = heading_and_speed(*motion)

@@ -6,7 +6,7 @@ import pytest
 from zsdist.planning.footprint import CAR_LENGTH_M, CAR_WIDTH_M
 from zsdist.planning.grid import Grid
 from zsdist.sim.physics import car as subject
-from zsdist.sim.physics.car import Car
+from zsdist.sim.physics.car import CarBody
 from zsdist.sim.physics.controller import Rates
 from zsdist.sim.physics.world import World
 from zsdist.sim.scenes.scene import Scene, Start
@@ -32,7 +32,7 @@ def test_table_1_has_its_wheels_tread_and_cabinet():
 
 
 def test_friction_and_inertia_reach_the_wheels_and_not_the_base(client):
-    car = Car(client)
+    car = CarBody(client)
     for wheel in range(4):
         mass_kg, friction, inertia = pybullet.getDynamicsInfo(car.body, wheel, physicsClientId=client)[:3]
         assert (mass_kg, friction) == (subject.WHEEL_KG, subject.WHEEL_FRICTION)
@@ -43,7 +43,7 @@ def test_friction_and_inertia_reach_the_wheels_and_not_the_base(client):
 
 
 def test_a_placed_car_is_still_and_level_at_its_pose(client):
-    car = Car(client)
+    car = CarBody(client)
     pose = Pose(-3.0, 2.0, 2.5)
     car.place(pose)
     motion = car.motion()
@@ -53,7 +53,7 @@ def test_a_placed_car_is_still_and_level_at_its_pose(client):
 
 
 def test_motors_keep_the_last_command_until_the_car_is_placed(client):
-    car = Car(client)
+    car = CarBody(client)
     for rates, speed in ((Rates(2.0, 1.0), 2.0), (Rates(2.0, 1.0), 2.0), (Rates(0.5, 1.0), 0.5)):
         car.command(rates)
         for _ in range(100):

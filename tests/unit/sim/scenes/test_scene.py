@@ -154,7 +154,7 @@ def test_a_folder_gives_its_scenes_in_the_order_of_file_names(file, tmp_path):
 def test_a_folder_without_scenes_or_with_a_wrong_one_is_refused(file, tmp_path):
     with pytest.raises(SceneError, match="has no scene file"):
         read_folder(tmp_path)
-    with pytest.raises(SceneError, match="is not there"):
+    with pytest.raises(SceneError, match="does not exist"):
         read_folder(tmp_path / "nowhere")
     file(GOOD, "a.yaml")
     file("version: 1", "b.yaml")
