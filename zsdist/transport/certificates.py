@@ -34,7 +34,7 @@ _SERVER, _CLIENT = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_A
 
 @dataclass(frozen=True)
 class Identity:
-    """Whom a process shows itself as: paths of its certificate and key, and of the authority it trusts."""
+    """Identity of a process: its common name, and the paths of its certificate, its key and the authority it trusts."""
 
     name: str
     authority: Path
