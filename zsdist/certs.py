@@ -33,11 +33,14 @@ def main(options: argparse.Namespace) -> int:
         print(f"the hub's certificate is for {', '.join(hosts)}")
     elif options.host:
         print("the hub's certificate existed and was not changed; for another --host delete hub.pem and hub.key first")
+    authority = certificates.AUTHORITY
     print(
-        f"keep {certificates.AUTHORITY}.key away from every machine of the run. Files to copy to each machine:\n"
-        f"  every machine: {certificates.AUTHORITY}.pem; where the run is launched: hub and trusted; where actors run: "
-        f"actor-N;\n"
-        f"  where the run is monitored: monitor. Then launch with --set transport.tls={options.folder}"
+        f"keep {authority}.key away from every machine of the run. Copy these files, then launch with\n"
+        f"--set transport.tls={options.folder}:\n"
+        f"  every machine                       {authority}.pem\n"
+        f"  the machine that launches the run   {permissions.HUB}.* and {permissions.TRUSTED}.*\n"
+        f"  machines that run actors            actor-N.*\n"
+        f"  machines that watch the run         {permissions.MONITOR}.*"
     )
     return 0
 

@@ -49,7 +49,7 @@ def _lines(material: Material, out: Path, on_step: Callable[[str], None], simula
     lines = [
         "# Report",
         "",
-        *_made_from(material),
+        *_list_runs(material),
         "## Reward during training (Fig. 9)",
         "",
         *_rewards(trained, out),
@@ -103,7 +103,7 @@ def _compare_policies(evaluations: Sequence[Evaluation], reference: str | None, 
     return lines + compared
 
 
-def _made_from(material: Material) -> list[str]:
+def _list_runs(material: Material) -> list[str]:
     rows = [
         [
             f"`{run.folder.name}`",
