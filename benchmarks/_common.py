@@ -1,15 +1,33 @@
-"""What several scripts share: their last lines."""
+"""Functions that the scripts share: import of optional modules, and the report at the end.
 
+It imports nothing but the standard library, since the peers' environments have neither zsdist nor its dependencies.
+"""
+
+import importlib
 import json
 import os
 import platform
+from importlib.metadata import version
+from types import ModuleType
 
-import onnxruntime
-import torch
+
+def require(module: str, install: str) -> ModuleType:
+    """Import a module, or end the script with one line that says how to install it.
+
+    Args:
+        module: its full name.
+        install: command that installs it.
+    """
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name != module.partition(".")[0]:
+            raise
+        raise SystemExit(f"this benchmark needs {error.name}, which is not installed; run: {install}") from None
 
 
 def report(subject: str, figures: dict[str, float], ratios: dict[str, float]) -> None:
-    """Prints figures and ratios as a table for people, then as the JSON line with which every benchmark ends."""
+    """Print figures and ratios as a table for people, then as the JSON line with which every benchmark ends."""
     figures, ratios = ({name: round(value, 4) for name, value in part.items()} for part in (figures, ratios))
     print()
     for name, value in (figures | ratios).items():
@@ -18,7 +36,7 @@ def report(subject: str, figures: dict[str, float], ratios: dict[str, float]) ->
         "machine": platform.machine(),
         "cpus": os.cpu_count(),
         "python": platform.python_version(),
-        "onnxruntime": onnxruntime.__version__,
-        "torch": torch.__version__,
+        "onnxruntime": version("onnxruntime"),
+        "torch": version("torch"),
     }
     print(json.dumps({"subject": subject, "machine": machine, "figures": figures, "ratios": ratios}))

@@ -1,6 +1,6 @@
-"""A replay service in processes of its own, and the actors and learners that load it: shared by `replay` and `scale`.
+"""Replay service in processes of its own, and the actors and learners that load it; for `replay`, `scale`, `learner`.
 
-Everything is the package's own: hub, replay role, outbox, codec, transport. Only what the trajectories hold is made up.
+Hub, replay role, outbox, codec and transport are the package's own. Only the content of the trajectories is made up.
 """
 
 import multiprocessing
@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-import psutil
+from _common import require
 from wire import make_trajectory
 
 from zsdist.config import Config
+from zsdist.dqn.batches import from_stored
 from zsdist.protocol.outbox import Outbox
 from zsdist.roles.base import Context
 from zsdist.roles.learner import ASK_AGAIN_AFTER_S, BATCHES_AN_ANSWER, PREFETCH
@@ -30,18 +31,19 @@ from zsdist.types import Batch, Level, Trajectory
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders, Push, SampleReply, SampleRequest
 
-keep_freed_memory()  # as every role's process does; those of hub and replay come here too
+psutil = require("psutil", "pip install psutil")
+keep_freed_memory()  # as every role's process does; those of hub and replay run this line too
 
 RUN = "benchmark"
 ACTIONS = 5
 ENDPOINT = "tcp/127.0.0.1:7600"  # or the next free port above it
-TRAJECTORIES = 64  # different ones, of which all actors push
+TRAJECTORIES = 64  # different ones, which all actors push in turn
 ANSWER_WITHIN_S = 10.0
 _spawn = multiprocessing.get_context("spawn")
 
 
 class ReplayService:
-    """A hub and a replay, a process each, as in a run."""
+    """Hub and replay, a process each, as in a run."""
 
     def __init__(self, config: Config, state_size: int) -> None:
         self._processes: dict[str, multiprocessing.process.BaseProcess] = {}
@@ -60,19 +62,19 @@ class ReplayService:
             process.join()
 
     def admit(self, epochs: dict[str, int]) -> None:
-        """Tells the replay which epoch of each actor to listen to, as the scheduler does."""
+        """Send the replay the epoch of each actor to accept, as the scheduler does."""
         settings = self._config.replay
         orders = {"epochs": epochs, "buffer_size": settings.size_initial, "batch_size": settings.batch_initial}
         payload = codec.encode(Orders(1, "replay", orders | {"stop": False}))
         self._scheduler.publish(keys.control(RUN, "replay"), payload, retained=True)
 
     def cpu_s(self) -> dict[str, float]:
-        """CPU seconds that hub and replay have used so far."""
+        """Return the CPU seconds that hub and replay have used so far."""
         times = {name: psutil.Process(process.pid).cpu_times() for name, process in self._processes.items()}
         return {name: spent.user + spent.system for name, spent in times.items()}
 
     def resident_bytes(self) -> int:
-        """Memory of the replay's process."""
+        """Return the resident memory of the replay's process."""
         return psutil.Process(self._processes["replay"].pid).memory_info().rss
 
     def _start(self, name: str, serve: object, *arguments: object) -> str:
@@ -100,7 +102,7 @@ def _serve_replay(ready: Connection, endpoint: str, config: Config, state_size: 
 
 
 class Actors:
-    """Synthetic actors behind one transport: an outbox each, and always `ahead` transitions more to offer."""
+    """Synthetic actors that share one transport; each has an outbox and always `ahead` more transitions to offer."""
 
     def __init__(self, transport: Transport, config: Config, level: Level, epochs: dict[str, int], size: int) -> None:
         settings = config.transport
@@ -132,21 +134,21 @@ class Actors:
 
     @property
     def unacknowledged(self) -> int:
-        """Frames the replay has not said it holds."""
+        """Frames that the replay has not acknowledged."""
         return sum(outbox.statistics()["unacknowledged_frames"] for outbox in self.outboxes.values())
 
     @property
     def resent(self) -> int:
-        """Frames sent more than once, in sendings."""
+        """Number of repeated sendings of frames."""
         return sum(outbox.statistics()["resent_frames"] for outbox in self.outboxes.values())
 
     @property
     def heard(self) -> bool:
-        """Whether the replay listens to every one of them."""
+        """Whether the replay accepts every one of them."""
         return all(outbox.credit is None or outbox.credit > 0 for outbox in self.outboxes.values())
 
     def step(self, ahead: int) -> bool:
-        """Hears what was acknowledged, offers and pushes; whether there was anything to do."""
+        """Read acknowledgements, offer and push; return whether there was anything to push."""
         now, busy = time.time(), False
         self.wake.clear()
         for message in self._acks.drain():
@@ -166,21 +168,21 @@ class Actors:
         return busy
 
     def run(self, seconds: float, ahead: int) -> None:
-        """Pushes for so long."""
+        """Push for `seconds`."""
         until_s = time.monotonic() + seconds
         while time.monotonic() < until_s:
             if not self.step(ahead):
                 self.wake.wait(0.01)
 
     def settle(self) -> None:
-        """Waits until the replay holds all that was pushed."""
+        """Wait until the replay has acknowledged all that was pushed."""
         while self.unacknowledged or any(outbox.waiting for outbox in self.outboxes.values()):
             if not self.step(0):
                 self.wake.wait(0.01)
 
 
 class Sampler:
-    """A learner that takes batches and learns nothing from them."""
+    """Learner that receives batches and learns nothing from them."""
 
     def __init__(self, transport: Transport, mailbox_bytes: int, level: Level) -> None:
         self.batches = 0
@@ -192,7 +194,7 @@ class Sampler:
         self._box = Mailbox(mailbox_bytes, self.wake.set)
 
     def step(self, in_flight: int = PREFETCH, at_once: int = BATCHES_AN_ANSWER) -> Batch | None:
-        """Decodes what has come, asks for more as a learner does; returns the last batch."""
+        """Decode the batches that have arrived and request more, as a learner does; return the last batch."""
         batch, now = None, time.monotonic()
         self.wake.clear()
         for message in self._box.drain():
@@ -200,7 +202,7 @@ class Sampler:
             if self._asked:
                 self._asked.popleft()
             if isinstance(reply, SampleReply) and reply.batch is not None:
-                batch = reply.batch.parts(reply.batches)[-1]
+                batch = from_stored(reply.batch).parts(reply.batches)[-1]
                 self.batches += reply.batches
                 self.transitions += len(reply.batch)
         while self._asked and now - self._asked[0][0] > ASK_AGAIN_AFTER_S:
@@ -213,7 +215,7 @@ class Sampler:
         return batch
 
     def run(self, seconds: float, at_once: int = BATCHES_AN_ANSWER) -> None:
-        """Takes batches for so long, so many a message."""
+        """Receive batches for `seconds`, `at_once` in a message."""
         until_s = time.monotonic() + seconds
         while time.monotonic() < until_s:
             if self.step(at_once=at_once) is None:
@@ -223,7 +225,7 @@ class Sampler:
             self.wake.wait(0.1)
 
     def one(self) -> Batch:
-        """Asks for one batch and waits for it; nothing else may be asked for."""
+        """Request one batch and wait for it; no other request may be pending."""
         batch = None
         while batch is None:
             if not self._asked:
@@ -234,13 +236,13 @@ class Sampler:
 
 
 def make_trajectories(state_size: int) -> list[Trajectory]:
-    """The same ones each time."""
+    """Return the trajectories to push, the same in each run."""
     rng = np.random.default_rng(0)
     return [make_trajectory(rng, state_size) for _ in range(TRAJECTORIES)]
 
 
 def pairs(state_size: int) -> dict[str, np.ndarray]:
-    """What all actors push, as columns of whole transitions for those who have no trajectories."""
+    """Return the transitions that all actors push, as columns, for peers without trajectories."""
     trajectories = make_trajectories(state_size)
     return {
         "state": np.concatenate([trajectory.states[:-1] for trajectory in trajectories]),

@@ -1,8 +1,9 @@
-"""Updates a second of a learner, by network and batch size, and of both levels; torch's own loop as the yardstick.
+"""Updates a second of a learner, by network and batch size, and of both levels, compared with a plain torch loop.
 
-`python benchmarks/learner.py [--quick]` prints a table, then one JSON line. The `fed` figures are of the learner's role
-with all that it does besides, fed by a replay in another process over zenoh that always has something to give: what
-share of its time it waits all the same, and how soon an actor that joins late has the weights.
+`python benchmarks/learner.py [--quick]` prints a table, then one JSON line. `fused_vs_reference` is the CPU time of the
+autograd reference divided by that of the fused learner, with the default configuration. The `fed` figures are of the
+whole learner role, fed over zenoh by a replay in another process that always has batches to give: its updates a second,
+its share of time without a batch, and the time until an actor that joins late has the weights.
 """
 
 import argparse
@@ -20,8 +21,10 @@ import numpy as np
 import torch
 from _replay import RUN, Actors, ReplayService
 
+from zsdist.agent import features
 from zsdist.config import Config, LevelConfig, parse
 from zsdist.dqn import network, torch_network
+from zsdist.dqn.fused import FusedDqnLearner
 from zsdist.dqn.learner import DqnLearner
 from zsdist.roles.base import Context
 from zsdist.roles.learner import Learner
@@ -38,13 +41,13 @@ CASES = (  # name, state features, hidden, batch size
     ("features120_batch256", 120, (128, 128), 256),
     ("features120_batch16", 120, (128, 128), 16),
 )
-STORED = 4_000  # transitions that the replay of the fed learner holds
+STORED = 4_000  # transitions in the replay of the fed learner
 JOINERS = 9
 Update = Callable[[Batch], object]
 
 
 def main() -> None:
-    """Runs the cases and prints their figures."""
+    """Run the cases and print their figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer repeats, within 50 s on two cores")
     quick = parser.parse_args().quick
@@ -56,13 +59,16 @@ def main() -> None:
     for name, state_size, hidden, batch_size in CASES:
         batches = make_batches(state_size, batch_size)
         config = LevelConfig(hidden=hidden)
-        ours = DqnLearner(state_size, ACTIONS, config, seed=0).update
+        ours = FusedDqnLearner(state_size, ACTIONS, config, seed=0).update
         plain = plain_torch(state_size, config, device)
         pairs = [(rate(ours, batches, updates), rate(plain, batches, updates)) for _ in range(repeats + 1)][1:]
         ours_rate, plain_rate = (statistics.median(column) for column in zip(*pairs, strict=True))
         figures[f"{name}_updates_per_s"] = round(ours_rate, 1)
         ratios[f"{name}_update_vs_plain_torch"] = round(statistics.median(a / b for a, b in pairs), 3)
         print(f"{name:24s} {ours_rate:18.0f} {plain_rate:22.0f} {ours_rate / plain_rate:7.2f}")
+    for name, ratio in fused_vs_reference(updates, repeats).items():
+        ratios[name] = round(ratio, 3)
+        print(f"{name:40s} {ratio:8.2f}")
     for name, figure in default_levels(updates, repeats).items():
         figures[name] = round(figure, 1)
         print(f"{name:40s} {figure:8.0f}")
@@ -81,8 +87,28 @@ def main() -> None:
     print(json.dumps({"subject": "learner", "machine": machine, "figures": figures, "ratios": ratios}))
 
 
+def fused_vs_reference(updates: int, repeats: int) -> dict[str, float]:
+    """Return the CPU time of the reference divided by that of the fused learner, by level and batch size."""
+    ratios, config = {}, Config()
+    for level, shape in program.SHAPES.items():
+        settings, mirror = config.high if level is Level.HIGH else config.low, features.mirror(level)
+        fused, reference = (
+            kind(shape.state_size, shape.actions, settings, seed=0, mirror=mirror)
+            for kind in (FusedDqnLearner, DqnLearner)
+        )
+        for batch_size in (16, 128):
+            batches = make_batches(shape.state_size, batch_size, shape.actions)
+            pairs = [
+                (cpu_s(reference.update, batches, updates), cpu_s(fused.update, batches, updates))
+                for _ in range(repeats + 1)
+            ][1:]
+            name = f"{level}_batch{batch_size}_fused_vs_reference"
+            ratios[name] = statistics.median(slow / fast for slow, fast in pairs)
+    return ratios
+
+
 def default_levels(updates: int, repeats: int) -> dict[str, float]:
-    """Updates a second with all that the default configuration has on: each level alone, and both in turn."""
+    """Return updates a second with the default configuration: each level alone, and both in turn."""
     learners = {level: program.make_learner(Config(), level) for level in Level}
     batches = {level: make_batches(shape.state_size, 128, shape.actions) for level, shape in program.SHAPES.items()}
     rates: dict[str, list[float]] = {name: [] for name in (*Level, "both")}
@@ -99,7 +125,7 @@ def default_levels(updates: int, repeats: int) -> dict[str, float]:
 
 
 def fed(updates: int) -> dict[str, float]:
-    """Updates a second of the low level's role, its share of time without a batch, and what late joiners wait."""
+    """Return updates a second of the low level's role, its share of time without a batch, and late joiners' waits."""
     shape = program.SHAPES[Level.LOW]
     low = {"min_size": STORED, "updates_per_insert": 10_000.0}
     config = parse({"high": {"min_size": 10**9}, "low": low, "replay": {"size_initial": STORED}})
@@ -111,7 +137,7 @@ def fed(updates: int) -> dict[str, float]:
             actors.run(0.1, ahead=256)
         context = Context(config, RUN, "learner", "low", 2, transport, wake)
         learner = Learner(context, Level.LOW, program.make_learner(config, Level.LOW))
-        _drive(learner, wake, updates)  # the replay has caught up, and what is compiled is there
+        _drive(learner, wake, updates)  # by now the replay has caught up, and kernels are compiled
         before, began_s = learner.statistics(), time.monotonic()
         _drive(learner, wake, learner.updates + 3 * updates)
         wall_s, after = time.monotonic() - began_s, learner.statistics()
@@ -133,19 +159,19 @@ def _drive(learner: Learner, wake: threading.Event, updates: int) -> None:
 
 
 def _join(endpoint: str) -> float:
-    """Milliseconds from subscribing to having the weights that were published before."""
+    """Return the milliseconds from subscribing to the arrival of weights that were published before."""
     transport, come = ZenohTransport(endpoint), threading.Event()
     began_s = time.perf_counter()
     transport.subscribe(keys.weights(RUN, Level.LOW), Mailbox(1 << 26, come.set), retained=True)
     if not come.wait(10.0):
-        raise SystemExit("no weights came within 10 s")
+        raise SystemExit("no weights arrived within 10 s")
     joined_ms = (time.perf_counter() - began_s) * 1e3
     transport.close()
     return joined_ms
 
 
 def make_batches(state_size: int, batch_size: int, actions: int = ACTIONS) -> list[Batch]:
-    """Random batches of the right shapes."""
+    """Return random batches of these shapes."""
     rng = np.random.default_rng(0)
     return [
         Batch(
@@ -163,15 +189,23 @@ def make_batches(state_size: int, batch_size: int, actions: int = ACTIONS) -> li
 
 
 def rate(update: Callable, batches: list, updates: int) -> float:
-    """Updates a second over `updates` of them."""
+    """Return updates a second over `updates` of them."""
     started = time.perf_counter()
     for i in range(updates):
         update(batches[i % len(batches)])
     return updates / (time.perf_counter() - started)
 
 
+def cpu_s(update: Update, batches: list[Batch], updates: int) -> float:
+    """Return the CPU seconds of `updates` updates."""
+    started = time.process_time()
+    for i in range(updates):
+        update(batches[i % len(batches)])
+    return time.process_time() - started
+
+
 def plain_torch(state_size: int, config: LevelConfig, device: str) -> Update:
-    """The same update the usual way: default Adam, `clip_grad_norm_`, and a soft copy tensor by tensor."""
+    """Return the usual form of the same update: default Adam, `clip_grad_norm_`, a soft copy tensor by tensor."""
     parameters = network.initial_parameters(state_size, ACTIONS, config.hidden, seed=0)
     online = torch_network.policy_network(parameters).to(device)
     target = torch_network.target_network(parameters).to(device)

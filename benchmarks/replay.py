@@ -1,15 +1,15 @@
-"""The replay service against others: insert/s, sample/s, and how long a batch of 256 takes.
+"""Replay service against others: inserts and samples a second, and latency of a batch of 256.
 
 `python benchmarks/replay.py [--quick] [--peers DIR]` prints a table, then one JSON line. Ours is what a run starts: hub
-and replay are processes of their own, one client pushes trajectories through the real outbox with acknowledgements and
-takes batches, as many on their way as a run's learner has (16). The peers, each with a client of its own, get the same
-transitions, 256 features and so 2,048 bytes of float32 states a transition, into a ring of the same size:
+and replay are processes of their own; one client pushes trajectories through the real outbox with acknowledgements and
+receives batches, with as many in flight as a run's learner has (16). Each peer has a client of its own and gets the
+same transitions (256 features, so 2,048 bytes of float32 states each) into a ring of the same size:
 
 - a Ray actor holding a numpy ring, 64 transitions a call, 16 calls in flight, and 16 batches the other way;
 - Reverb, where DIR/reverb has it: its trajectory writer, which sends each state once, and its TrajectoryDataset;
 - TorchRL, where DIR/torchrl has it: a storage in the client's own process, without a service.
 
-`make peers` makes DIR; a peer that is not there is left out. An insert counts once the other side has acknowledged it,
+`make peers` creates DIR; a missing peer is left out. An insert counts once the other side has acknowledged it,
 so each round ends with all of it stored; ours also rounds states to half floats, checks every value and holds masks and
 guide actions, which the peers do not get. One system is loaded at a time, in turn, and a figure is the median of the
 rounds. `sample` is a batch a message on both sides, `sample_4` four batches a message, as a run's learner takes them; a
@@ -53,11 +53,11 @@ PEERS = {  # script, environment below the folder of peers (None: this one)
 
 PLURALS = {"insert": "inserts", "sample": "samples", "sample_4": "samples_4"}
 RATES = tuple(PLURALS)
-FOUR = ("ours", "ray_actor")  # who can send several batches in a message
+FOUR = ("ours", "ray_actor")  # systems that can send several batches in a message
 
 
 class Ours:
-    """The client of our replay. One level takes inserts without limit, the other is filled once and sampled from."""
+    """Client of our replay. One level accepts inserts without limit; the other is filled once and then sampled."""
 
     def __init__(self, endpoint: str, service: ReplayService, config: object) -> None:
         self._transports = [ZenohTransport(endpoint) for _ in range(2)]
@@ -71,24 +71,24 @@ class Ours:
         filler.settle()
 
     def insert(self, seconds: float) -> float:
-        """Transitions a second, the last acknowledgement included."""
+        """Return inserted transitions a second, the wait for the last acknowledgement included."""
         before, began_s = self._writer.produced, time.perf_counter()
         self._writer.run(seconds, AHEAD)
         self._writer.settle()
         return (self._writer.produced - before) / (time.perf_counter() - began_s)
 
     def sample(self, seconds: float, at_once: int = 1) -> float:
-        """Transitions a second, so many batches a message."""
+        """Return sampled transitions a second, with `at_once` batches in a message."""
         before, began_s = self._reader.transitions, time.perf_counter()
         self._reader.run(seconds, at_once)
         return (self._reader.transitions - before) / (time.perf_counter() - began_s)
 
     def sample_4(self, seconds: float) -> float:
-        """As a run's learner takes them."""
+        """Return sampled transitions a second, with as many batches in a message as a run's learner requests."""
         return self.sample(seconds, at_once=BATCHES_AN_ANSWER)
 
     def latency(self, count: int) -> list[float]:
-        """Milliseconds of batches asked for one at a time."""
+        """Return the milliseconds of batches requested one at a time."""
         times_ms = []
         for _ in range(count):
             began_s = time.perf_counter()
@@ -103,17 +103,17 @@ class Ours:
 
     @property
     def lost(self) -> int:
-        """Batches asked for that did not come."""
+        """Batches that were requested and did not arrive."""
         return self._reader.lost
 
     def close(self) -> None:
-        """Leaves the hub."""
+        """Disconnect from the hub."""
         for transport in self._transports:
             transport.close()
 
 
 class PeerProcess:
-    """A peer's client, which does the same in its own environment."""
+    """Client of a peer, a process in the peer's own environment."""
 
     def __init__(self, python: Path, script: str, data: Path, errors: Path) -> None:
         self._process = subprocess.Popen(
@@ -126,7 +126,7 @@ class PeerProcess:
         self._errors = errors
 
     def wait_until_ready(self) -> None:
-        """Returns once it takes orders."""
+        """Wait until it accepts commands."""
         self._answer()
 
     def insert(self, seconds: float) -> float:
@@ -146,7 +146,7 @@ class PeerProcess:
         return self._ask(f"latency {count}")
 
     def close(self) -> None:
-        """Lets it end, and makes it: a Reverb dataset's threads sometimes keep their process alive."""
+        """Let it end, then kill it if need be: a Reverb dataset's threads sometimes keep their process alive."""
         self._process.stdin.close()
         try:
             self._process.wait(timeout=10)
@@ -161,12 +161,12 @@ class PeerProcess:
     def _answer(self) -> object:
         line = self._process.stdout.readline()
         if not line:
-            raise SystemExit(f"{self._process.args[1]} ended: {self._errors.read_text()[-2000:]}")
+            raise SystemExit(f"{self._process.args[1]} ended: {self._errors.read_text()[-2000:].strip()}")
         return json.loads(line)
 
 
 def main() -> None:
-    """Starts what there is, loads it in turn, and prints the figures."""
+    """Start the systems, load them in turn, and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="fewer and shorter rounds; ends within 50 s on two cores")
     parser.add_argument("--peers", type=Path, default=HERE.parent / ".peers", help="folder of the peers' environments")
@@ -197,7 +197,7 @@ def main() -> None:
 
 
 def measure(systems: dict, rounds: int, seconds: float, batches: int) -> dict[str, dict[str, list[float]]]:
-    """Each figure of each system, a value a round; the first round warms up and is dropped. All batches' times."""
+    """Return each system's rates, one value a round, and all latencies; the first round warms up and is dropped."""
     found: dict[str, dict[str, list[float]]] = {
         name: {figure: [] for figure in (*RATES, "batch_ms")} for name in systems
     }
@@ -218,7 +218,7 @@ def measure(systems: dict, rounds: int, seconds: float, batches: int) -> dict[st
 
 
 def summarise(found: dict[str, dict[str, list[float]]], figures: dict[str, float]) -> None:
-    """Prints table and JSON line."""
+    """Print the table and the JSON line."""
     ratios: dict[str, float] = {}
     medians = {
         name: {figure: statistics.median(values[figure]) for figure in RATES if values[figure]}

@@ -25,6 +25,7 @@ from wire import make_trajectory
 
 from zsdist.agent.features import LOW_ACTIONS, LOW_STATE_SIZE
 from zsdist.config import Config, parse
+from zsdist.dqn.batches import from_stored
 from zsdist.protocol.outbox import Outbox
 from zsdist.roles.base import Context
 from zsdist.roles.learner import BATCHES_AN_ANSWER, PREFETCH
@@ -104,6 +105,7 @@ class Sampler:
             reply = codec.decode(message.payload)
             self._asked -= BATCHES_AN_ANSWER
             if isinstance(reply, SampleReply) and reply.batch is not None:
+                from_stored(reply.batch)  # as a learner does
                 self.batches += reply.batches
         while self._asked + BATCHES_AN_ANSWER <= PREFETCH:
             request = codec.encode(SampleRequest(1, Level.LOW, self.batches, BATCHES_AN_ANSWER))

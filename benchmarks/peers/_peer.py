@@ -1,8 +1,8 @@
-"""What the peers' scripts share: orders come as lines on standard input, answers go out as JSON lines.
+"""Functions of the peers' scripts: commands arrive as lines on standard input, answers leave as JSON lines.
 
 A peer runs in its own environment, so nothing of zsdist is imported here. `insert`, `sample` and `sample_4` (four
-batches a message) go on for so many seconds and answer transitions a second; `latency` answers the milliseconds of so
-many batches, one after the other.
+batches a message) run for the given seconds and answer transitions a second; `latency` answers the milliseconds of the
+given number of batches, one after the other.
 """
 
 import json
@@ -15,36 +15,39 @@ from typing import Protocol
 
 import numpy as np
 
+sys.path.append(str(Path(__file__).parents[1]))
+from _common import require as require
+
 BATCH = 256
 answers = os.fdopen(os.dup(1), "w", buffering=1)
-os.dup2(2, 1)  # libraries that print do not answer
+os.dup2(2, 1)  # output of libraries must not mix with answers
 COLUMNS = ("state", "action", "reward", "discount", "next_state")
 
 
 class Peer(Protocol):
-    """A replay that is loaded the way its documentation says."""
+    """Replay that is loaded the way its documentation recommends."""
 
     def insert(self, seconds: float) -> int:
-        """Transitions stored, all of them acknowledged, in so many seconds of offering."""
+        """Offer transitions for `seconds`; return how many were stored and acknowledged."""
 
     def draw(self, batches: int) -> Iterator[int]:
-        """Batches without end, so many a message where that can be chosen; yields how many transitions came each time.
+        """Draw batches without end, `batches` in a message if that can be chosen; yield each message's transitions.
 
-        As many are in flight as serves it best.
+        As many are in flight as is best for the peer.
         """
 
     def one(self) -> None:
-        """One batch of `BATCH`, asked for now and waited for."""
+        """Request one batch of `BATCH` and wait for it."""
 
 
 def transitions() -> dict[str, np.ndarray]:
-    """The transitions that zsdist's own client pushes, as pairs: columns of `(n,)` or `(n, D)`, trajectories of 8."""
+    """Return the transitions that zsdist's client pushes, as columns of `(n,)` or `(n, D)`, in trajectories of 8."""
     with np.load(Path(sys.argv[1])) as file:
         return {name: file[name] for name in COLUMNS}
 
 
 def serve(peer: Peer) -> None:
-    """Answers orders until standard input closes."""
+    """Answer commands until standard input closes."""
     print(json.dumps("ready"), file=answers)
     for line in sys.stdin:
         what, amount = line.split()

@@ -1,4 +1,4 @@
-"""A Ray actor that holds a numpy ring, its calls 16 in flight, 64 transitions an insert, its best here."""
+"""Ray actor that holds a numpy ring; 16 calls in flight and 64 transitions an insert are its best here."""
 
 import os
 import time
@@ -6,8 +6,9 @@ from collections import deque
 from collections.abc import Iterator
 
 import numpy as np
-import ray
-from _peer import BATCH, serve, transitions
+from _peer import BATCH, require, serve, transitions
+
+ray = require("ray", "pip install ray")
 
 CAPACITY = 10_000
 IN_FLIGHT = 16
@@ -15,7 +16,7 @@ CHUNK = 64  # transitions a call
 
 
 class Ring:
-    """The ring, in the actor's process."""
+    """Ring in the actor's process."""
 
     def __init__(self, columns: dict[str, np.ndarray]) -> None:
         self._columns = {name: np.empty((CAPACITY, *rows.shape[1:]), rows.dtype) for name, rows in columns.items()}
@@ -23,7 +24,7 @@ class Ring:
         self._rng = np.random.default_rng(0)
 
     def insert(self, columns: dict[str, np.ndarray]) -> int:
-        """Stores rows over the oldest."""
+        """Store rows over the oldest."""
         count = len(columns["action"])
         places = (self._head + np.arange(count)) % CAPACITY
         for name, rows in columns.items():
@@ -32,13 +33,13 @@ class Ring:
         return count
 
     def sample(self, count: int) -> dict[str, np.ndarray]:
-        """Rows drawn uniformly."""
+        """Draw rows uniformly."""
         places = self._rng.integers(0, self._size, count)
         return {name: rows.take(places, axis=0) for name, rows in self._columns.items()}
 
 
 class RayActor:
-    """The client of the ring."""
+    """Client of the ring."""
 
     def __init__(self) -> None:
         ray.init(
@@ -58,7 +59,7 @@ class RayActor:
         self._ring = ray.remote(Ring).remote(rows)
 
     def insert(self, seconds: float) -> int:
-        """Keeps `IN_FLIGHT` calls under way."""
+        """Keep `IN_FLIGHT` calls in flight."""
         flight: deque = deque()
         count, number, until_s = 0, 0, time.perf_counter() + seconds
         while time.perf_counter() < until_s:
@@ -69,7 +70,7 @@ class RayActor:
         return count + sum(ray.get(list(flight)))
 
     def draw(self, batches: int) -> Iterator[int]:
-        """Keeps so many calls under way that `IN_FLIGHT` batches are."""
+        """Keep `IN_FLIGHT` batches in flight."""
         flight = deque(self._ring.sample.remote(batches * BATCH) for _ in range(IN_FLIGHT // batches))
         while True:
             drawn = ray.get(flight.popleft())
@@ -77,7 +78,7 @@ class RayActor:
             yield len(drawn["action"])
 
     def one(self) -> None:
-        """A call and its answer."""
+        """Wait for one call."""
         ray.get(self._ring.sample.remote(BATCH))
 
 

@@ -1,4 +1,4 @@
-"""Reverb: a server in a process of its own, items written by a trajectory writer, read through a TrajectoryDataset.
+"""Reverb: server in a process of its own, items written by a trajectory writer, read through a TrajectoryDataset.
 
 States are appended once a step and shared by the two items that use them, as Reverb's documentation advises; both ends
 speak gRPC over the loopback. A second, slower way to write, `Client.insert` of whole pairs, is not used.
@@ -13,9 +13,10 @@ from collections.abc import Iterator
 os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
 
 import numpy as np
-import reverb
-import tensorflow as tf
-from _peer import BATCH, COLUMNS, answers, serve, transitions
+from _peer import BATCH, COLUMNS, answers, require, serve, transitions
+
+reverb = require("reverb", "make peers")
+tf = require("tensorflow", "make peers")
 
 CAPACITY = 10_000
 LENGTH = 8  # transitions of a trajectory
@@ -23,7 +24,7 @@ ONLY_SERVER = "--server"
 
 
 def run_server(rows: dict[str, np.ndarray]) -> None:
-    """Serves one uniform table and prints its port; ends with its standard input."""
+    """Serve one uniform table and print its port, until standard input closes."""
     item = {name: tf.TensorSpec((1, *rows[name].shape[1:]), rows[name].dtype) for name in COLUMNS}
     table = reverb.Table(
         "replay",
@@ -40,7 +41,7 @@ def run_server(rows: dict[str, np.ndarray]) -> None:
 
 
 class Reverb:
-    """The client of the table."""
+    """Client of the table."""
 
     def __init__(self) -> None:
         self._rows = transitions()
@@ -52,7 +53,7 @@ class Reverb:
         self._next = 0
 
     def insert(self, seconds: float) -> int:
-        """Appends steps and creates an item for each, until all are in the table."""
+        """Append steps and create an item for each, until all are in the table."""
         count, until_s = 0, time.perf_counter() + seconds
         with self._client.trajectory_writer(num_keep_alive_refs=2) as writer:
             while time.perf_counter() < until_s:
@@ -61,7 +62,7 @@ class Reverb:
         return count
 
     def draw(self, batches: int) -> Iterator[int]:
-        """Batches of the dataset, whose own threads keep it fed."""
+        """Draw batches of the dataset, which its own threads fill."""
         if self._batches is None:
             dataset = reverb.TrajectoryDataset.from_table_signature(
                 self._address, "replay", max_in_flight_samples_per_worker=2 * BATCH
@@ -71,10 +72,10 @@ class Reverb:
             yield len(batch.data["action"].numpy())
 
     def one(self) -> None:
-        """The next batch of the dataset: it may be there already, so this is a lower bound of a round trip."""
+        """Take the next batch of the dataset; it may be there already, so this is a lower bound of a round trip."""
         next(self.draw(1))
 
-    def _episode(self, writer: reverb.TrajectoryWriter) -> int:
+    def _episode(self, writer: "reverb.TrajectoryWriter") -> int:
         rows, start = self._rows, self._next
         self._next = (start + LENGTH) % len(rows["action"])
         for row in range(start, start + LENGTH):
@@ -88,7 +89,7 @@ class Reverb:
         writer.end_episode()
         return LENGTH
 
-    def _item(self, writer: reverb.TrajectoryWriter) -> None:
+    def _item(self, writer: "reverb.TrajectoryWriter") -> None:
         history = writer.history
         item = {name: history[name][-2:-1] for name in COLUMNS if name != "next_state"}
         writer.create_item("replay", 1.0, item | {"next_state": history["state"][-1:]})

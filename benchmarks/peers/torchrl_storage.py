@@ -1,29 +1,30 @@
-"""TorchRL's LazyTensorStorage in this process: no service, nothing between client and storage. A bound, not a rival."""
+"""TorchRL's LazyTensorStorage in this process: no service between client and storage; a bound, no competitor."""
 
 import time
 from collections.abc import Iterator
 
-import torch
-from _peer import BATCH, serve, transitions
-from tensordict import TensorDict
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from _peer import BATCH, require, serve, transitions
+
+torch = require("torch", "make peers")
+tensordict = require("tensordict", "make peers")
+data = require("torchrl.data", "make peers")
 
 CAPACITY = 10_000
 CHUNK = 64  # transitions a call
 
 
 class TorchRL:
-    """The buffer and what is put into it."""
+    """Buffer and the transitions to insert."""
 
     def __init__(self) -> None:
         torch.set_num_threads(1)
-        rows = TensorDict({name: torch.from_numpy(column) for name, column in transitions().items()})
+        rows = tensordict.TensorDict({name: torch.from_numpy(column) for name, column in transitions().items()})
         rows.batch_size = [len(rows["action"])]
         self._chunks = rows.split(CHUNK)
-        self._buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(CAPACITY), batch_size=BATCH)
+        self._buffer = data.TensorDictReplayBuffer(storage=data.LazyTensorStorage(CAPACITY), batch_size=BATCH)
 
     def insert(self, seconds: float) -> int:
-        """Extends the buffer by chunks."""
+        """Extend the buffer by chunks."""
         count, until_s = 0, time.perf_counter() + seconds
         while time.perf_counter() < until_s:
             chunk = self._chunks[count // CHUNK % len(self._chunks)]
@@ -32,12 +33,12 @@ class TorchRL:
         return count
 
     def draw(self, batches: int) -> Iterator[int]:
-        """Batches drawn one after the other."""
+        """Draw batches one after the other."""
         while True:
             yield len(self._buffer.sample())
 
     def one(self) -> None:
-        """One batch."""
+        """Draw one batch."""
         self._buffer.sample()
 
 

@@ -68,12 +68,13 @@ def _reflect(
     state_sign: np.ndarray,
     action_index: np.ndarray,
 ) -> None:
+    before, allowed = np.empty_like(states[0]), np.empty_like(masks[0])
     for row in np.flatnonzero(rows):
         actions[row] = action_index[actions[row]]
         if guides[row] >= 0:
             guides[row] = action_index[guides[row]]
         for at in (row, row + len(rows)):
-            before, allowed = states[at].copy(), masks[at].copy()
+            before[:], allowed[:] = states[at], masks[at]
             for feature in range(len(state_index)):
                 states[at, feature] = before[state_index[feature]] * state_sign[feature]
             for action in range(len(action_index)):

@@ -16,6 +16,8 @@ from zsdist.dqn.torch_network import QNetwork
 from zsdist.types import Batch
 
 _BETAS, _ADAM_EPSILON = (0.9, 0.999), 1e-8  # torch's defaults
+_relu_backward = torch.ops.aten.threshold_backward.default  # without the search for an overload in every call
+_layer_norm_backward = torch.ops.aten.native_layer_norm_backward.default
 
 # Of each hidden layer: input, linear, mean and 1 / spread of it; last: its output.
 Trace = list[tuple[torch.Tensor, ...]]
@@ -95,11 +97,11 @@ def backward(network: QNetwork, gradient: torch.Tensor, trace: Trace) -> None:
         torch.sum(gradient, 0, out=bias.grad)
         if layer == 0:
             return
-        gradient = torch.ops.aten.threshold_backward(gradient @ weight, active[:b], 0)
+        gradient = _relu_backward(torch.mm(gradient, weight), active[:b], 0)
         weight, bias, scale, shift = network.hidden_layers[layer - 1]
         active, *normalised = trace[layer - 1]
         linear, mean, spread = (tensor[:b] for tensor in normalised)
-        gradient, scale_gradient, shift_gradient = torch.ops.aten.native_layer_norm_backward(
+        gradient, scale_gradient, shift_gradient = _layer_norm_backward(
             gradient, linear, bias.shape, mean, spread, scale, shift, [True, True, True]
         )
         assert scale.grad is not None and shift.grad is not None
