@@ -20,7 +20,7 @@ from _common import report
 
 from zsdist.config import CameraConfig, VisionConfig
 from zsdist.datasets.labelled import labelled_views
-from zsdist.vision import folder
+from zsdist.vision import weights_folder
 from zsdist.vision.encoders import lite0
 from zsdist.vision.encoders.base import resample
 from zsdist.vision.models import STUDENT_PX
@@ -65,7 +65,7 @@ def _readers(model: VisualAct, weights: str, camera: CameraConfig) -> dict[str, 
         "head": lambda image: model.read_tokens(tokens),  # its time does not depend on what it reads
         "trunk_and_head": model.read,
     }
-    if folder.read(folder.locate(weights)).has(folder.STUDENT_FILE):
+    if weights_folder.read(weights_folder.locate(weights)).has(weights_folder.STUDENT_FILE):
         student = VisualAct.load(VisionConfig(weights=weights, network="student"), camera)
         small = np.zeros((1, STUDENT_PX, STUDENT_PX, 3), np.uint8)
         readers |= {"student": lambda image: student.read(small), "resample_and_student": student.read}

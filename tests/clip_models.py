@@ -55,9 +55,9 @@ def hugging_face(folder, **changes):
     return model
 
 
-def of_open_clip(folder, *, separate=False, standard_words=False, quick_gelu=False, **changes):
+def of_open_clip(folder, *, separate=False, standard_tokenizer=False, quick_gelu=False, **changes):
     """Writes one in open_clip's layout; returns the model."""
-    words = 49408 if standard_words else len(vocabulary())
+    words = 49408 if standard_tokenizer else len(vocabulary())
     about = {
         "embed_dim": DIMENSIONS,
         "quick_gelu": quick_gelu,
@@ -69,7 +69,7 @@ def of_open_clip(folder, *, separate=False, standard_words=False, quick_gelu=Fal
     save_file({name: tensor.contiguous() for name, tensor in model.state_dict().items()}, weights_of(folder))
     config = {"model_cfg": about, "preprocess_cfg": {"mean": MEAN, "std": STD, "interpolation": "bicubic"}}
     (folder / "open_clip_config.json").write_text(json.dumps(config))
-    if not standard_words:
+    if not standard_tokenizer:
         tokenizer().save_pretrained(folder)
     return model
 

@@ -23,7 +23,7 @@ from zsdist.planning.grid import HEADINGS, Grid
 from zsdist.planning.rewards import RewardTerms
 from zsdist.planning.shortest_path import goal_mask
 from zsdist.types import Action, Behaviour, Level, Parameters, Pose, Trajectory, View
-from zsdist.vision.ray_ablation import limited
+from zsdist.vision.ray_ablation import ablate_rays
 
 START_DISC_M = 1.5  # about the start, known to be free
 
@@ -127,7 +127,7 @@ class HierarchicalAgent:
     def observe(self, pose: Pose, view: View) -> None:
         """Takes in where the car is and what it sees (lines 6 and 13), and completes the step that led here."""
         before = self._situation
-        view = limited(view, self._config.vision.rays)
+        view = ablate_rays(view, self._config.vision.rays)
         self._belief.update(pose, view, self._config.camera.forward_m)
         self._situation = self._assess(pose, view, before)
         self._options = choices(self._situation)

@@ -17,8 +17,8 @@ from zsdist.types import Pose
 from zsdist.vision.words.vocabulary import CONCEPTS, SIDES, caption
 
 CELLS = 14  # to a side, as the default encoder's tokens
-TOLD_SHARE = 0.02  # of the picture that a kind must cover to be told of
-MOST_TOLD = 3  # kinds in a caption
+CAPTION_SHARE = 0.02  # of the picture that a kind must cover to be told of
+MOST_CAPTIONED = 3  # kinds in a caption
 DOMINANT_SHARE = 0.06  # of the picture that the dominant kind must cover,
 DOMINANT_TIMES = 2.0  # and so many times as much as any other kind
 _NATURAL_SHARE = 0.75  # of varied pictures have the kinds' own colours: grounds are told apart by little else
@@ -78,7 +78,7 @@ def describe(segments: np.ndarray, ground: str, rng: np.random.Generator) -> tup
     concepts = _concept_of_segment(ground)[segments]
     cells = cell_shares(concepts, CELLS)
     kinds = cells[:, :, : len(KINDS)].mean((0, 1))
-    told = [kind for kind in np.argsort(-kinds) if kinds[kind] >= TOLD_SHARE][:MOST_TOLD]
+    told = [kind for kind in np.argsort(-kinds) if kinds[kind] >= CAPTION_SHARE][:MOST_CAPTIONED]
     seen = [(CONCEPTS[kind], _side(cells[:, :, kind])) for kind in told]
     return cells.astype(np.float16), caption(seen, ground, rng), dominant_kind(kinds)
 

@@ -16,7 +16,7 @@ from zsdist.sim.camera.caster import INSTANCE_GROUND, INSTANCE_SKY, CasterCamera
 from zsdist.sim.scenes.manifest import Split
 from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Pose
-from zsdist.vision.masks import Mask, MaskedView, choose, pixel_distance_m
+from zsdist.vision.masks import Mask, MaskedView, choose_masks, pixel_distance_m
 
 
 def masked_views(
@@ -47,19 +47,19 @@ def masked_view(eye: CasterCamera, scene: Scene, pose: Pose, people: np.ndarray 
     config = eye.config
     distance_m = pixel_distance_m(depth_m, math.radians(config.field_of_view_deg))
     ground, sky = instances == INSTANCE_GROUND, instances == INSTANCE_SKY
-    objects, background = choose(instances, distance_m, ground, sky, config.range_m)
+    objects, background = choose_masks(instances, distance_m, ground, sky, config.range_m)
 
     def truth(of: Scene, walking: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         found = label(of, pose, config, walking)
         return found["ray_clearance_m"], found["ray_dynamic"]
 
     whole = truth(scene, people)
-    masks = [Mask(hidden, False, *truth(*without(scene, index, people))) for index, hidden in objects.items()]
+    masks = [Mask(hidden, False, *truth(*remove_obstacle(scene, index, people))) for index, hidden in objects.items()]
     masks += [Mask(hidden, True, *whole) for hidden in background]
     return MaskedView(image, *whole, tuple(masks), scene.hash())
 
 
-def without(scene: Scene, index: int, people: np.ndarray | None) -> tuple[Scene, np.ndarray | None]:
+def remove_obstacle(scene: Scene, index: int, people: np.ndarray | None) -> tuple[Scene, np.ndarray | None]:
     """The scene without its obstacle `index`, and the places `(W, 2)` of those of its people who are left."""
     gone = scene.obstacles[index]
     if gone.walks and people is not None:

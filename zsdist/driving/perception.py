@@ -9,7 +9,7 @@ import numpy as np
 from zsdist.driving.episode import Car
 from zsdist.planning.grid import Grid
 from zsdist.types import LatticeState, View
-from zsdist.vision.fingerprint import Sighted
+from zsdist.vision.fingerprint import VisionHashes
 from zsdist.vision.reading_cache import ReadingCache
 from zsdist.vision.visual_act import Reading
 
@@ -17,7 +17,7 @@ NEAR_M = 0.10  # a car this near to a lattice state, and with this heading, sees
 NEAR_RAD = math.radians(5.0)
 
 
-class VisionModel(Sighted, Protocol):
+class VisionModel(VisionHashes, Protocol):
     """What is used of `zsdist.vision.visual_act.VisualAct`, whose docstrings say what its methods do."""
 
     def read(self, images: np.ndarray) -> Reading:

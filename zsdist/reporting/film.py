@@ -95,7 +95,7 @@ def frames(moments: Sequence[Moment], config: Config, visual_act: Any) -> Iterat
     Args:
         moments: of a whole episode.
         config: of who drove.
-        visual_act: may `look`; None: no attention is shown.
+        visual_act: may `observe`; None: no attention is shown.
     """
     scene, camera, look = moments[0].scene, make_camera(config.camera), _look_of(visual_act)
     chase = ChaseCamera(scene, PANEL_PX)
@@ -217,14 +217,14 @@ def _look_of(visual_act: Any) -> Callable[[np.ndarray, int | None], np.ndarray]:
         shown = plain(image, action)
         if action is None:
             return shown
-        weights = visual_act.look(image[None]).attention[0, _LOOKS[Action(action)]]
+        weights = visual_act.observe(image[None]).attention[0, _LOOKS[Action(action)]]
         side = round(len(weights) ** 0.5)
         return attended(shown, weights.reshape(side, side))
 
-    if not hasattr(visual_act, "look"):
+    if not hasattr(visual_act, "observe"):
         return plain
     try:
-        visual_act.look(np.zeros((1, 64, 64, 3), np.uint8))
+        visual_act.observe(np.zeros((1, 64, 64, 3), np.uint8))
     except WeightsError:
         return plain
     return looking

@@ -6,7 +6,7 @@ from typing import Any, Protocol, Self
 from zsdist.errors import WeightsError
 
 
-class Sighted(Protocol):
+class VisionHashes(Protocol):
     """What a visual-act model says of its weights."""
 
     encoder_name: str
@@ -31,20 +31,20 @@ class VisionIdentity:
     weights_sha256: str
 
     @classmethod
-    def of(cls, visual_act: Sighted, network: str) -> Self:
+    def of(cls, visual_act: VisionHashes, network: str) -> Self:
         """Of a model that is loaded as `config.vision.network` says."""
         return cls(visual_act.encoder_name, visual_act.encoder_sha256, network, visual_act.weights_sha256)
 
     @classmethod
-    def read(cls, fields: Any) -> Self:
-        """From a checkpoint; raises `ValueError` where it is not what `written` gives."""
+    def from_json(cls, fields: Any) -> Self:
+        """From a checkpoint; raises `ValueError` where it is not what `to_json` returns."""
         if not isinstance(fields, dict) or set(fields) != set(cls.__dataclass_fields__):
             raise ValueError(f"vision is {fields!r}; allowed is an object with {', '.join(cls.__dataclass_fields__)}")
         if not all(isinstance(value, str) for value in fields.values()):
             raise ValueError(f"vision is {fields!r}; allowed are words only")
         return cls(**fields)
 
-    def written(self) -> dict[str, str]:
+    def to_json(self) -> dict[str, str]:
         """As a JSON object."""
         return asdict(self)
 

@@ -94,7 +94,7 @@ def hide(image: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     return result
 
 
-def choose(
+def choose_masks(
     instances: np.ndarray, distance_m: np.ndarray, ground: np.ndarray, sky: np.ndarray, range_m: float
 ) -> tuple[dict[int, np.ndarray], list[np.ndarray]]:
     """The masks of a picture, `(px, px)` bool each, none trivial and at most `MOST_MASKS` in all.
@@ -146,7 +146,7 @@ def rewards(
     return reward_label(openness(clearance_m, dynamic, goal_distance_m[:, None]), progress)
 
 
-def changed(rewards_without: np.ndarray, rewards_with: np.ndarray) -> np.ndarray:
+def labels_changed(rewards_without: np.ndarray, rewards_with: np.ndarray) -> np.ndarray:
     """For which actions a masked picture is a positive sample, bool like both `(..., 3)`; for the others a negative.
 
     Args:

@@ -9,7 +9,7 @@ from zsdist.vision.labels import sectors
 from zsdist.vision.rays import soft_labels
 
 
-def limited(view: View, rays: str) -> View:
+def ablate_rays(view: View, rays: str) -> View:
     """The view as `vision.rays` lets it through.
 
     Args:

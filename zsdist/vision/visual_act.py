@@ -11,14 +11,14 @@ import onnxruntime
 from zsdist.config import CameraConfig, VisionConfig
 from zsdist.errors import WeightsError
 from zsdist.types import View
-from zsdist.vision import folder
+from zsdist.vision import weights_folder
 from zsdist.vision.encoders import open_encoder
 from zsdist.vision.encoders.base import Encoder, check_images, resample
 from zsdist.vision.exported import cached_session, export
-from zsdist.vision.folder import HEAD_FILE, PROJECTION_FILE, STUDENT_FILE, Folder
 from zsdist.vision.labels import expected_openness, progress, reward_label
 from zsdist.vision.models import STUDENT_PX
 from zsdist.vision.rays import BIN_CENTRES_M, BIN_EDGES_M, RAYS, quantile_m, ray_angles_rad
+from zsdist.vision.weights_folder import HEAD_FILE, PROJECTION_FILE, STUDENT_FILE, WeightsFolder
 
 if TYPE_CHECKING:
     import torch
@@ -75,7 +75,7 @@ class VisualAct:
         WeightsError: weights are missing, damaged, or of another network.
     """
 
-    def __init__(self, weights: Folder, encoder: Encoder | None, ray_quantile: float) -> None:
+    def __init__(self, weights: WeightsFolder, encoder: Encoder | None, ray_quantile: float) -> None:
         file = STUDENT_FILE if encoder is None else HEAD_FILE
         content = weights.content(file)
         self.weights_sha256 = weights.sha256(file)
@@ -98,7 +98,7 @@ class VisualAct:
         Raises:
             WeightsError: weights are missing, damaged, or made for another encoder or camera.
         """
-        weights = folder.read(folder.locate(config.weights))
+        weights = weights_folder.read(weights_folder.locate(config.weights))
         weights.check_camera(camera)
         if config.network == "student":
             return cls(weights, None, config.ray_quantile)
@@ -165,7 +165,7 @@ class VisualAct:
             raise WeightsError("vision.network is 'student', which reads no tokens; allowed is 'head'")
         return Reading(*self._session.run(READ, {"tokens": tokens}))
 
-    def look(self, images: np.ndarray) -> Observation:
+    def observe(self, images: np.ndarray) -> Observation:
         """Where the head looks on images `(B, px, px, 3)` uint8; its network is opened when first asked for.
 
         Raises:
@@ -198,11 +198,11 @@ def _code() -> str:
     return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:8]
 
 
-def _field_of_view_rad(weights: Folder) -> float:
+def _field_of_view_rad(weights: WeightsFolder) -> float:
     return float(np.radians(weights.metadata["camera"]["field_of_view_deg"]))
 
 
-def _build(weights: Folder, content: bytes, encoder: Encoder | None, out: Path) -> None:
+def _build(weights: WeightsFolder, content: bytes, encoder: Encoder | None, out: Path) -> None:
     """Exports head or student as probabilities and checks it against torch."""
     from zsdist.vision.models.head import Probabilities
     from zsdist.vision.models.student import Student
@@ -216,12 +216,12 @@ def _build(weights: Folder, content: bytes, encoder: Encoder | None, out: Path) 
 
 
 def _build_looking(
-    weights: Folder, head: bytes, projection: bytes | dict[str, np.ndarray], encoder: Encoder, out: Path
+    weights: WeightsFolder, head: bytes, projection: bytes | dict[str, np.ndarray], encoder: Encoder, out: Path
 ) -> None:
     """Exports head and projection together and checks them against torch."""
     import torch
 
-    from zsdist.vision.models.looking import AttentionReader
+    from zsdist.vision.models.attention_reader import AttentionReader
     from zsdist.vision.models.projection import projection_of
 
     if isinstance(projection, bytes):
@@ -233,7 +233,7 @@ def _build_looking(
     export(AttentionReader(_head(weights, head, encoder), projected), _some_tokens(encoder), out, "tokens", LOOKED)
 
 
-def _head(weights: Folder, content: bytes, encoder: Encoder) -> "torch.nn.Module":
+def _head(weights: WeightsFolder, content: bytes, encoder: Encoder) -> "torch.nn.Module":
     from zsdist.vision.models.head import VisualActHead
 
     head = VisualActHead(encoder.features, encoder.side, _field_of_view_rad(weights))

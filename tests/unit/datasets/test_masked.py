@@ -3,7 +3,7 @@ import pytest
 
 from zsdist.config import CameraConfig
 from zsdist.datasets.labelled import label
-from zsdist.datasets.masked import masked_view, masked_views, without
+from zsdist.datasets.masked import masked_view, masked_views, remove_obstacle
 from zsdist.errors import SceneError
 from zsdist.sim.camera.caster import INSTANCE_GROUND, INSTANCE_SKY, INSTANCE_WALL, CasterCamera
 from zsdist.sim.scenes.kinds import KINDS, SEGMENT_GROUND, SEGMENT_SKY, SEGMENT_WALL
@@ -58,10 +58,10 @@ def test_background_masks_leave_the_truth_as_it_is():
 def test_taking_a_walker_away_leaves_the_others_where_they_are():
     first, second = person(4.0, 0.0, ((4.0, 0.0), (4.0, 2.0))), person(3.0, -2.0, ((3.0, -2.0), (3.0, -1.0)))
     people = np.array([[4.0, 1.0], [3.0, -1.5]])
-    rest, places = without(scene(Obstacle("rock", 8.0, 0.0, 0.5), first, second), 1, people)
+    rest, places = remove_obstacle(scene(Obstacle("rock", 8.0, 0.0, 0.5), first, second), 1, people)
     assert rest.walkers() == (second,)
     assert places.tolist() == [[3.0, -1.5]]
-    assert without(scene(first), 0, None)[1] is None
+    assert remove_obstacle(scene(first), 0, None)[1] is None
 
 
 @pytest.mark.parametrize("varied", [False, True])

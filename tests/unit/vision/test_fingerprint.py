@@ -36,10 +36,10 @@ def test_another_student_is_said_and_a_student_in_place_of_a_head_is_refused():
 
 
 def test_what_is_written_reads_back():
-    assert VisionIdentity.read(TRAINED.written()) == TRAINED
+    assert VisionIdentity.from_json(TRAINED.to_json()) == TRAINED
 
 
-@pytest.mark.parametrize("wrong", [None, [], {}, TRAINED.written() | {"more": "x"}, TRAINED.written() | {"encoder": 3}])
+@pytest.mark.parametrize("wrong", [None, [], {}, TRAINED.to_json() | {"more": "x"}, TRAINED.to_json() | {"encoder": 3}])
 def test_anything_else_is_refused(wrong):
     with pytest.raises(ValueError, match="vision is"):
-        VisionIdentity.read(wrong)
+        VisionIdentity.from_json(wrong)

@@ -12,13 +12,13 @@ from zsdist.config import CameraConfig, VisionConfig
 from zsdist.datasets.labelled import labelled_views
 from zsdist.errors import ImageError, WeightsError
 from zsdist.vision.encoders.lite0 import FEATURES, INPUT_PX, SIDE, EfficientNetLite0
-from zsdist.vision.folder import HEAD_FILE, METADATA_FILE, PROJECTION_FILE, STUDENT_FILE, read, write
 from zsdist.vision.models import STUDENT_PX
 from zsdist.vision.models.head import Probabilities, VisualActHead
 from zsdist.vision.models.projection import Projection, attended_embeddings, image_embedding, projection_of
 from zsdist.vision.models.student import Student
 from zsdist.vision.rays import BINS, RAYS
 from zsdist.vision.visual_act import VisualAct
+from zsdist.vision.weights_folder import HEAD_FILE, METADATA_FILE, PROJECTION_FILE, STUDENT_FILE, read, write
 
 CAMERA = CameraConfig()
 
@@ -183,7 +183,7 @@ def test_weights_of_another_network_are_refused_in_one_line(folder, empty_cache,
 def test_a_projection_that_is_none_is_refused_when_it_is_asked_for(folder, empty_cache):
     model = load(rewritten(folder, projection=b"no tensors"))
     with pytest.raises(WeightsError, match=r"projection\.safetensors are not those of a projection"):
-        model.look(images(1))
+        model.observe(images(1))
 
 
 def test_weights_without_a_temperature_or_with_one_more_are_refused(folder, empty_cache):
@@ -245,7 +245,7 @@ def test_the_student_needs_no_encoder_to_fit_the_weights(folder):
 
 def test_the_student_has_no_words_and_says_so(made):
     with pytest.raises(WeightsError, match=r"vision\.network is 'student'.*allowed is 'head'"):
-        load(made, network="student").look(images(1))
+        load(made, network="student").observe(images(1))
 
 
 def test_a_folder_without_a_student_or_a_projection_says_so(folder):
@@ -254,12 +254,12 @@ def test_a_folder_without_a_student_or_a_projection_says_so(folder):
     with pytest.raises(WeightsError, match=rf"hold no {STUDENT_FILE}, only {HEAD_FILE}"):
         load(folder, network="student")
     with pytest.raises(WeightsError, match=f"hold no {PROJECTION_FILE}"):
-        load(folder).look(images(1))
+        load(folder).observe(images(1))
 
 
 def test_a_look_is_the_attention_and_the_embeddings_of_the_whole_and_of_where_each_action_looked(made):
     model, pictures = load(made), images(2)
-    look = model.look(pictures)
+    look = model.observe(pictures)
     head = VisualActHead(FEATURES, SIDE, np.pi / 2).eval()
     head.load_state_dict(safetensors.torch.load(read(made).content(HEAD_FILE)))
     projection = projection_of(safetensors.torch.load(read(made).content(PROJECTION_FILE)))
@@ -280,7 +280,7 @@ def test_an_encoder_that_brings_its_own_projection_needs_none_in_the_folder(fold
     model, pictures = load(folder), images(1)
     mean = EfficientNetLite0().tokens(pictures).mean((1, 2)) @ native["weight"].T
     np.testing.assert_allclose(
-        model.look(pictures).embeddings[:, 0], mean / np.linalg.norm(mean, axis=1, keepdims=True), atol=1e-4
+        model.observe(pictures).embeddings[:, 0], mean / np.linalg.norm(mean, axis=1, keepdims=True), atol=1e-4
     )
 
 
@@ -307,8 +307,8 @@ def test_images_that_are_none_are_refused_in_one_line(made, network, wrong):
 
 @pytest.mark.parametrize("network", ["head", "student"])
 def test_a_built_model_sees_and_looks_without_torch(made, network):
-    load(made, network=network), load(made).look(images(1))
-    look = "m.look(i);" if network == "head" else ""
+    load(made, network=network), load(made).observe(images(1))
+    look = "m.observe(i);" if network == "head" else ""
     code = (
         "import sys, numpy as np; from zsdist.config import CameraConfig, VisionConfig;"
         "from zsdist.vision.visual_act import VisualAct;"

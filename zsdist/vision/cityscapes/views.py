@@ -34,7 +34,7 @@ from zsdist.vision.cityscapes.files import (
     frames,
     read_frame,
 )
-from zsdist.vision.masks import Mask, MaskedView, choose
+from zsdist.vision.masks import Mask, MaskedView, choose_masks
 from zsdist.vision.rays import RAYS
 
 SCALE = 5.0
@@ -101,7 +101,7 @@ def cityscapes_masked_views(
         labels = level.labels[coarse]
         distance_m = np.where(labels == _OUTSIDE, 0.0, level.distance_m[coarse])  # it is no background to be hidden
         ground, sky = np.isin(labels, GROUND), labels == SKY
-        objects, background = choose(level.objects[coarse], distance_m, ground, sky, camera.range_m)
+        objects, background = choose_masks(level.objects[coarse], distance_m, ground, sky, camera.range_m)
         masks = [Mask(hidden, False, *level.truth(without=number)) for number, hidden in objects.items()]
         masks += [Mask(hidden, True, *whole) for hidden in background]
         yield MaskedView(level.image, *whole, tuple(masks), level.scene_hash)

@@ -38,7 +38,7 @@ class ClipFolder:
         self.features = self._clip.vision.width
         digest = hashlib.sha256(repr((VERSION, self.sha256, self._clip)).encode()).hexdigest()
         self._cached = f"clip-{digest[:16]}"
-        self._texts: TextSide | None = None
+        self._texts: ClipTextEncoder | None = None
         self._session = cached_session(f"{self._cached}-image", self._build)
 
     def tokens(self, images: np.ndarray) -> np.ndarray:
@@ -62,7 +62,7 @@ class ClipFolder:
         """
         texts = check_texts(texts)
         if self._texts is None:
-            self._texts = TextSide(self._folder, self._cached)
+            self._texts = ClipTextEncoder(self._folder, self._cached)
         return self._texts.embed(texts)
 
     def native_projection(self) -> dict[str, np.ndarray]:
@@ -88,7 +88,7 @@ class ClipFolder:
         export(tower, example, out, "image", ["tokens", "embedding"])
 
 
-class TextSide:
+class ClipTextEncoder:
     """Tokenizer and text tower of a folder; `cached` names the exported tower."""
 
     def __init__(self, folder: Path, cached: str) -> None:

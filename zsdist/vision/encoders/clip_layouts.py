@@ -77,7 +77,7 @@ class Clip:
         context: tokens of the longest text, both marks included.
         vocabulary: how many tokens there are.
         dimensions: of the space that both towers map to.
-        standard_words: whether its tokenizer is the one that CLIP was published with.
+        standard_tokenizer: whether its tokenizer is the one that CLIP was published with.
     """
 
     layout: Layout
@@ -90,7 +90,7 @@ class Clip:
     context: int
     vocabulary: int
     dimensions: int
-    standard_words: bool
+    standard_tokenizer: bool
 
 
 def read_folder(folder: Path) -> tuple[Clip, Path]:
@@ -186,7 +186,7 @@ def _hugging_face(path: Path) -> Clip:
         text["max_position_embeddings"],
         text["vocab_size"],
         about.get("projection_dim", 512),
-        standard_words=False,
+        standard_tokenizer=False,
     )
 
 

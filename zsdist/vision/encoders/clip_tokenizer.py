@@ -39,7 +39,7 @@ def read_tokenizer(folder: Path, clip: Clip) -> tuple["Tokenizer", int]:
             lines = (folder / "merges.txt").read_text().splitlines()
             pairs = [tuple(line.split()) for line in lines if line and not line.startswith("#version")]
             tokenizer = _byte_pairs(json.loads(path.read_text()), pairs, "<|startoftext|>", "<|endoftext|>")
-        elif clip.standard_words and clip.vocabulary == STANDARD_VOCABULARY:
+        elif clip.standard_tokenizer and clip.vocabulary == STANDARD_VOCABULARY:
             path = _standard_file(folder)
             tokenizer = _standard(path)
         else:

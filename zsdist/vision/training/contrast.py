@@ -8,7 +8,7 @@ import torch
 from torch import nn
 
 from zsdist.vision.labels import progress, random_goals
-from zsdist.vision.masks import BACKGROUND_WEIGHT, MaskedExamples, changed, rewards
+from zsdist.vision.masks import BACKGROUND_WEIGHT, MaskedExamples, labels_changed, rewards
 from zsdist.vision.models.head import ACTIONS, VisualActHead
 from zsdist.vision.models.projection import attended_embeddings
 from zsdist.vision.training.examples import Examples
@@ -44,7 +44,7 @@ class Contrast:
         self._form, self._batch = form, batch
         self._whole = self._embed(originals.tokens)
         self._parts = self._embed(masked.tokens)
-        self._covers = covers(originals.tokens, masked)
+        self._covers = mask_coverage(originals.tokens, masked)
         self._with_masks, counts = np.unique(masked.image, return_counts=True)
         # row k: the masked pictures of the k-th original that has some, filled up with -1
         self._rows = np.full((len(counts), counts.max(initial=0)), -1)
@@ -71,7 +71,7 @@ class Contrast:
         cover = self._covers[rows].astype(np.float32) * present[..., None]
         cover = cover.reshape(*cover.shape[:2], *tokens.shape[1:3])
         cover[mirrored] = cover[mirrored][..., ::-1]
-        wanted, unwanted = where_to_look(cover, positive.numpy(), self._masked.background[rows] & present)
+        wanted, unwanted = attention_targets(cover, positive.numpy(), self._masked.background[rows] & present)
         error = attention_error(attention, torch.from_numpy(wanted), torch.from_numpy(unwanted))
         return ATTENTION_WEIGHT * error + contrastive_loss(
             anchors,
@@ -108,7 +108,7 @@ class Contrast:
             goal_distance_m.repeat(count),
         ).reshape(-1, count, ACTIONS)
         present = rows >= 0
-        return (changed(parts, whole[:, None]) & present[..., None]).transpose(0, 2, 1), present
+        return (labels_changed(parts, whole[:, None]) & present[..., None]).transpose(0, 2, 1), present
 
     def _embed(self, tokens: np.ndarray) -> torch.Tensor:
         """Means of the projected tokens, `(N, D)`, not normalised."""
@@ -120,7 +120,7 @@ class Contrast:
         return torch.cat(parts)
 
 
-def covers(tokens: np.ndarray, masked: MaskedExamples) -> np.ndarray:
+def mask_coverage(tokens: np.ndarray, masked: MaskedExamples) -> np.ndarray:
     """How far each token shows what a mask hides, `(M, side * side)` float16 in 0 to 1: by how much hiding changes it.
 
     Args:
@@ -139,7 +139,7 @@ def covers(tokens: np.ndarray, masked: MaskedExamples) -> np.ndarray:
     return found
 
 
-def where_to_look(cover: np.ndarray, positive: np.ndarray, background: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def attention_targets(cover: np.ndarray, positive: np.ndarray, background: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where each action should look, `(B, 3, T)`, and where none should, `(B, T)`, both 0 to 1.
 
     An action looks at what changes its reward; where nothing does, at the sky, which is like no obstacle and no ground.

@@ -47,7 +47,7 @@ class WordExamples:
     def __len__(self) -> int:
         return len(self.tokens)
 
-    def without(self, kinds: tuple[str, ...]) -> "WordExamples":
+    def excluding(self, kinds: tuple[str, ...]) -> "WordExamples":
         """The pictures in which none of these kinds is to be seen in any cell."""
         columns = [CONCEPTS.index(kind) for kind in kinds]
         keep = ~(self.cells[..., columns] > 0).any((1, 2, 3))
@@ -108,7 +108,7 @@ def train(
         rng: decides orders, mirrors, words and cells.
         time_used: share of the time allowed that is gone.
     """
-    examples, validation = examples.without(recipe.exclude_kinds), validation.without(recipe.exclude_kinds)
+    examples, validation = examples.excluding(recipe.exclude_kinds), validation.excluding(recipe.exclude_kinds)
     words = _Words(vocabulary, recipe)
 
     def losses(rng: np.random.Generator) -> Losses:

@@ -17,13 +17,13 @@ from zsdist.vision.training.examples import Examples, Targets, targets
 from zsdist.vision.training.head import loss, validate
 from zsdist.vision.training.trainer import Losses, Recipe, Trainer
 
-TAUGHT_SHARE = 0.5  # of a label that is the head's answer; the rest is the truth
+TEACHER_SHARE = 0.5  # of a label that is the head's answer; the rest is the truth
 GAIN_SPREAD = 0.15  # standard deviation of the logarithm of a picture's brightness, and half of it of each colour's
 NOISE_LEVELS = 8.0  # most noise, in levels of 255
 
 
 @dataclass(frozen=True)
-class TrainingPass:
+class TeacherPredictions:
     """What the trained head says of N examples, as probabilities in float16.
 
     Attributes:
@@ -37,7 +37,7 @@ class TrainingPass:
     rays: np.ndarray
 
 
-def teach(head: VisualActHead, examples: Examples, batch: int = 64) -> TrainingPass:
+def predict_with_teacher(head: VisualActHead, examples: Examples, batch: int = 64) -> TeacherPredictions:
     """The answers of `head` to the tokens of `examples`."""
     head.eval()
     parts = []
@@ -46,7 +46,7 @@ def teach(head: VisualActHead, examples: Examples, batch: int = 64) -> TrainingP
             tokens = torch.from_numpy(examples.tokens[start : start + batch].astype(np.float32))
             clearance, dynamic, rays, _ = head(tokens)
             parts.append([part.half().numpy() for part in (clearance.softmax(-1), dynamic.sigmoid(), rays.softmax(-1))])
-    return TrainingPass(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    return TeacherPredictions(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
 def new_student(field_of_view_rad: float, seed: int) -> Student:
@@ -63,7 +63,7 @@ def train(
     recipe: Recipe,
     rng: np.random.Generator,
     time_used: Callable[[], float],
-    training_pass: TrainingPass | None = None,
+    teacher: TeacherPredictions | None = None,
 ) -> Trainer:
     """Trains `student` in place, an epoch each `next`; ends with the weights of the best epoch on `validation`.
 
@@ -76,24 +76,24 @@ def train(
         recipe: how.
         rng: decides orders, mirrors, goals and what is done to the pictures.
         time_used: share of the time allowed that is gone.
-        training_pass: what the head says of `examples`; None: the truth alone teaches.
+        teacher: what the head says of `examples`; None: the truth alone teaches.
     """
-    pictures, unseen = of_pictures(examples), of_pictures(validation)
+    pictures, unseen = with_image_tokens(examples), with_image_tokens(validation)
 
     def losses(rng: np.random.Generator) -> Losses:
         order, mirrored = rng.permutation(len(pictures)), rng.random(len(pictures)) < 0.5
         for start in range(0, len(order), recipe.batch):
             chosen = order[start : start + recipe.batch]
             batch = targets(pictures, chosen, mirrored[chosen], rng)
-            if training_pass is not None:
-                batch = taught(batch, training_pass, chosen, mirrored[chosen])
-            yield loss(student, replace(batch, tokens=disturbed(batch.tokens)))
+            if teacher is not None:
+                batch = mix_labels(batch, teacher, chosen, mirrored[chosen])
+            yield loss(student, replace(batch, tokens=augment_images(batch.tokens)))
 
     steps = math.ceil(len(examples) / recipe.batch)
     return Trainer(student, recipe, steps, losses, lambda: validate(student, unseen, recipe.batch), rng, time_used)
 
 
-def of_pictures(examples: Examples) -> Examples:
+def with_image_tokens(examples: Examples) -> Examples:
     """The same examples with the pixels of the pictures in the place of tokens.
 
     Raises:
@@ -104,19 +104,19 @@ def of_pictures(examples: Examples) -> Examples:
     return replace(examples, tokens=examples.images)
 
 
-def taught(batch: Targets, training_pass: TrainingPass, index: np.ndarray, mirrored: np.ndarray) -> Targets:
+def mix_labels(batch: Targets, teacher: TeacherPredictions, index: np.ndarray, mirrored: np.ndarray) -> Targets:
     """A batch whose labels are in part the head's answers to the views `index`, mirrored where the views are.
 
     The cross-entropy is linear in the label, so this is the weighted sum of learning from either.
     """
     clearance, dynamic, rays = (
-        part[index].astype(np.float32) for part in (training_pass.clearance, training_pass.dynamic, training_pass.rays)
+        part[index].astype(np.float32) for part in (teacher.clearance, teacher.dynamic, teacher.rays)
     )
     clearance[mirrored], dynamic[mirrored] = clearance[mirrored][:, [0, 2, 1]], dynamic[mirrored][:, [0, 2, 1]]
     rays[mirrored] = rays[mirrored][:, ::-1]
 
     def mixed(true: torch.Tensor, said: np.ndarray) -> torch.Tensor:
-        return torch.lerp(true, torch.from_numpy(said), TAUGHT_SHARE)
+        return torch.lerp(true, torch.from_numpy(said), TEACHER_SHARE)
 
     return replace(
         batch,
@@ -126,7 +126,7 @@ def taught(batch: Targets, training_pass: TrainingPass, index: np.ndarray, mirro
     )
 
 
-def disturbed(images: torch.Tensor) -> torch.Tensor:
+def augment_images(images: torch.Tensor) -> torch.Tensor:
     """Pictures `(B, px, px, 3)` with a random brightness, tint and noise each, by torch's random numbers."""
     count = len(images)
     tint = GAIN_SPREAD * (torch.randn(count, 1, 1, 1) + 0.5 * torch.randn(count, 1, 1, 3))

@@ -120,7 +120,7 @@ def test_open_clips_class_of_separate_towers_is_read_as_well(tmp_path):
 
 
 def test_the_standard_vocabulary_needs_no_file_in_the_folder(tmp_path):
-    model = clip_models.of_open_clip(tmp_path, standard_words=True)
+    model = clip_models.of_open_clip(tmp_path, standard_tokenizer=True)
     texts = ["an oak's 3 branches, on SAND", "déjà vu in München", "a  \n sand_pile!!", "many words " * 20]
     words = open_clip.SimpleTokenizer(context_length=clip_models.CONTEXT)
     said = ClipFolder(tmp_path).embed_texts(texts)

@@ -8,7 +8,7 @@ from zsdist.vision.models.head import VisualActHead
 from zsdist.vision.models.projection import Projection
 from zsdist.vision.rays import RANGE_M, RAYS, ray_angles_rad
 from zsdist.vision.training import contrast as module
-from zsdist.vision.training.contrast import Contrast, covers, where_to_look
+from zsdist.vision.training.contrast import Contrast, attention_targets, mask_coverage
 from zsdist.vision.training.examples import Examples
 
 SIDE, FEATURES = 8, 6
@@ -108,7 +108,7 @@ def test_the_loss_follows_its_random_numbers():
 
 def test_a_token_is_covered_by_the_mask_that_changed_it():
     originals, masked = world()
-    found = covers(originals.tokens, masked).reshape(-1, SIDE, SIDE)
+    found = mask_coverage(originals.tokens, masked).reshape(-1, SIDE, SIDE)
     grounds = found[masked.background]
     assert grounds[:, 5:].min() > 0.2 and grounds[:, :5].max() == 0.0
     things = found[~masked.background]
@@ -123,7 +123,7 @@ def test_actions_look_at_what_is_in_their_way_or_else_at_the_sky_and_never_at_ba
     cover[0, 2, :2] = 1.0  # the sky
     positive = np.zeros((1, 3, 3), bool)
     positive[0, 1, 0] = True  # the thing is in the way of the second action
-    wanted, unwanted = where_to_look(cover, positive, np.array([[False, True, True]]))
+    wanted, unwanted = attention_targets(cover, positive, np.array([[False, True, True]]))
     wanted, unwanted = wanted.reshape(3, side, side), unwanted.reshape(side, side)
     assert (wanted[1] == cover[0, 0]).all()
     assert wanted[0, 0].all() and wanted[0, 1, 1] == 0.0 and (wanted[0] == wanted[2]).all()

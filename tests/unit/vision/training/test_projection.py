@@ -87,7 +87,7 @@ def test_tokens_that_show_a_kind_come_nearer_to_its_word_than_those_that_do_not(
 
 def test_pictures_and_words_of_excluded_kinds_are_not_trained_on(data, vocabulary):
     excluded = ("tree", "rock")
-    kept = data[0].without(excluded)
+    kept = data[0].excluding(excluded)
     columns = [CONCEPTS.index(kind) for kind in excluded]
     assert 0 < len(kept) < len(data[0]) and not np.isin(kept.dominant, columns).any()
     projection, _ = trained(data, vocabulary, exclude_kinds=excluded)

@@ -30,7 +30,7 @@ CAMERA_KEYS = ("field_of_view_deg", "range_m", "height_m")
 
 
 @dataclass(frozen=True)
-class Folder:
+class WeightsFolder:
     """A folder of weights whose metadata was read. Use `read` or `write`.
 
     Attributes:
@@ -104,7 +104,7 @@ def locate(weights: str) -> Path:
     return SHIPPED if weights == "pretrained" else Path(weights)
 
 
-def read(path: Path) -> Folder:
+def read(path: Path) -> WeightsFolder:
     """The folder at `path`; its files are read when they are asked for.
 
     Raises:
@@ -130,10 +130,10 @@ def read(path: Path) -> Folder:
             raise TypeError("'files', each with its SHA-256")
     except (KeyError, TypeError, ValueError) as error:
         raise WeightsError(f"weights {file} is damaged: no usable entry {error}") from error
-    return Folder(path, metadata)
+    return WeightsFolder(path, metadata)
 
 
-def write(path: Path, modules: Mapping[str, bytes], metadata: Mapping[str, Any]) -> Folder:
+def write(path: Path, modules: Mapping[str, bytes], metadata: Mapping[str, Any]) -> WeightsFolder:
     """Makes a folder of weights, or replaces what it held; its history is left as it is.
 
     Each file takes its place in one go and the metadata comes last, so that a break leaves a folder that is either
@@ -142,7 +142,7 @@ def write(path: Path, modules: Mapping[str, bytes], metadata: Mapping[str, Any])
     Args:
         path: of the folder; made if it is not there.
         modules: content of each file by its name.
-        metadata: as of `Folder`, without "version" and "files".
+        metadata: as of `WeightsFolder`, without "version" and "files".
 
     Raises:
         WeightsError: the folder cannot be written.
@@ -156,4 +156,4 @@ def write(path: Path, modules: Mapping[str, bytes], metadata: Mapping[str, Any])
             atomic_files.replace(path / name, content)
     except OSError as error:
         raise WeightsError(f"weights {path} cannot be written: {error.strerror or error}") from error
-    return Folder(path, full)
+    return WeightsFolder(path, full)
