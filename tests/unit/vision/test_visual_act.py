@@ -119,7 +119,7 @@ def test_a_lower_quantile_sees_less_room(made):
 
 
 def test_goals_must_be_one_an_image(made):
-    with pytest.raises(ValueError, match="one an image"):
+    with pytest.raises(ValueError, match="one for each image"):
         load(made)(images(2), np.zeros(1), np.zeros(2))
 
 

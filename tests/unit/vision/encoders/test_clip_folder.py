@@ -198,7 +198,7 @@ def test_weights_of_another_model_are_refused(tmp_path, layout):
         {name: tensor for name, tensor in load_file(weights).items() if "norm1" not in name and "ln_1" not in name},
         weights,
     )
-    with pytest.raises(WeightsError, match=r"are not those of their configuration.*layer_norm1"):
+    with pytest.raises(WeightsError, match=r"do not fit their configuration.*layer_norm1"):
         ClipFolder(tmp_path)
 
 

@@ -77,7 +77,7 @@ def test_a_damaged_vocabulary_and_a_missing_word_are_refused_in_one_line():
     for damaged in (b"", content[:-3], content.replace(b"text_sha256", b"text_sha257")):
         with pytest.raises(WeightsError, match="vocabulary is damaged"):
             Vocabulary.from_bytes(damaged)
-    with pytest.raises(WeightsError, match="1 words, and embeddings"):
+    with pytest.raises(WeightsError, match="1 words and embeddings"):
         Vocabulary.from_bytes(Vocabulary(("a tree",), np.ones((2, 4), np.float32), "").to_bytes())
-    with pytest.raises(WeightsError, match="'an oak' is not in the vocabulary of 1"):
+    with pytest.raises(WeightsError, match="'an oak' is not in the vocabulary of 1 words"):
         Vocabulary.from_bytes(content)["an oak"]
