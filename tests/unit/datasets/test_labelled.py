@@ -23,7 +23,7 @@ def views(count=12, seed=5, split="vision", **options):
 
 
 @pytest.mark.parametrize("varied", [False, True])
-def test_views_have_the_promised_shapes_and_ranges(varied):
+def test_views_have_the_documented_shapes_and_ranges(varied):
     for view in views(varied=varied):
         assert view.image.shape == (64, 64, 3) and view.image.dtype == np.uint8
         assert view.ray_clearance_m.shape == (RAYS,) and view.ray_clearance_m.dtype == np.float32
@@ -75,7 +75,7 @@ def test_labels_of_a_person_ahead_and_a_tree_at_the_left():
     assert truth["goal_distance_m"] == pytest.approx(5.0)
 
 
-def test_labels_follow_people_who_walk():
+def test_labels_follow_walking_people():
     world = scene(Obstacle("person", 4.0, 0.0, 0.3, path=((4.0, 0.0), (4.0, 2.0)), speed_mps=1.0))
     ahead = label(world, Pose(0.0, 0.0, 0.0), CAMERA)
     aside = label(world, Pose(0.0, 0.0, 0.0), CAMERA, np.array([[4.0, 2.0]]))

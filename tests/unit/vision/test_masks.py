@@ -20,7 +20,7 @@ ANGLES = ray_angles_rad(RAYS, math.pi / 2)
 
 
 def picture(objects, ground_rows=slice(20, None), far_rows=slice(15, 20)):
-    """A picture with sky above, things at 9 m, ground at 2 m, and `objects` of (rows, columns, distance)."""
+    """A picture with sky above, a background at 9 m, ground at 2 m, and `objects` of (rows, columns, distance)."""
     instances, distance = np.full((PX, PX), -9), np.full((PX, PX), np.inf)
     ground = np.zeros((PX, PX), bool)
     ground[ground_rows] = True
@@ -50,12 +50,12 @@ def test_trivial_objects_are_left_out():
     assert objects == {}
 
 
-def test_what_fills_the_picture_is_left_out():
+def test_an_object_that_fills_the_picture_is_left_out():
     objects, background = choose_masks(*picture([(slice(None), slice(None), 0.5)]), 5.0)
     assert objects == {} and background == []
 
 
-def test_background_is_sky_far_things_and_ground_at_left_middle_and_right():
+def test_background_is_sky_far_objects_and_ground_at_left_middle_and_right():
     arrays = picture([(slice(18, 30), slice(5, 12), 1.5)])
     ground, sky = arrays[2:]
     objects, background = choose_masks(*arrays, 5.0)
@@ -65,14 +65,14 @@ def test_background_is_sky_far_things_and_ground_at_left_middle_and_right():
     assert sum((mask == sky).all() for mask in background) == 1
 
 
-def test_there_are_sixteen_masks_at_most_and_the_largest_objects_keep_theirs():
+def test_there_are_at_most_sixteen_masks_and_the_largest_objects_keep_theirs():
     grown = [(slice(30, 32 + k // 8), slice(2 * (k % 20), 2 * (k % 20) + 2), 1.0) for k in range(20)]
     objects, background = choose_masks(*picture(grown), 5.0)
     assert len(objects) + len(background) == MOST_MASKS == 16
     assert min(objects) > 20 - len(objects) - 8 and {16, 17, 18, 19} <= set(objects)
 
 
-def test_hiding_leaves_the_rest_and_fills_with_its_mean():
+def test_hiding_fills_with_the_mean_of_the_rest_and_leaves_the_rest():
     image = np.random.default_rng(0).integers(0, 256, (PX, PX, 3), np.uint8)
     hidden = np.zeros((PX, PX), bool)
     hidden[5:9, 3:20] = True
@@ -89,7 +89,7 @@ def test_a_mask_that_does_not_fit_the_picture_is_refused_in_one_line(hidden):
     assert "\n" not in str(error.value)
 
 
-def test_a_label_changes_only_in_the_direction_of_what_is_taken_away():
+def test_a_label_changes_only_in_the_direction_of_the_removed_object():
     free = np.full((1, RAYS), 5.0, np.float32)
     blocked = free.copy()
     blocked[:, :8] = 1.2  # at the left
@@ -101,7 +101,7 @@ def test_a_label_changes_only_in_the_direction_of_what_is_taken_away():
     assert not labels_changed(rewards(blocked, still, ANGLES, gain, goal_m), whole).any()
 
 
-def test_a_small_change_of_a_label_is_none():
+def test_a_small_change_of_a_label_does_not_count():
     whole = np.array([2.0, -1.0, -1.0])
     assert labels_changed(whole + np.array([0.9 * CHANGED_REWARD, -1.1 * CHANGED_REWARD, -1.0]), whole).tolist() == [
         False,

@@ -31,20 +31,20 @@ def rewrite(made, change):
     path.write_text(json.dumps(metadata))
 
 
-def test_what_is_written_is_read(made):
+def test_a_written_folder_reads_back(made):
     found = weights_folder.read(made.path)
     assert found == made and found.content(HEAD_FILE) == b"head" and found.content(STUDENT_FILE) == b"student"
     assert found.metadata["seed"] == 3 and found.metadata["version"] == VERSION
 
 
-def test_a_second_writing_replaces_the_first_and_leaves_the_history(made):
+def test_a_second_write_replaces_the_first_and_leaves_the_history(made):
     (made.path / HISTORY_FILE).write_text('{"stage": "head", "epoch": 1}\n')
     again = weights_folder.write(made.path, {HEAD_FILE: b"other"}, METADATA)
     assert again.content(HEAD_FILE) == b"other" and not weights_folder.read(made.path).has(STUDENT_FILE)
     assert again.history() == [{"stage": "head", "epoch": 1}]
 
 
-def test_the_settings_name_the_shipped_folder_or_a_path(tmp_path):
+def test_the_setting_names_the_shipped_folder_or_a_path(tmp_path):
     assert (
         weights_folder.locate("pretrained") == weights_folder.SHIPPED
         and weights_folder.locate(str(tmp_path)) == tmp_path
@@ -86,14 +86,14 @@ def test_a_truncated_and_a_foreign_file_are_refused(made):
         lambda metadata: metadata.update(files=3),
     ],
 )
-def test_metadata_that_says_too_little_is_refused(made, change):
+def test_incomplete_metadata_is_refused(made, change):
     rewrite(made, change)
     with pytest.raises(WeightsError, match=f"{METADATA_FILE} is damaged: no usable entry"):
         weights_folder.read(made.path)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "3", '{"sha256": "0"}', '{"version": 1}', "\xff"])
-def test_metadata_that_is_none_of_this_version_is_refused(made, text):
+def test_metadata_of_another_version_is_refused(made, text):
     (made.path / METADATA_FILE).write_bytes(text.encode("latin-1"))
     with pytest.raises(WeightsError, match=rf"{METADATA_FILE} is (damaged|of version .*allowed is {VERSION})"):
         weights_folder.read(made.path)
@@ -127,7 +127,7 @@ def test_another_encoder_is_refused_by_name_and_by_hash(made):
             ).check_encoder(Eye())
 
 
-def test_a_camera_that_differs_in_what_matters_is_refused_and_another_resolution_is_not(made):
+def test_a_camera_with_another_relevant_setting_is_refused_and_another_resolution_is_not(made):
     made.check_camera(CameraConfig(size_px=128, forward_m=0.5))
     for key, value in (("field_of_view_deg", 60.0), ("range_m", 8.0), ("height_m", 0.5)):
         with pytest.raises(WeightsError, match=rf"camera\.{key} is {value}; weights .* allow"):

@@ -25,7 +25,7 @@ QUICK = Recipe(epochs=3, batch=8)
 
 
 def examples(count, seed):
-    """A made-up world: the nearer what a column shows, the brighter the column."""
+    """A synthetic world in which a column is the brighter the nearer its obstacle is."""
     rng = np.random.default_rng(seed)
     distance = np.where(rng.random((count, 4)) < 0.4, RANGE_M, rng.uniform(0.3, RANGE_M, (count, 4)))
     distance = distance.repeat(RAYS // 4, 1).astype(np.float32)
@@ -47,10 +47,11 @@ def history(network, teacher=None, recipe=QUICK):
 
 
 def oracle(data):
-    """A lesson that is true, and sure of it."""
-    sure = np.eye(BINS, dtype=np.float16)
+    """Predictions that put all probability on the true bin."""
+    one_hot = np.eye(BINS, dtype=np.float16)
     bins = np.abs(np.log(BIN_CENTRES_M) - np.log(data.ray_distance_m)[..., None]).argmin(-1)
-    return TeacherPredictions(sure[np.zeros((len(data), 3), int)], np.zeros((len(data), 3), np.float16), sure[bins])
+    clearance, dynamic = one_hot[np.zeros((len(data), 3), int)], np.zeros((len(data), 3), np.float16)
+    return TeacherPredictions(clearance, dynamic, one_hot[bins])
 
 
 def test_training_lowers_the_loss_on_pictures_it_has_not_seen():
@@ -69,7 +70,7 @@ def test_training_repeats_exactly_with_its_seed():
         assert torch.equal(value, second.state_dict()[name])
 
 
-def test_the_head_teaches_its_answers_to_the_same_examples():
+def test_the_teacher_predicts_what_the_head_outputs_for_the_same_examples():
     data = examples(5, 3)
     head = new_head(data, math.pi / 2, 0)
     teacher = predict_with_teacher(head, data, batch=2)
@@ -78,12 +79,12 @@ def test_the_head_teaches_its_answers_to_the_same_examples():
     assert teacher.clearance.shape == (5, 3, BINS) and teacher.dynamic.shape == (5, 3)
 
 
-def test_a_lesson_changes_what_is_learned():
-    alone, with_lesson = history(small()), history(small(), oracle(examples(48, 0)))
-    assert alone[-1]["validation_loss"] != with_lesson[-1]["validation_loss"]
+def test_predictions_of_the_teacher_change_the_result_of_the_training():
+    alone, with_teacher = history(small()), history(small(), oracle(examples(48, 0)))
+    assert alone[-1]["validation_loss"] != with_teacher[-1]["validation_loss"]
 
 
-def test_a_taught_label_lies_between_truth_and_answer_mirrored_with_its_picture():
+def test_a_mixed_label_lies_between_truth_and_prediction_and_is_mirrored_with_its_picture():
     data, index = with_image_tokens(examples(4, 3)), np.arange(4)
     shapes = ((4, 3, BINS), (4, 3), (4, RAYS, BINS))
     teacher = TeacherPredictions(*(np.random.default_rng(0).random(shape).astype(np.float16) for shape in shapes))
@@ -91,9 +92,9 @@ def test_a_taught_label_lies_between_truth_and_answer_mirrored_with_its_picture(
         batch = targets(data, index, np.full(4, mirrored), np.random.default_rng(0))
         mixed = mix_labels(batch, teacher, index, np.full(4, mirrored))
         sides = [0, 2, 1] if mirrored else [0, 1, 2]
-        said = teacher.rays[:, ::-1] if mirrored else teacher.rays
+        predicted = teacher.rays[:, ::-1] if mirrored else teacher.rays
         share = training.TEACHER_SHARE
-        np.testing.assert_allclose(mixed.rays, (1 - share) * batch.rays.numpy() + share * said, atol=1e-3)
+        np.testing.assert_allclose(mixed.rays, (1 - share) * batch.rays.numpy() + share * predicted, atol=1e-3)
         np.testing.assert_allclose(
             mixed.clearance,
             (1 - share) * batch.clearance.numpy() + share * teacher.clearance[:, sides],
@@ -114,7 +115,7 @@ def test_a_mirrored_picture_has_mirrored_labels():
     np.testing.assert_allclose(plain.rays, soft_labels(data.ray_distance_m))
 
 
-def test_each_picture_is_disturbed_in_its_own_way_within_what_a_picture_can_be():
+def test_each_picture_is_augmented_differently_and_stays_in_the_range_of_bytes():
     with torch.random.fork_rng():
         torch.manual_seed(0)
         images = torch.full((6, 32, 32, 3), 100.0)
@@ -126,7 +127,7 @@ def test_each_picture_is_disturbed_in_its_own_way_within_what_a_picture_can_be()
 
 def test_examples_without_their_pictures_are_refused():
     bare = Examples(np.zeros((1, 2, 2, 3), np.float16), np.ones((1, RAYS)), np.zeros((1, RAYS), bool), ANGLES)
-    with pytest.raises(ValueError, match="without their pictures"):
+    with pytest.raises(ValueError, match="examples are without their pictures"):
         training.train(small(), bare, bare, QUICK, np.random.default_rng(0), lambda: 0.0)
 
 
