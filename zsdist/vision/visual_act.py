@@ -67,7 +67,7 @@ class VisualAct:
     Args:
         weights: folder of weights; only the file of the network in use is read.
         encoder: encoder of the head; None: the student is used.
-        ray_quantile: share of the quantile that stands for a distribution of distance.
+        ray_quantile: share of the quantile to which a distribution of the clearance is reduced.
 
     Attributes:
         encoder_name: name of the encoder.
@@ -118,7 +118,7 @@ class VisualAct:
             goal_distance_m: `(B,)`.
 
         Raises:
-            ImageError: the images are no such array.
+            ImageError: `images` has another shape or dtype.
             ValueError: the number of goals is not that of images.
         """
         return self.views(self.read(images), goal_bearing_rad, goal_distance_m)
@@ -151,7 +151,7 @@ class VisualAct:
             images: `(B, px, px, 3)` uint8; they are resampled to the size of the network.
 
         Raises:
-            ImageError: the images are no such array.
+            ImageError: `images` has another shape or dtype.
         """
         if self._encoder is None:
             check_images(images)
@@ -172,7 +172,7 @@ class VisualAct:
         """Return attention and embeddings of images `(B, px, px, 3)` uint8; the network is loaded at first use.
 
         Raises:
-            ImageError: the images are no such array.
+            ImageError: `images` has another shape or dtype.
             WeightsError: the network is the student, or the projection is missing from the folder or damaged.
         """
         if self._encoder is None:

@@ -45,7 +45,7 @@ class ClipFolder:
         """Return tokens `(B, side, side, features)` float32 of images `(B, px, px, 3)` uint8, from the top left.
 
         Raises:
-            ImageError: the images are no such array.
+            ImageError: `images` has another shape or dtype.
         """
         return self._run("tokens", images)
 

@@ -46,7 +46,7 @@ class EfficientNetLite0:
         """Return tokens `(B, 14, 14, 112)` float32 of images `(B, px, px, 3)` uint8, resampled to 224 pixels.
 
         Raises:
-            ImageError: the images are no such array.
+            ImageError: `images` has another shape or dtype.
         """
         check_images(images)
         # One at a time: the activations of several pictures would not fit into the processor's cache.

@@ -64,9 +64,9 @@ class Student(nn.Module):
         columns = torch.relu(columns + self.context(columns.mean(2))[..., None])
         columns = self.columns(columns)
         each = columns.transpose(1, 2)
-        looked, weights = attention(self.queries, self.keys(each), each, self.allowed)
-        looked = torch.cat([looked, each.mean(1, keepdim=True).expand(-1, ACTIONS, -1)], -1)
-        actions = torch.stack([network(looked[:, a]) for a, network in enumerate(self.action_networks)], 1)
+        attended, weights = attention(self.queries, self.keys(each), each, self.allowed)
+        attended = torch.cat([attended, each.mean(1, keepdim=True).expand(-1, ACTIONS, -1)], -1)
+        actions = torch.stack([network(attended[:, a]) for a, network in enumerate(self.action_networks)], 1)
         return HeadOutput(actions[..., :BINS], actions[..., BINS], self.ray_bins(columns).transpose(1, 2), weights)
 
 
