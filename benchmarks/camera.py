@@ -1,7 +1,7 @@
-"""The camera's back ends against each other: milliseconds a picture on one core, and how far they agree.
+"""Comparison of the camera's back ends: milliseconds per picture on one core, and their agreement.
 
-`python benchmarks/camera.py [--quick] [--views N]` prints a table, then one JSON line. They are compared over N
-views from random free places of all families, with the roll and pitch that the car has while it drives.
+`python benchmarks/camera.py [--quick] [--views N]` prints a table, then one JSON line. The agreement is measured over N
+views from random free poses in all families, with the roll and pitch that the car has while it drives.
 """
 
 import argparse
@@ -36,17 +36,17 @@ VIEWS_A_PROCESS = 40
 def main() -> None:
     """Measure, print the table and the JSON line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="fewer scenes and repeats; ends within 50 s on two cores")
-    parser.add_argument("--views", type=int, default=60, metavar="N", help="how many are compared (default: 60)")
+    parser.add_argument("--quick", action="store_true", help="fewer scenes, repeats; takes at most 50 s on two cores")
+    parser.add_argument("--views", type=int, default=60, metavar="N", help="number of views compared (default: 60)")
     options = parser.parse_args()
     quick = options.quick
     began = time.perf_counter()
     make_camera(CameraConfig(size_px=32)).render(_scenes(1)[0], Pose(0.0, 0.0, 0.0))
-    figures = {"first_picture_s": round(time.perf_counter() - began, 3)}  # compiles, or reads numba's cache
+    figures = {"first_picture_s": round(time.perf_counter() - began, 3)}  # numba compiles, or reads its cache
     scenes = _scenes(2 if quick else 4)
     rng = np.random.default_rng(0)
-    looks = [(scene, free_pose(scene, rng)) for scene in scenes for _ in range(5 if quick else 10)]
-    figures |= _speed(looks, repeats=2 if quick else 3) | _agreement(options.views)
+    views = [(scene, free_pose(scene, rng)) for scene in scenes for _ in range(5 if quick else 10)]
+    figures |= _speed(views, repeats=2 if quick else 3) | _agreement(options.views)
     ratios = {
         f"caster_vs_tiny_{size}px": round(figures[f"pybullet_{size}px_ms"] / figures[f"caster_{size}px_ms"], 2)
         for size in SIZES_PX
@@ -61,17 +61,17 @@ def _scenes(of_each: int) -> list[Scene]:
     return [families.draw(family, "test", index) for index in range(of_each) for family in FAMILIES]
 
 
-def _speed(looks: list[tuple[Scene, Pose]], repeats: int) -> dict[str, float]:
-    """Median milliseconds of `render` and of `render_labelled` (with depth and segments) once a scene is prepared.
+def _speed(views: list[tuple[Scene, Pose]], repeats: int) -> dict[str, float]:
+    """Return median milliseconds of `render` and of `render_labelled` (with depth and segments) in a prepared scene.
 
-    The back ends take turns. `new_scene` is a first picture, the scene's preparation included.
+    The back ends take turns. `new_scene` is the time of a first picture, with the preparation of the scene.
     """
     figures = {}
     for size in SIZES_PX:
         cameras = {name: make_camera(CameraConfig(back_end=name, size_px=size)) for name in BACK_ENDS}
         pictures, labelled, prepare = ({name: [] for name in BACK_ENDS} for _ in range(3))
         last = None
-        for scene, pose in looks:
+        for scene, pose in views:
             for name, camera in cameras.items():
                 if scene is not last:
                     prepare[name].append(_milliseconds(camera.render, scene, pose))
@@ -87,21 +87,21 @@ def _speed(looks: list[tuple[Scene, Pose]], repeats: int) -> dict[str, float]:
 
 
 def _milliseconds(draw: Callable[[Scene, Pose], object], scene: Scene, pose: Pose) -> float:
-    began = time.thread_time()  # of this core alone, whatever else the machine does
+    began = time.thread_time()  # processor time of this thread, whatever else the machine does
     draw(scene, pose)
     return 1e3 * (time.thread_time() - began)
 
 
 def _agreement(views: int) -> dict[str, float]:
-    """Share of pixels with equal segments, and of those within depth tolerance, over all pictures and in the worst.
+    """Return shares of pixels with equal segments, and with depths within tolerance: the mean and the worst picture.
 
-    PyBullet never gives back the Python objects of a mesh that it was handed, about 30 MiB a scene, so no process
-    lives longer than `VIEWS_A_PROCESS` views.
+    PyBullet never frees the Python objects of a mesh passed to it, about 30 MiB per scene, so a process handles at
+    most `VIEWS_A_PROCESS` views.
     """
     parts = [range(first, min(first + VIEWS_A_PROCESS, views)) for first in range(0, views, VIEWS_A_PROCESS)]
     with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as process:
-        told = process.map(_agreements, parts)
-        pairs = [pair for part in track(told, total=len(parts), description="views compared") for pair in part]
+        results = process.map(_agreements, parts)
+        pairs = [pair for part in track(results, total=len(parts), description="views compared") for pair in part]
     segments, depths = zip(*pairs, strict=True)
     return {
         "pictures_compared": views,
@@ -113,22 +113,22 @@ def _agreement(views: int) -> dict[str, float]:
 
 
 def _agreements(indices: range) -> list[tuple[float, float]]:
-    """Both shares of some views, each from a place of its own in one scene of each family after the other."""
+    """Return both shares for some views, each from a random pose in one scene of each family in turn."""
     ours, theirs = (make_camera(CameraConfig(back_end=name)) for name in BACK_ENDS)
     shares = []
     for index in indices:
         rng = np.random.default_rng((0, index))
         scene = families.draw(ALL_FAMILIES[index % len(ALL_FAMILIES)], "test", index // len(ALL_FAMILIES))
-        look = (
+        view = (
             free_pose(scene, rng),
             *np.radians(rng.uniform((-MOST_ROLL_DEG, -MOST_PITCH_DEG), (MOST_ROLL_DEG, MOST_PITCH_DEG))),
         )
-        _, depth, segment = ours.render_labelled(scene, *look)
-        _, their_depth, their_segment = theirs.render_labelled(scene, *look)
+        _, depth, segment = ours.render_labelled(scene, *view)
+        _, their_depth, their_segment = theirs.render_labelled(scene, *view)
         same = segment == their_segment
         seen = same & np.isfinite(depth) & np.isfinite(their_depth)
         near = np.abs(depth[seen] - their_depth[seen]) <= DEPTH_TOLERANCE_M
-        # No pixel is left where something fills the picture nearer than PyBullet's near plane: then nothing agrees.
+        # No pixel is left if a surface nearer than PyBullet's near plane fills the picture: then nothing agrees.
         shares.append((float(np.mean(same)), float(np.mean(near)) if len(near) else 0.0))
     return shares
 

@@ -33,7 +33,7 @@ from zsdist.run import program
 from zsdist.sim.env import CarNavigation
 from zsdist.sim.scenes.families import draw
 from zsdist.types import Level, Pose
-from zsdist.vision import folder
+from zsdist.vision import weights_folder
 from zsdist.vision.encoders import lite0
 from zsdist.vision.encoders.base import resample
 from zsdist.vision.models import STUDENT_PX
@@ -180,7 +180,7 @@ def _designs(weights: str) -> tuple[list[Design], Read]:
         Design("tiny_512px_eager", env(512, "pybullet"), read=read_eagerly),
         Design("warm", env(), camera=False, perception=perception),
     ]
-    if folder.read(folder.locate(weights)).has(folder.STUDENT_FILE):
+    if weights_folder.read(weights_folder.locate(weights)).has(weights_folder.STUDENT_FILE):
         student = VisualAct.load(VisionConfig(weights=weights, network="student"), CameraConfig(size_px=STUDENT_PX))
         designs.append(Design("caster_128px_student", env(STUDENT_PX), read=student.read))
     tokens = np.zeros((1, encoder.side, encoder.side, encoder.features), np.float32)

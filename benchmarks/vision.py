@@ -1,9 +1,9 @@
-"""Milliseconds a picture for each network that reads pictures, on one core; and against the trunk run eagerly by torch.
+"""Milliseconds per picture for each network that reads pictures, on one core, and for the trunk run eagerly by torch.
 
-`python benchmarks/vision.py [--quick]` prints a table, then one JSON line. Each round gives every network the same new
-picture, in turn, one at a time as an actor does. Cold: the processor's caches are emptied before each reading, as they
-are where an actor simulates and draws between two looks. Cached: the same again at once, its weights at hand. A student
-is left out where the weights hold none.
+`python benchmarks/vision.py [--quick]` prints a table, then one JSON line. In each round every network gets the same
+new picture, in turn, one at a time as in an actor. Cold: the processor's caches are flushed before each reading, as by
+an actor that simulates and renders between two readings. Cached: the same reading repeated at once. The student is left
+out if the weights have none.
 """
 
 import argparse
@@ -20,14 +20,14 @@ from _common import report
 
 from zsdist.config import CameraConfig, VisionConfig
 from zsdist.datasets.labelled import labelled_views
-from zsdist.vision import folder
+from zsdist.vision import weights_folder
 from zsdist.vision.encoders import lite0
 from zsdist.vision.encoders.base import resample
 from zsdist.vision.models import STUDENT_PX
 from zsdist.vision.visual_act import VisualAct
 
-FLUSHED_BYTES = 64 << 20  # more than the caches of a core and those it shares
-WARM_UP = 3  # rounds that do not count
+FLUSHED_BYTES = 64 << 20  # more than a core's own and shared caches
+WARM_UP = 3  # rounds that are not counted
 
 Reader = Callable[[np.ndarray], object]
 
@@ -35,14 +35,14 @@ Reader = Callable[[np.ndarray], object]
 def main() -> None:
     """Measure, print the table and the JSON line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="fewer rounds; ends within 50 s on two cores")
-    parser.add_argument("--weights", default="pretrained", help="as vision.weights (default: pretrained)")
+    parser.add_argument("--quick", action="store_true", help="fewer rounds; takes at most 50 s on two cores")
+    parser.add_argument("--weights", default="pretrained", help="like vision.weights (default: pretrained)")
     options = parser.parse_args()
     camera, rounds = CameraConfig(), 40 if options.quick else 200
     pictures = [view.image[None] for view in labelled_views(["iid", "street"], "validation", rounds, 0, camera)]
     began_s = time.perf_counter()
     model = VisualAct.load(VisionConfig(weights=options.weights), camera)
-    opened_s = time.perf_counter() - began_s  # builds the networks, or reads them from the cache
+    opened_s = time.perf_counter() - began_s  # the networks are built, or read from the cache
     readers = _readers(model, options.weights, camera)
     times = _milliseconds(readers, pictures)
     figures = {f"{name}_{state}_ms": value for name, by_state in times.items() for state, value in by_state.items()}
@@ -50,22 +50,22 @@ def main() -> None:
     ratios = {"onnx_vs_eager": times["trunk_eager"]["cold"] / times["trunk"]["cold"]}
     if "student" in times:
         ratios["student_vs_head"] = times["trunk_and_head"]["cold"] / times["resample_and_student"]["cold"]
-    print(f"{'ms a picture, median':24}{'cold':>10}{'cached':>10}")
+    print(f"{'ms per picture, median':24}{'cold':>10}{'cached':>10}")
     for name, by_state in times.items():
         print(f"{name:24}{by_state['cold']:10.3f}{by_state['cached']:10.3f}")
     report("vision", figures, ratios)
 
 
 def _readers(model: VisualAct, weights: str, camera: CameraConfig) -> dict[str, Reader]:
-    """What reads a picture `(1, px, px, 3)`, by name; the last is what one would do without onnxruntime."""
+    """Return functions that read a picture `(1, px, px, 3)`, by name; the last one does not use onnxruntime."""
     encoder, eager = lite0.EfficientNetLite0(), lite0.eager_trunk(lite0.weights_file()).eval()
     tokens = np.zeros((1, encoder.side, encoder.side, encoder.features), np.float32)
     readers: dict[str, Reader] = {
         "trunk": encoder.tokens,
-        "head": lambda image: model.read_tokens(tokens),  # its time does not depend on what it reads
+        "head": lambda image: model.read_tokens(tokens),  # its time does not depend on the tokens
         "trunk_and_head": model.read,
     }
-    if folder.read(folder.locate(weights)).has(folder.STUDENT_FILE):
+    if weights_folder.read(weights_folder.locate(weights)).has(weights_folder.STUDENT_FILE):
         student = VisualAct.load(VisionConfig(weights=weights, network="student"), camera)
         small = np.zeros((1, STUDENT_PX, STUDENT_PX, 3), np.uint8)
         readers |= {"student": lambda image: student.read(small), "resample_and_student": student.read}
@@ -79,14 +79,14 @@ def _readers(model: VisualAct, weights: str, camera: CameraConfig) -> dict[str, 
 
 
 def _milliseconds(readers: dict[str, Reader], pictures: list[np.ndarray]) -> dict[str, dict[str, float]]:
-    """Median time of each reader, cold and cached, all of them taking turns on each picture."""
+    """Return the median time of each reader, cold and cached; the readers take turns on each picture."""
     flushed = np.zeros(FLUSHED_BYTES // 8)
-    times = {name: {"cold": [], "cached": []} for name in readers}
+    times: dict[str, dict[str, list[float]]] = {name: {"cold": [], "cached": []} for name in readers}
     for picture in pictures[:WARM_UP] + pictures:
         for name, read in readers.items():
             flushed += 1
             for state in ("cold", "cached"):
-                began = time.thread_time()  # of this core alone, whatever else the machine does
+                began = time.thread_time()  # processor time of this thread, whatever else the machine does
                 read(picture)
                 times[name][state].append(1e3 * (time.thread_time() - began))
     return {

@@ -1,4 +1,4 @@
-"""Tiny CLIP models with random weights, written to folders by the libraries that CLIP is published for."""
+"""Tiny CLIP models with random weights, written to folders by the libraries that publish CLIP."""
 
 import json
 
@@ -27,7 +27,7 @@ def tokenizer():
 
 
 def randomised(model):
-    """Weights that are nowhere zero or one, so that none can be mixed up or left out unseen; always the same."""
+    """Set fixed random weights, nowhere zero or one, so that a test notices each missing or swapped one."""
     generator = torch.Generator().manual_seed(5)
     with torch.no_grad():
         for name, parameter in model.named_parameters():
@@ -37,7 +37,7 @@ def randomised(model):
 
 
 def hugging_face(folder, **changes):
-    """Writes one in Hugging Face's layout; returns the model."""
+    """Write a model in the layout of Hugging Face and return it."""
     tower = {"num_hidden_layers": 2, "num_attention_heads": 4, "intermediate_size": 40, "projection_dim": DIMENSIONS}
     words = vocabulary()
     config = transformers.CLIPConfig(
@@ -55,9 +55,9 @@ def hugging_face(folder, **changes):
     return model
 
 
-def of_open_clip(folder, *, separate=False, standard_words=False, quick_gelu=False, **changes):
-    """Writes one in open_clip's layout; returns the model."""
-    words = 49408 if standard_words else len(vocabulary())
+def of_open_clip(folder, *, separate=False, standard_tokenizer=False, quick_gelu=False, **changes):
+    """Write a model in the layout of open_clip and return it."""
+    words = 49408 if standard_tokenizer else len(vocabulary())
     about = {
         "embed_dim": DIMENSIONS,
         "quick_gelu": quick_gelu,
@@ -69,7 +69,7 @@ def of_open_clip(folder, *, separate=False, standard_words=False, quick_gelu=Fal
     save_file({name: tensor.contiguous() for name, tensor in model.state_dict().items()}, weights_of(folder))
     config = {"model_cfg": about, "preprocess_cfg": {"mean": MEAN, "std": STD, "interpolation": "bicubic"}}
     (folder / "open_clip_config.json").write_text(json.dumps(config))
-    if not standard_words:
+    if not standard_tokenizer:
         tokenizer().save_pretrained(folder)
     return model
 
@@ -79,7 +79,7 @@ def weights_of(folder):
 
 
 def pixels(images):
-    """Images as both libraries want them."""
+    """Return images in the form that both libraries take."""
     scaled = (images.astype(np.float32) / 255 - np.array(MEAN, np.float32)) / np.array(STD, np.float32)
     return torch.from_numpy(scaled).permute(0, 3, 1, 2)
 
@@ -91,7 +91,7 @@ def grid(tokens):
 
 @torch.no_grad()
 def library_tokens(model, images):
-    """Patches after the last norm, by the library's own forward."""
+    """Return the patches after the last norm from the library's own forward."""
     if isinstance(model, transformers.CLIPModel):
         hidden = model.vision_model(pixels(images)).last_hidden_state
         return grid(model.vision_model.post_layernorm(hidden)[:, 1:])
@@ -110,7 +110,7 @@ def library_images(model, images):
 
 @torch.no_grad()
 def library_texts(model, texts, words=None):
-    """Texts by the library's own forward, padded to the whole context as it does."""
+    """Return embeddings of texts from the library's own forward, padded to the whole context as it does."""
     if isinstance(model, transformers.CLIPModel):
         ids = tokenizer()(texts, padding="max_length", truncation=True, max_length=CONTEXT, return_tensors="pt")
         dot = torch.zeros(1, 3, PX, PX)
@@ -119,7 +119,7 @@ def library_texts(model, texts, words=None):
 
 
 def own_words(texts):
-    """The tiny tokenizer, padded as open_clip pads."""
+    """Return token numbers of the tiny tokenizer, padded as in open_clip."""
     ids = torch.zeros(len(texts), CONTEXT, dtype=torch.long)
     for row, text in zip(ids, texts, strict=True):
         found = tokenizer()(text, truncation=True, max_length=CONTEXT)["input_ids"]

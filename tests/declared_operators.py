@@ -1,7 +1,7 @@
-"""Makes the libraries that the encoders are held against importable beside a torch without CUDA; import it first.
+"""Workaround to import the reference libraries of the encoder tests with a torch without CUDA; import it first.
 
-The registry's torchvision is compiled for CUDA. Beside a CPU build of torch its operators cannot be loaded, and its
-import fails on the two that it describes without asking. Nothing here calls them: they are declared, no more.
+The registry's torchvision is compiled for CUDA. With a CPU build of torch its operators cannot be loaded, and its
+import fails on the two that it describes unconditionally. The tests never call them, so it suffices to declare them.
 """
 
 import ctypes
@@ -23,4 +23,4 @@ def declare_missing_operators():
     return None
 
 
-DECLARED = declare_missing_operators()  # as long as this lives, they are known
+DECLARED = declare_missing_operators()  # the operators are declared as long as this object lives

@@ -14,7 +14,7 @@ from zsdist.config import CameraConfig, VisionConfig
 from zsdist.errors import RunError, WeightsError
 from zsdist.pretraining import pictures
 from zsdist.pretraining.progress import PretrainingProgress
-from zsdist.vision import folder
+from zsdist.vision import weights_folder
 from zsdist.vision.encoders import DEFAULT, open_encoder
 from zsdist.vision.training import head as of_head
 from zsdist.vision.visual_act import VisualAct
@@ -59,16 +59,21 @@ def test_a_pretraining_that_was_broken_off_twice_ends_with_the_weights_of_one_th
         )
         assert command("--resume", broken, "--workers", 2) == cli.INTERRUPTED
     assert command("--resume", broken) == 0
-    whole, again = folder.read(tmp_path / "whole"), folder.read(broken)
-    for name in (folder.HEAD_FILE, folder.PROJECTION_FILE, folder.STUDENT_FILE, folder.VOCABULARY_FILE):
+    whole, again = weights_folder.read(tmp_path / "whole"), weights_folder.read(broken)
+    for name in (
+        weights_folder.HEAD_FILE,
+        weights_folder.PROJECTION_FILE,
+        weights_folder.STUDENT_FILE,
+        weights_folder.VOCABULARY_FILE,
+    ):
         assert whole.content(name) == again.content(name)
     assert whole.history() == again.history()
     assert [(line["stage"], line["epoch"]) for line in again.history()] == [
         (stage, epoch) for stage in ("words", "head", "student") for epoch in (1, 2)
     ]
     assert not (broken / "pictures").exists() and not (broken / "stages").exists()
-    metadata = json.loads((broken / folder.METADATA_FILE).read_text())
-    vocabulary = Vocabulary.from_bytes(again.content(folder.VOCABULARY_FILE))
+    metadata = json.loads((broken / weights_folder.METADATA_FILE).read_text())
+    vocabulary = Vocabulary.from_bytes(again.content(weights_folder.VOCABULARY_FILE))
     assert metadata["encoder"]["text_sha256"] == vocabulary.text_sha256 == open_encoder(DEFAULT).text_sha256
     assert metadata["seed"] == 5 and metadata["images"] == 32 and metadata["families"] == ["street", "varied"]
 
@@ -99,18 +104,22 @@ def test_a_clip_folder_is_trained_on_from_pictures_to_a_look_in_its_own_words(la
     clip.mkdir()
     layout(clip)
     assert command("--encoder", clip, "--images", 16, "--epochs", 1, "--workers", 1, "--out", out) == 0
-    encoder, made = open_encoder(str(clip)), folder.read(out)
+    encoder, made = open_encoder(str(clip)), weights_folder.read(out)
     about = {"name": "clip/tiny-clip", "sha256": encoder.sha256, "text_sha256": encoder.text_sha256}
     assert made.metadata["encoder"] == about
-    assert set(made.metadata["files"]) == {folder.HEAD_FILE, folder.STUDENT_FILE, folder.VOCABULARY_FILE}
+    assert set(made.metadata["files"]) == {
+        weights_folder.HEAD_FILE,
+        weights_folder.STUDENT_FILE,
+        weights_folder.VOCABULARY_FILE,
+    }
     assert {line["stage"] for line in made.history()} == {"head", "student"}
-    vocabulary = Vocabulary.from_bytes(made.content(folder.VOCABULARY_FILE))
+    vocabulary = Vocabulary.from_bytes(made.content(weights_folder.VOCABULARY_FILE))
     words = KIND_WORDS["tree"].training
     assert np.abs(vocabulary.rows(words) - encoder.embed_texts(words)).max() < 1e-5
 
     model = VisualAct.load(VisionConfig(encoder=str(clip), weights=str(out)), CameraConfig())
     images = np.random.default_rng(0).integers(0, 256, (2, 64, 64, 3), np.uint8)
-    look, native = model.look(images), encoder.native_projection()
+    look, native = model.observe(images), encoder.native_projection()
     whole = encoder.tokens(images).mean((1, 2)) @ native["weight"].T
     assert look.embeddings.shape == (2, 4, clip_models.DIMENSIONS) and look.attention.shape == (2, 3, encoder.side**2)
     assert np.abs(look.embeddings[:, 0] - whole / np.linalg.norm(whole, axis=1, keepdims=True)).max() < 1e-4

@@ -3,7 +3,7 @@ import pytest
 from zsdist import pretrain
 from zsdist.errors import ConfigError, DataError, RunError
 from zsdist.pretraining import job
-from zsdist.vision.folder import METADATA_FILE
+from zsdist.vision.weights_folder import METADATA_FILE
 
 
 def command(*arguments):

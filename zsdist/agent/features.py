@@ -6,7 +6,6 @@ has no upper end, so that the state of a car that drives in circles keeps changi
 """
 
 import math
-from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np

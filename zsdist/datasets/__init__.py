@@ -1,1 +1,1 @@
-"""Labelled pictures for pretraining, drawn from the simulated world."""
+"""Pictures with labels for pretraining, drawn from the simulated world."""

@@ -1,4 +1,4 @@
-"""Described pictures: what each of 14 x 14 cells of a picture shows, and a caption, to learn words from."""
+"""Captioned pictures for learning words: the contents of 14 x 14 cells of a picture, and a caption."""
 
 import contextlib
 from collections.abc import Iterator, Sequence
@@ -13,30 +13,29 @@ from zsdist.sim.camera import make_camera
 from zsdist.sim.scenes.kinds import KINDS, SEGMENT_GROUND, SEGMENT_SKY, SEGMENT_WALL
 from zsdist.sim.scenes.manifest import Split
 from zsdist.sim.scenes.scene import Scene
-from zsdist.types import Pose
 from zsdist.vision.words.vocabulary import CONCEPTS, SIDES, caption
 
-CELLS = 14  # to a side, as the default encoder's tokens
-TOLD_SHARE = 0.02  # of the picture that a kind must cover to be told of
-MOST_TOLD = 3  # kinds in a caption
-DOMINANT_SHARE = 0.06  # of the picture that the dominant kind must cover,
-DOMINANT_TIMES = 2.0  # and so many times as much as any other kind
-_NATURAL_SHARE = 0.75  # of varied pictures have the kinds' own colours: grounds are told apart by little else
+CELLS = 14  # along a side, like the default encoder's tokens
+CAPTION_SHARE = 0.02  # of the picture that a kind must cover to be in the caption
+MOST_CAPTIONED = 3  # kinds in a caption
+DOMINANT_SHARE = 0.06  # of the picture that the dominant kind must cover
+DOMINANT_TIMES = 2.0  # the dominant kind must also cover this many times as much as any other kind
+_NATURAL_SHARE = 0.75  # of varied cameras show natural colours, which are almost the only difference between grounds
 _TILT_JITTER_RAD = 0.05
 
 
 @dataclass(frozen=True)
 class CaptionedView:
-    """A picture and what it shows, for C concepts in the order of `vocabulary.CONCEPTS`.
+    """Picture and its contents for C concepts in the order of `vocabulary.CONCEPTS`.
 
     Attributes:
         image: `(size_px, size_px, 3)` uint8.
-        cells: `(14, 14, C)` float16, share of each cell that shows the concept; a cell's shares sum to 1.
-        caption: of the whole picture, of training words.
-        dominant: index of the kind that by far covers most among the kinds (`dominant_kind`); -1: there is none.
-        ground: index of the concept that the ground is.
+        cells: `(14, 14, C)` float16, share of each cell that shows the concept; the shares of a cell sum to 1.
+        caption: caption of the whole picture, in training words.
+        dominant: index of the kind that covers by far the most (`dominant_kind`); -1: none.
+        ground: index of the concept of the ground.
         scene: name of the scene.
-        scene_hash: `Scene.hash()`, by which pictures of one scene can be kept together.
+        scene_hash: `Scene.hash()`; it groups the pictures of one scene.
     """
 
     image: np.ndarray
@@ -51,16 +50,16 @@ class CaptionedView:
 def captioned_views(
     families: Sequence[str], split: Split, count: int, seed: int, camera: CameraConfig, varied: bool = False
 ) -> Iterator[CaptionedView]:
-    """Described pictures, the same for the same arguments; the families take turns, a scene gives several.
+    """Yield captioned pictures, the same for the same arguments; families take turns, a scene gives several pictures.
 
     Args:
-        families: their names, as of `families.FAMILIES`.
-        split: which range of the families' seeds the scenes come from; an unknown one raises `SceneError`.
-        count: of pictures.
-        seed: of scenes, places, looks and captions.
+        families: names of families in `families.FAMILIES`.
+        split: range of the families' seeds for the scenes; an unknown one raises `SceneError`.
+        count: number of pictures.
+        seed: seed of scenes, poses, appearance and captions.
         camera: resolution, field of view, mount and range.
-        varied: mount, tilt and picture quality drawn, and the colours of one picture in four (for training); else
-            each scene looks as it does when driven through.
+        varied: whether mount, tilt and picture quality are random, and the colours of one camera in four (for
+            training); else scenes have the appearance of a drive.
     """
     rng = np.random.default_rng([seed, 4, *split.encode()])
     for _, scene, number in drawn_scenes(families, split, count, rng):
@@ -68,27 +67,27 @@ def captioned_views(
 
 
 def describe(segments: np.ndarray, ground: str, rng: np.random.Generator) -> tuple[np.ndarray, str, int]:
-    """What a picture shows: `cells`, `caption` and `dominant` of a `CaptionedView`.
+    """Return `cells`, `caption` and `dominant` of a `CaptionedView` from a segmentation image.
 
     Args:
-        segments: `(size_px, size_px)` uint8 as a camera gives them.
-        ground: of the scene.
-        rng: of the caption.
+        segments: `(size_px, size_px)` uint8 from a camera.
+        ground: name of the scene's ground.
+        rng: chooses the words of the caption.
     """
     concepts = _concept_of_segment(ground)[segments]
     cells = cell_shares(concepts, CELLS)
     kinds = cells[:, :, : len(KINDS)].mean((0, 1))
-    told = [kind for kind in np.argsort(-kinds) if kinds[kind] >= TOLD_SHARE][:MOST_TOLD]
-    seen = [(CONCEPTS[kind], _side(cells[:, :, kind])) for kind in told]
+    captioned = [kind for kind in np.argsort(-kinds) if kinds[kind] >= CAPTION_SHARE][:MOST_CAPTIONED]
+    seen = [(CONCEPTS[kind], _side(cells[:, :, kind])) for kind in captioned]
     return cells.astype(np.float16), caption(seen, ground, rng), dominant_kind(kinds)
 
 
 def cell_shares(concepts: np.ndarray, side: int) -> np.ndarray:
-    """Share of each concept in each of `side` x `side` cells, `(side, side, C)` float32.
+    """Return the share of each concept in each of `side` x `side` cells, `(side, side, C)` float32.
 
     Args:
         concepts: `(px, px)` indices of concepts; px is `side` or more.
-        side: cells to a side.
+        side: cells along a side.
     """
     cell = np.arange(len(concepts)) * side // len(concepts)
     numbers = (cell[:, None] * side + cell) * len(CONCEPTS) + concepts
@@ -97,7 +96,7 @@ def cell_shares(concepts: np.ndarray, side: int) -> np.ndarray:
 
 
 def dominant_kind(shares: np.ndarray) -> int:
-    """The kind that is what a picture is of, by the shares `(kinds,)` of the picture that each covers; -1: none is."""
+    """Return the index of the dominant kind, from the shares `(kinds,)` of the picture that each covers; -1: none."""
     second, first = np.argsort(shares)[-2:]
     return int(first) if shares[first] >= max(DOMINANT_SHARE, DOMINANT_TIMES * shares[second]) else -1
 
@@ -108,7 +107,7 @@ def _views_of(
     with contextlib.closing(varied_camera(config, rng, _NATURAL_SHARE) if varied else make_camera(config)) as camera:
         for _ in range(count):
             people = people_on_paths(scene, rng)
-            pose: Pose = free_pose(scene, rng, people)
+            pose = free_pose(scene, rng, people)
             roll, pitch = rng.uniform(-_TILT_JITTER_RAD, _TILT_JITTER_RAD, 2) if varied else (0.0, 0.0)
             image, _, segments = camera.render_labelled(scene, pose, roll, pitch, people)
             cells, sentence, dominant = describe(segments, scene.ground, rng)
@@ -124,7 +123,7 @@ def _views_of(
 
 
 def _concept_of_segment(ground: str) -> np.ndarray:
-    """`(256,)` index of the concept that each segment number shows in a scene with this ground."""
+    """Return the index of the concept of each segment number, `(256,)`, in a scene with this ground."""
     table = np.zeros(256, np.int64)
     table[[SEGMENT_SKY, SEGMENT_GROUND, SEGMENT_WALL]] = [CONCEPTS.index(name) for name in ("sky", ground, "wall")]
     for kind in KINDS.values():
@@ -133,7 +132,7 @@ def _concept_of_segment(ground: str) -> np.ndarray:
 
 
 def _side(shares: np.ndarray) -> str:
-    """In which third of the picture most of something is, by its share of each cell `(14, 14)`."""
+    """Return the third of the picture with the centre of a kind, from its share of each cell `(14, 14)`."""
     columns = shares.sum(0)
     middle = float((columns * (np.arange(CELLS) + 0.5)).sum() / columns.sum()) / CELLS
     return SIDES[min(int(3 * middle), 2)]

@@ -1,4 +1,4 @@
-"""Labelled pictures from random places in random scenes: what the visual-act model is trained and tested on."""
+"""Labelled pictures from random poses in random scenes, for training and testing the visual-act model."""
 
 import contextlib
 import math
@@ -19,27 +19,27 @@ from zsdist.types import Pose
 from zsdist.vision.labels import nearest
 from zsdist.vision.rays import RAYS, ray_angles_rad
 
-_PYBULLET_SHARE = 0.12  # of the scenes for training are drawn by it: four times as slow, and without textures
+_PYBULLET_SHARE = 0.12  # of the training scenes are drawn by PyBullet, which is four times as slow and has no textures
 _TILT_JITTER_RAD = 0.05
 
 
 @dataclass(frozen=True)
 class LabelledView:
-    """One picture and the truth about it, for R rays and the directions forward, left, right.
+    """One picture and its truth, for R rays and the directions forward, left, right.
 
     Attributes:
         image: `(size_px, size_px, 3)` uint8.
         ray_clearance_m: `(R,)` float32, horizontal distance from the camera along each ray, leftmost first, capped at
             the camera's range, which stands for "free".
-        ray_dynamic: `(R,)` bool, whether what the ray meets is of a kind that moves.
-        ray_segment: `(R,)` uint8, what the ray meets: `Kind.segment_id`, `SEGMENT_WALL`, or 0 where it is free.
-        clearance_m: `(3,)` float32, the nearest of each direction's rays.
-        dynamic: `(3,)` bool, whether that nearest is of a kind that moves.
-        goal_bearing_rad: of the scene's goal from the car's heading, left positive.
-        goal_distance_m: of the goal from the car's centre.
-        pose: of the car.
+        ray_dynamic: `(R,)` bool, whether the ray meets an obstacle of a kind that moves.
+        ray_segment: `(R,)` uint8, segment that the ray meets: `Kind.segment_id`, `SEGMENT_WALL`, or 0 if it is free.
+        clearance_m: `(3,)` float32, shortest distance of each direction's rays.
+        dynamic: `(3,)` bool, whether the kind of that nearest obstacle moves.
+        goal_bearing_rad: direction of the scene's goal from the car's heading, left positive.
+        goal_distance_m: distance of the goal from the car's centre.
+        pose: pose of the car.
         scene: name of the scene.
-        scene_hash: `Scene.hash()`, by which pictures of one scene can be kept together.
+        scene_hash: `Scene.hash()`; it groups the pictures of one scene.
     """
 
     image: np.ndarray
@@ -58,16 +58,16 @@ class LabelledView:
 def labelled_views(
     families: list[str], split: Split, count: int, seed: int, camera: CameraConfig, varied: bool = False
 ) -> Iterator[LabelledView]:
-    """Pictures with labels, the same for the same arguments; the families take turns, a scene gives several.
+    """Yield pictures with labels, the same for the same arguments; families take turns, a scene gives several pictures.
 
     Args:
-        families: their names, as of `families.FAMILIES`.
-        split: which range of the families' seeds the scenes come from; an unknown one raises `SceneError`.
-        count: of pictures.
-        seed: of scenes, places and looks.
+        families: names of families in `families.FAMILIES`.
+        split: range of the families' seeds for the scenes; an unknown one raises `SceneError`.
+        count: number of pictures.
+        seed: seed of scenes, poses and appearance.
         camera: resolution, field of view, mount and range.
-        varied: colours, textures, grounds, renderer, mount and picture quality drawn without mercy (for training);
-            else each scene looks as it does when driven through, drawn by the camera's own back end.
+        varied: whether colours, textures, grounds, renderer, mount and picture quality are random (for training); else
+            scenes have the appearance of a drive, drawn by the camera's own back end.
     """
     rng = np.random.default_rng([seed, *split.encode()])
     for _, scene, number in drawn_scenes(families, split, count, rng):
@@ -78,10 +78,10 @@ def label(scene: Scene, pose: Pose, camera: CameraConfig, people: np.ndarray | N
     """Return the truth of one pose: the label fields of `LabelledView`.
 
     Args:
-        scene: what stands in the arena.
-        pose: of the car.
+        scene: scene with its obstacles.
+        pose: pose of the car.
         camera: field of view, mount and range.
-        people: `(W, 2)` positions of the walking obstacles; None: where they start.
+        people: `(W, 2)` positions of the walking obstacles; None: their start positions.
     """
     angles_rad = camera_angles_rad(camera)
     met = rays_met(scene, pose, camera, angles_rad, people)

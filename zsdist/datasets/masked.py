@@ -1,4 +1,4 @@
-"""Pictures with masks of what is in them, and the truth of the scene without each thing: for the contrastive loss."""
+"""Pictures with masks of their objects, and the truth of the scene without each object, for the contrastive loss."""
 
 import contextlib
 import dataclasses
@@ -16,25 +16,27 @@ from zsdist.sim.camera.caster import INSTANCE_GROUND, INSTANCE_SKY, CasterCamera
 from zsdist.sim.scenes.manifest import Split
 from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Pose
-from zsdist.vision.masks import Mask, MaskedView, choose, pixel_distance_m
+from zsdist.vision.masks import Mask, MaskedView, choose_masks, pixel_distance_m
 
 
 def masked_views(
     families: list[str], split: Split, count: int, seed: int, camera: CameraConfig, varied: bool = False
 ) -> Iterator[MaskedView]:
-    """Pictures with their masks, the same for the same arguments; arguments as of `views.labelled_views`.
+    """Yield pictures with their masks, the same for the same arguments; arguments as in `labelled.labelled_views`.
 
-    The camera is level, so that what is hidden is where its truth says. The arena's walls are never taken away: what
-    is near of them stays in every masked picture, what is far counts as background.
+    The camera is level, so that a mask is where the truth of its object is. The arena's walls are never removed: near
+    parts of them stay in every masked picture, far parts count as background.
 
     Raises:
-        SceneError: an unknown split, or a camera that cannot tell one obstacle from another.
+        SceneError: the split is unknown, or the camera cannot tell one obstacle from another.
     """
     if camera.back_end != "caster":
-        raise SceneError(f"pictures with masks come from the camera 'caster'; camera.back_end is {camera.back_end!r}")
+        raise SceneError(f"camera.back_end is {camera.back_end!r}; allowed for pictures with masks is 'caster'")
     rng = np.random.default_rng([seed, 4, *split.encode()])
     for _, scene, number in drawn_scenes(families, split, count, rng):
-        with contextlib.closing(varied_camera(camera, rng) if varied else CasterCamera(camera)) as eye:
+        eye = varied_camera(camera, rng) if varied else CasterCamera(camera)
+        assert isinstance(eye, CasterCamera), "the back end was checked above"
+        with contextlib.closing(eye):
             for _ in range(number):
                 people = people_on_paths(scene, rng)
                 view = masked_view(eye, scene, free_pose(scene, rng, people), people)
@@ -42,26 +44,26 @@ def masked_views(
 
 
 def masked_view(eye: CasterCamera, scene: Scene, pose: Pose, people: np.ndarray | None = None) -> MaskedView:
-    """What `eye` sees from a pose of the car, with the masks of it and the truth without each."""
+    """Return the picture of `eye` from a pose of the car, with its masks and the truth without each masked object."""
     image, depth_m, instances = eye.render_instances(scene, pose, people=people)
     config = eye.config
     distance_m = pixel_distance_m(depth_m, math.radians(config.field_of_view_deg))
     ground, sky = instances == INSTANCE_GROUND, instances == INSTANCE_SKY
-    objects, background = choose(instances, distance_m, ground, sky, config.range_m)
+    objects, background = choose_masks(instances, distance_m, ground, sky, config.range_m)
 
     def truth(of: Scene, walking: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         found = label(of, pose, config, walking)
         return found["ray_clearance_m"], found["ray_dynamic"]
 
     whole = truth(scene, people)
-    masks = [Mask(hidden, False, *truth(*without(scene, index, people))) for index, hidden in objects.items()]
+    masks = [Mask(hidden, False, *truth(*remove_obstacle(scene, index, people))) for index, hidden in objects.items()]
     masks += [Mask(hidden, True, *whole) for hidden in background]
     return MaskedView(image, *whole, tuple(masks), scene.hash())
 
 
-def without(scene: Scene, index: int, people: np.ndarray | None) -> tuple[Scene, np.ndarray | None]:
-    """The scene without its obstacle `index`, and the places `(W, 2)` of those of its people who are left."""
-    gone = scene.obstacles[index]
-    if gone.walks and people is not None:
+def remove_obstacle(scene: Scene, index: int, people: np.ndarray | None) -> tuple[Scene, np.ndarray | None]:
+    """Return the scene without its obstacle `index`, and the positions `(W, 2)` of its remaining people."""
+    removed = scene.obstacles[index]
+    if removed.walks and people is not None:
         people = np.delete(people, sum(other.walks for other in scene.obstacles[:index]), 0)
     return dataclasses.replace(scene, obstacles=scene.obstacles[:index] + scene.obstacles[index + 1 :]), people

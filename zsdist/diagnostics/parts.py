@@ -36,20 +36,20 @@ def check_camera() -> CheckResult:
 
 def check_vision() -> CheckResult:
     """Read every file of the shipped weights, and run the head, the student and the word comparison on one picture."""
-    from zsdist.vision import folder
+    from zsdist.vision import weights_folder
     from zsdist.vision.visual_act import VisualAct
 
     config = Config()
     image = np.zeros((1, config.camera.size_px, config.camera.size_px, 3), dtype=np.uint8)
-    optional = (folder.STUDENT_FILE, folder.PROJECTION_FILE, folder.VOCABULARY_FILE)
+    optional = (weights_folder.STUDENT_FILE, weights_folder.PROJECTION_FILE, weights_folder.VOCABULARY_FILE)
     found = []
     try:
-        weights = folder.read(folder.SHIPPED)
+        weights = weights_folder.read(weights_folder.SHIPPED)
         missing = [file for file in optional if not weights.has(file)]
         for file in weights.metadata["files"]:
             weights.content(file)
         for network in ("head", "student"):
-            if network == "student" and folder.STUDENT_FILE in missing:
+            if network == "student" and weights_folder.STUDENT_FILE in missing:
                 continue
             model = VisualAct.load(config.vision.model_copy(update={"network": network}), config.camera)
             model.read(image)
@@ -57,8 +57,8 @@ def check_vision() -> CheckResult:
             model.read(image)
             taken_ms = 1000 * (time.perf_counter() - began_s)
             found.append(f"{model.encoder_name}, weights {model.weights_sha256[:12]}, {taken_ms:.1f} ms")
-            if network == "head" and folder.PROJECTION_FILE not in missing:
-                model.look(image)
+            if network == "head" and weights_folder.PROJECTION_FILE not in missing:
+                model.observe(image)
     except WeightsError as error:
         advice = "Reinstall the package (make install), or train weights: python -m zsdist.pretrain."
         return CheckResult("vision", CheckStatus.FAIL, str(error), advice)

@@ -8,8 +8,8 @@ import numpy as np
 
 from zsdist.planning.grid import Grid
 from zsdist.types import LatticeState, Pose, View
-from zsdist.vision.fingerprint import Sighted
-from zsdist.vision.ray_ablation import limited
+from zsdist.vision.fingerprint import VisionHashes
+from zsdist.vision.ray_ablation import ablate_rays
 from zsdist.vision.reading_cache import ReadingCache
 from zsdist.vision.visual_act import Reading
 
@@ -17,7 +17,7 @@ NEAR_M = 0.10  # a car this near to a lattice state, and with this heading, may 
 NEAR_RAD = math.radians(5.0)
 
 
-class VisionModel(Sighted, Protocol):
+class VisionModel(VisionHashes, Protocol):
     """Part of `zsdist.vision.visual_act.VisualAct` that is used."""
 
     def read(self, images: np.ndarray) -> Reading:
@@ -95,7 +95,7 @@ class Perception:
         self.bypasses += sum(car.trains and spot is None for car, spot in zip(cars, spots, strict=True))
         goals = np.array([car.goal_from_here() for car in cars], dtype=np.float32)
         together = Reading(*(np.stack(parts) for parts in zip(*readings, strict=True)))
-        return [limited(view, self._rays) for view in self._visual_act.views(together, goals[:, 0], goals[:, 1])]
+        return [ablate_rays(view, self._rays) for view in self._visual_act.views(together, goals[:, 0], goals[:, 1])]
 
     def statistics(self) -> dict[str, float]:
         """Return counts of readings that were remembered, that were not, and that could not be; none without memory."""

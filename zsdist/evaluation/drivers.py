@@ -14,7 +14,7 @@ from zsdist.driving.settings import agent_settings
 from zsdist.planning.rewards import RewardTerms
 from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Level, Parameters, Pose, View
-from zsdist.vision.ray_ablation import limited
+from zsdist.vision.ray_ablation import ablate_rays
 
 # Views of images `(B, px, px, 3)` for goals at bearings and distances `(B,)`, as `zsdist.vision.visual_act` makes them.
 ViewPredictor = Callable[[np.ndarray, np.ndarray, np.ndarray], Sequence[View]]
@@ -131,4 +131,4 @@ class LearnedDriver(Driver):
         """
         view = self._see(observed)
         view = replace(view, **{name: self._rng.permutation(getattr(view, name)) for name in self._shuffled})
-        return limited(view, self._rays)
+        return ablate_rays(view, self._rays)

@@ -91,7 +91,7 @@ def contender_sha256(contender: Contender) -> str:
     perception = None
     if contender.observability is Observability.CAMERA:
         model = VisualAct.load(contender.settings.vision, contender.settings.camera)
-        perception = VisionIdentity.of(model, contender.settings.vision.network).written()
+        perception = VisionIdentity.of(model, contender.settings.vision.network).to_json()
     networks = {level: network.sha256(parameters) for level, parameters in (contender.networks or {}).items()}
     parts = [contender.baseline, contender.variant, contender.shielded, settings, perception, networks]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[: code_hash.DIGITS]

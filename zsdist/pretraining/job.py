@@ -11,7 +11,7 @@ from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
 from zsdist.sim.scenes.families import FAMILIES
 from zsdist.sim.scenes.manifest import MANIFEST
-from zsdist.vision.folder import METADATA_FILE
+from zsdist.vision.weights_folder import METADATA_FILE
 
 JOB_FILE = "pretraining.json"
 PURPOSE = MANIFEST["vision-training"]

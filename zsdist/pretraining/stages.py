@@ -23,13 +23,13 @@ from zsdist.pretraining.job import Job
 from zsdist.pretraining.pictures import Pictures
 from zsdist.pretraining.progress import PretrainingProgress
 from zsdist.vision.encoders.base import Encoder
-from zsdist.vision.folder import HEAD_FILE, HISTORY_FILE, PROJECTION_FILE, STUDENT_FILE, VOCABULARY_FILE
 from zsdist.vision.training import head as of_head
 from zsdist.vision.training import projection as of_words
 from zsdist.vision.training import student as of_student
 from zsdist.vision.training.calibration import calibrate
 from zsdist.vision.training.contrast import Contrast
 from zsdist.vision.training.trainer import Recipe, Trainer
+from zsdist.vision.weights_folder import HEAD_FILE, HISTORY_FILE, PROJECTION_FILE, STUDENT_FILE, VOCABULARY_FILE
 from zsdist.vision.words.vocabulary import Vocabulary, shipped_words
 
 TIME_SHARES = {"pictures": 0.4, "words": 0.05, "head": 0.25, "student": 0.3}
@@ -111,10 +111,10 @@ class Stages:
             student = of_student.new_student(self._field_of_view_rad, self._job.seed)
 
             def train_student(recipe: Recipe, rng: np.random.Generator, time_used: Callable[[], float]) -> Trainer:
-                training_pass = of_student.teach(head, examples)
-                return of_student.train(student, examples, validation, recipe, rng, time_used, training_pass)
+                teacher = of_student.predict_with_teacher(head, examples)
+                return of_student.train(student, examples, validation, recipe, rng, time_used, teacher)
 
-            pictures = of_student.of_pictures(validation)
+            pictures = of_student.with_image_tokens(validation)
             self._train("student", student, train_student, lambda: calibrate(student, pictures))
             contents[STUDENT_FILE] = safetensors.torch.save(student.state_dict())
         return contents

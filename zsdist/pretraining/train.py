@@ -10,9 +10,9 @@ from zsdist.pretraining.job import JOB_FILE, Job
 from zsdist.pretraining.pictures import Pictures, disk_bytes, make_all
 from zsdist.pretraining.progress import PretrainingProgress
 from zsdist.pretraining.stages import Budget, Stages, best_epochs
-from zsdist.vision import folder as weights
+from zsdist.vision import weights_folder
 from zsdist.vision.encoders.base import Encoder
-from zsdist.vision.folder import CAMERA_KEYS
+from zsdist.vision.weights_folder import CAMERA_KEYS
 
 
 def train(
@@ -48,7 +48,7 @@ def train(
     make_all(job, picture_folder, workers, lambda: time_used() < 1.0, progress.pictures)
     pictures = Pictures(job, picture_folder)
     files = Stages(job, folder, pictures, encoder, budget, progress).run()
-    made = weights.write(folder, files, _metadata(job, folder, pictures, encoder))
+    made = weights_folder.write(folder, files, _metadata(job, folder, pictures, encoder))
     for name, digest in made.metadata["files"].items():
         progress.log(f"{folder / name}: SHA-256 {digest[:16]}")
     (folder / JOB_FILE).unlink()  # first: without all of the rest it cannot be resumed
@@ -68,5 +68,5 @@ def _metadata(job: Job, folder: Path, pictures: Pictures, encoder: Encoder) -> d
         "seed": job.seed,
         "families": list(job.families),
         **pictures.counts(),
-        "best": best_epochs(folder / weights.HISTORY_FILE),
+        "best": best_epochs(folder / weights_folder.HISTORY_FILE),
     }

@@ -234,14 +234,14 @@ def _camera_panel(visual_act: Any) -> Callable[[np.ndarray, int | None], np.ndar
         panel = plain(image, action)
         if action is None:
             return panel
-        weights = visual_act.look(image[None]).attention[0, _DIRECTION_OF[Action(action)]]
+        weights = visual_act.observe(image[None]).attention[0, _DIRECTION_OF[Action(action)]]
         side = round(len(weights) ** 0.5)
         return attended(panel, weights.reshape(side, side))
 
-    if not hasattr(visual_act, "look"):
+    if not hasattr(visual_act, "observe"):
         return plain
     try:
-        visual_act.look(np.zeros((1, 64, 64, 3), np.uint8))
+        visual_act.observe(np.zeros((1, 64, 64, 3), np.uint8))
     except WeightsError:
         return plain
     return with_attention

@@ -23,7 +23,7 @@ from zsdist.reporting import style
 from zsdist.reporting.maps import DrivenPath, draw_ends, draw_path, draw_scene, square
 from zsdist.sim.scenes.scene import Scene
 from zsdist.types import LatticeState, Parameters, Pose
-from zsdist.vision.ray_ablation import limited
+from zsdist.vision.ray_ablation import ablate_rays
 
 COLOURS = "viridis"
 ARROW_SHARE = 0.36  # half the length of an arrow, as a share of a block's side
@@ -88,7 +88,7 @@ def guidance_of(
             images = np.stack([picture(pose) for pose in poses])
             bearings, distances = zip(*(pose.towards(*known.goal) for pose in poses), strict=True)
             views = visual_act(images, np.array(bearings), np.array(distances))
-            advices = [limited(view, config.vision.rays).advice for view in views]
+            advices = [ablate_rays(view, config.vision.rays).advice for view in views]
             situations = [_started_at(known, state, advice) for state, advice in zip(states, advices, strict=True)]
             pull[by, bx], towards[by, bx] = _best_choice(situations, parameters)
     return Guidance(pull, towards)

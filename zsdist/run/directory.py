@@ -148,7 +148,7 @@ def read_vision(checkpoint: Path) -> VisionIdentity:
     """By what the policy in a checkpoint folder saw; raises `RunError` where it does not say."""
     path = checkpoint / "manifest.json"
     try:
-        return VisionIdentity.read(json.loads(path.read_text())["vision"])
+        return VisionIdentity.from_json(json.loads(path.read_text())["vision"])
     except OSError as error:
         raise RunError(f"checkpoint {checkpoint}: {error.filename}: {error.strerror}") from error
     except (ValueError, KeyError, TypeError) as error:
@@ -218,7 +218,7 @@ class RunDirectory:
         manifest = {
             "zsdist": __version__,
             "episodes": episodes,
-            "vision": self._vision.written(),
+            "vision": self._vision.to_json(),
             "sha256": hashes,
         }
         atomic_files.write(partial / "manifest.json", json.dumps(manifest, indent=1).encode())

@@ -1,1 +1,1 @@
-"""What the car sees: pretrained encoder, visual-act head on its tokens, labels, losses, training (Algorithm 1)."""
+"""Vision of the car: pretrained encoder, visual-act head on its tokens, labels, losses, training (Algorithm 1)."""

@@ -1,4 +1,4 @@
-"""Networks as files that onnxruntime runs: built once with torch, kept in a cache, shared by every process."""
+"""Export of networks to files that onnxruntime runs: built once with torch, cached, shared by all processes."""
 
 import hashlib
 import logging
@@ -22,12 +22,12 @@ TOLERANCE = 1e-3
 
 
 def cache_folder() -> Path:
-    """Where exported networks are kept: `$ZSDIST_CACHE`, else `~/.cache/zsdist`."""
+    """Return the folder of exported networks: `$ZSDIST_CACHE`, else `~/.cache/zsdist`."""
     return Path(os.environ.get("ZSDIST_CACHE") or Path.home() / ".cache" / "zsdist")
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file's content, as hexadecimal digits; raises `WeightsError` where it cannot be read."""
+    """Return the SHA-256 of a file's content in hexadecimal; raise `WeightsError` if the file cannot be read."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
@@ -35,12 +35,12 @@ def file_sha256(path: Path) -> str:
 
 
 def cached_session(name: str, build: Callable[[Path], None]) -> onnxruntime.InferenceSession:
-    """The network `name` from the cache, built by `build(path)` where it is not there yet.
+    """Return a session of the network `name` from the cache; build it with `build(path)` if it is missing.
 
-    Several processes may build at once: each writes a file of its own and renames it, so that nobody reads half a file.
+    Several processes may build at once: each writes its own file and renames it, so that no process reads half a file.
 
     Raises:
-        WeightsError: the cache cannot be written, or holds a file that is damaged.
+        WeightsError: the cache cannot be written, or the cached file is damaged.
     """
     path = cache_folder() / f"{name}.onnx"
     if not path.exists():
@@ -52,21 +52,21 @@ def cached_session(name: str, build: Callable[[Path], None]) -> onnxruntime.Infe
         except OSError as error:
             raise WeightsError(
                 f"cache folder {path.parent} cannot be written: {error.strerror or error}; "
-                "allowed is any folder of your own, set by the variable ZSDIST_CACHE"
+                "set the environment variable ZSDIST_CACHE to a folder that you can write"
             ) from error
     return open_session(path)
 
 
 def open_session(path: Path) -> onnxruntime.InferenceSession:
-    """An onnxruntime session on one thread; raises `WeightsError` where the file is damaged."""
+    """Return an onnxruntime session on one thread; raise `WeightsError` if the file is damaged."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 3  # errors only
     try:
         return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's errors share no root below this one
+    except Exception as error:  # onnxruntime's errors share no narrower base class
         reason = " ".join(str(error).split())
-        raise WeightsError(f"cached network {path} is damaged ({reason}); delete it and it is built anew") from error
+        raise WeightsError(f"cached network {path} is damaged ({reason}); delete it to have it rebuilt") from error
 
 
 def export(
@@ -77,25 +77,25 @@ def export(
     outputs: list[str],
     free: Sequence[str] = ("batch",),
 ) -> None:
-    """Writes `module` as an ONNX file with a free batch size and checks it on `example` against torch.
+    """Write `module` as an ONNX file with a free batch size, and check its outputs on `example` against torch.
 
     Args:
-        module: the network, taking one tensor.
-        example: `(B, ...)` an input, of the dtype it is to take.
+        module: the network; it takes one tensor.
+        example: `(B, ...)` an input of the dtype that the network takes.
         path: file to write.
         input_name: name of the input.
-        outputs: names of what it returns, in order.
-        free: names of the input's first axes that may be of any length; of the outputs' only the first may.
+        outputs: names of the outputs, in order.
+        free: names of the leading axes of the input that may have any length; of each output only the first may.
 
     Raises:
-        WeightsError: the file does not compute what `module` does.
+        WeightsError: the file computes something else than `module`.
     """
     import torch
 
-    module = module.eval()  # on the outermost module: the exporter otherwise switches it back to training
+    module = module.eval()  # on the outermost module: otherwise the exporter switches it back to training mode
     tensor = torch.from_numpy(example)
     with warnings.catch_warnings(), torch.no_grad():
-        warnings.simplefilter("ignore")  # the exporter's, on folding of constants and on its own age
+        warnings.simplefilter("ignore")  # the exporter warns of constant folding and of its own deprecation
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)
         torch.onnx.export(
             module,
@@ -105,7 +105,7 @@ def export(
             output_names=outputs,
             dynamic_axes={name: {0: free[0]} for name in outputs} | {input_name: dict(enumerate(free))},
             opset_version=18,
-            dynamo=False,  # this one takes a second, the newer one ten and a package more
+            dynamo=False,  # takes one second; the newer exporter takes ten and needs one more package
         )
         expected = module(tensor)
     expected = [expected] if isinstance(expected, torch.Tensor) else expected
@@ -114,6 +114,6 @@ def export(
         difference = float(np.abs(ours - theirs.numpy()).max() / max(np.abs(theirs.numpy()).max(), 1e-9))
         if not difference <= TOLERANCE:
             raise WeightsError(
-                f"exported network {path.stem}: {name} differs from torch's by {difference:.2g}; "
+                f"exported network {path.stem}: output {name} differs from torch by {difference:.2g}; "
                 f"allowed is {TOLERANCE:.2g}"
             )

@@ -1,4 +1,4 @@
-"""By what a policy sees: kept in every checkpoint, and held against what is there when it is to drive."""
+"""Identity of the vision model that a policy was trained with; each checkpoint stores it and it is checked at load."""
 
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol, Self
@@ -6,8 +6,8 @@ from typing import Any, Protocol, Self
 from zsdist.errors import WeightsError
 
 
-class Sighted(Protocol):
-    """What a visual-act model says of its weights."""
+class VisionHashes(Protocol):
+    """Attributes of a visual-act model that identify its weights."""
 
     encoder_name: str
     encoder_sha256: str
@@ -16,13 +16,13 @@ class Sighted(Protocol):
 
 @dataclass(frozen=True)
 class VisionIdentity:
-    """The encoder and the network on it.
+    """Names and hashes of the encoder and of the network on it.
 
     Attributes:
-        encoder: its name.
-        encoder_sha256: of its weights.
+        encoder: name of the encoder.
+        encoder_sha256: SHA-256 of the encoder's weights.
         network: "head" or "student".
-        weights_sha256: of head or student.
+        weights_sha256: SHA-256 of the weights of the head or the student.
     """
 
     encoder: str
@@ -31,47 +31,47 @@ class VisionIdentity:
     weights_sha256: str
 
     @classmethod
-    def of(cls, visual_act: Sighted, network: str) -> Self:
-        """Of a model that is loaded as `config.vision.network` says."""
+    def of(cls, visual_act: VisionHashes, network: str) -> Self:
+        """Return the identity of a loaded model; `network` is the setting `config.vision.network`."""
         return cls(visual_act.encoder_name, visual_act.encoder_sha256, network, visual_act.weights_sha256)
 
     @classmethod
-    def read(cls, fields: Any) -> Self:
-        """From a checkpoint; raises `ValueError` where it is not what `written` gives."""
+    def from_json(cls, fields: Any) -> Self:
+        """Return the identity read from a checkpoint; raise `ValueError` if `fields` does not come from `to_json`."""
         if not isinstance(fields, dict) or set(fields) != set(cls.__dataclass_fields__):
             raise ValueError(f"vision is {fields!r}; allowed is an object with {', '.join(cls.__dataclass_fields__)}")
         if not all(isinstance(value, str) for value in fields.values()):
-            raise ValueError(f"vision is {fields!r}; allowed are words only")
+            raise ValueError(f"vision is {fields!r}; allowed are strings only")
         return cls(**fields)
 
-    def written(self) -> dict[str, str]:
-        """As a JSON object."""
+    def to_json(self) -> dict[str, str]:
+        """Return the identity as a JSON object."""
         return asdict(self)
 
     def check(self, policy: str, here: "VisionIdentity") -> str | None:
-        """Holds what a policy was trained with (this) against what is here.
+        """Compare the vision that a policy was trained with (this one) with the vision loaded here.
 
-        A student is told by its name alone: it has no encoder besides its own weights.
+        Two students may differ in `encoder_sha256`: a student has no encoder besides its own weights.
 
         Args:
-            policy: how messages call it.
-            here: what it would see by.
+            policy: name of the policy in messages.
+            here: the vision that the policy would use here.
 
         Returns:
-            One line for the user where another head or student is on the same encoder, else None.
+            One line for the user if the head or student differs on the same encoder, else None.
 
         Raises:
-            WeightsError: the encoder here is another.
+            WeightsError: the encoder here is another one.
         """
-        alone = self.network == here.network == "student"
-        if self.encoder != here.encoder or (self.encoder_sha256 != here.encoder_sha256 and not alone):
+        both_students = self.network == here.network == "student"
+        if self.encoder != here.encoder or (self.encoder_sha256 != here.encoder_sha256 and not both_students):
             raise WeightsError(
                 f"policy {policy} was trained on encoder {self.encoder!r} with weights {self.encoder_sha256[:16]}; "
-                f"the one here is {here.encoder!r} with {here.encoder_sha256[:16]}, and allowed is the same"
+                f"the one here is {here.encoder!r} with {here.encoder_sha256[:16]}; allowed is the same encoder"
             )
         if (self.network, self.weights_sha256) != (here.network, here.weights_sha256):
             return (
-                f"note: policy {policy} was trained with {self.network} {self.weights_sha256[:16]} and sees by "
-                f"{here.network} {here.weights_sha256[:16]} now, on the same encoder"
+                f"note: policy {policy} was trained with {self.network} {self.weights_sha256[:16]} and now uses "
+                f"{here.network} {here.weights_sha256[:16]}, on the same encoder"
             )
         return None

@@ -1,4 +1,4 @@
-"""What of a view reaches an agent that is to see less: as much as three clearances tell, or nothing."""
+"""Ablation of the rays of a view: all of them, only the three clearances, or none."""
 
 from dataclasses import replace
 
@@ -9,13 +9,13 @@ from zsdist.vision.labels import sectors
 from zsdist.vision.rays import soft_labels
 
 
-def limited(view: View, rays: str) -> View:
-    """The view as `vision.rays` lets it through.
+def ablate_rays(view: View, rays: str) -> View:
+    """Return the part of a view that the setting `vision.rays` leaves to the agent.
 
     Args:
-        view: what is seen.
-        rays: `all`: the view as it is; `three`: each ray tells no more than the clearance of its direction, as the
-            paper's f, l and r do; `none`: neither rays nor advice.
+        view: output of the vision model.
+        rays: `all`: the view unchanged; `three`: each ray has the clearance of its direction, as the paper's f, l and
+            r; `none`: neither rays nor advice.
     """
     if rays == "three":
         distance_m = (sectors(view.ray_angles_rad) * view.clearance_m[:, None]).sum(0)  # each ray has one sector

@@ -1,34 +1,34 @@
 """Distance along camera rays as a distribution over bins: angles, edges, labels and quantiles.
 
 A distance is horizontal, from the camera to the nearest surface below the height of the car. It falls into one of
-`BINS - 1` bins, equal in the logarithm of the distance, or into the last one, "free": nothing within `RANGE_M`.
+`BINS - 1` bins of equal width in the logarithm of the distance, or into the last bin, "free": nothing within `RANGE_M`.
 """
 
 import numpy as np
 
 RAYS = 32
 BINS = 25
-NEAREST_M = 0.25  # whatever is nearer counts into the first bin
+NEAREST_M = 0.25  # a smaller distance counts into the first bin
 RANGE_M = 5.0
 BIN_EDGES_M = np.geomspace(NEAREST_M, RANGE_M, BINS).astype(np.float32)
 """`(BINS,)` edges of the first `BINS - 1` bins."""
 
 BIN_CENTRES_M = np.append(np.sqrt(BIN_EDGES_M[:-1] * BIN_EDGES_M[1:]), RANGE_M).astype(np.float32)
-"""`(BINS,)` the distance each bin stands for; that of "free" is the range."""
+"""`(BINS,)` the distance that each bin represents; for "free" it is the range."""
 
-_LABEL_WIDTH_BINS = 0.7  # a label a little wider than its bin says that the next bin is nearly right
+_LABEL_WIDTH_BINS = 0.7  # a little wider than a bin, so that the next bin counts as nearly right
 
 
 def ray_angles_rad(rays: int, field_of_view_rad: float) -> np.ndarray:
-    """Angles of `rays` equal pixel columns from the camera's axis, `(rays,)` float32, left positive, leftmost first."""
+    """Return the angles of equal pixel columns from the camera's axis, `(rays,)` float32, left positive and first."""
     columns = 1 - 2 * (np.arange(rays) + 0.5) / rays
     return np.arctan(np.tan(field_of_view_rad / 2) * columns).astype(np.float32)
 
 
 def soft_labels(distance_m: np.ndarray) -> np.ndarray:
-    """Distributions `(..., BINS)` float32 that training aims at, for true distances `(...)` in metres.
+    """Return target distributions `(..., BINS)` float32 of the training for true distances `(...)` in metres.
 
-    A normal curve about the distance in units of bins; a distance of `RANGE_M` or more is "free" and nothing else.
+    A label is a normal curve around the distance in units of bins; from `RANGE_M` on all mass is on "free".
     """
     distance_m = np.asarray(distance_m, np.float64)
     step = np.log(RANGE_M / NEAREST_M) / (BINS - 1)
@@ -42,9 +42,9 @@ def soft_labels(distance_m: np.ndarray) -> np.ndarray:
 
 
 def quantile_m(probabilities: np.ndarray, share: float) -> np.ndarray:
-    """The distance `(...)` in metres below which lies `share` of each distribution `(..., BINS)`.
+    """Return the quantile `(...)` in metres at `share` of each distribution `(..., BINS)`.
 
-    Within a bin the mass is spread evenly; in "free" the answer is `RANGE_M`. A low share is a cautious reading.
+    Within a bin the mass is spread evenly; in "free" the quantile is `RANGE_M`. A low share is a cautious reading.
 
     Raises:
         ValueError: `share` is not inside (0, 1).

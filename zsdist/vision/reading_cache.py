@@ -1,7 +1,7 @@
-"""What was read from pictures, remembered by where they were taken, for all runs of a user on a machine.
+"""Cache of readings of pictures by the state where they were taken, for all runs of a user on a machine.
 
-One file of fixed size, mapped into memory, in sets of a few slots. Nobody locks a slot: each carries a checksum, and
-one that was torn, by two writers at once or by a death in the middle of a write, is a reading that is not there.
+The cache is one file of fixed size, mapped into memory, in sets of a few slots. Slots have no locks: each carries a
+checksum. A slot that is torn, by two writers at once or by a crash in the middle of a write, counts as empty.
 """
 
 import errno
@@ -31,21 +31,21 @@ PREFIX = f"zsdist-readings-{os.getuid()}-"
 
 
 class ReadingCache:
-    """Readings by (vision, scene, cell, heading), in float16, the file never larger than `size_bytes`.
+    """Readings by (vision, scene, cell, heading), in float16, in a file of at most `size_bytes`.
 
-    The file lies in the machine's folder for temporary files, since several machines may share any other, and their
-    mapped pages do not agree. It stays there: the next run, or one beside this, in the same scenes finds what was
-    read. It is reserved when it is made, since a mapped file on a full disk kills its writer. One of another size that
-    nobody uses is removed, so that a user has one file, unless runs of several sizes go on at once: each process holds
-    a shared lock on its file, which dies with it.
+    The file is in the machine's folder for temporary files: several machines may share any other folder, and their
+    mapped pages do not agree. The file stays, so that a later or parallel run in the same scenes finds the readings.
+    Its space is reserved when it is created, since a mapped file on a full disk kills its writer. An unused file of
+    another size is removed, so that a user has one file unless runs with different sizes are active at once: each
+    process holds a shared lock on its file, which ends with the process.
 
     Args:
-        size_bytes: of the file.
-        vision: all that a reading depends on besides scene and place; readings of another vision are never found.
+        size_bytes: size of the file.
+        vision: everything that a reading depends on besides scene and state; readings of another vision are not found.
 
     Raises:
-        ConfigError: there is no room for even one set of slots.
-        RunError: the file cannot be made.
+        ConfigError: `size_bytes` is too small for one set of slots.
+        RunError: the file cannot be created.
     """
 
     def __init__(self, size_bytes: int, vision: str) -> None:
@@ -57,30 +57,30 @@ class ReadingCache:
         _remove_others(path)
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-            if os.fstat(self._file).st_uid != os.getuid():  # the name is no secret, and anybody may write to the folder
+            if os.fstat(self._file).st_uid != os.getuid():  # the name can be guessed and the folder is shared
                 raise PermissionError(errno.EPERM, "it belongs to another user")
             fcntl.flock(self._file, fcntl.LOCK_SH)
             os.posix_fallocate(self._file, 0, size)
             self._memory = mmap.mmap(self._file, size)
         except OSError as error:
             raise RunError(
-                f"vision.cache_bytes is {size_bytes}: {path} cannot be made ({error.strerror or error}); "
-                "allowed is what there is room for, or 0 (no cache)"
+                f"vision.cache_bytes is {size_bytes}: {path} cannot be created ({error.strerror or error}); "
+                "allowed is a size that fits on the disk, or 0 (no cache)"
             ) from error
         self._vision = blake2b(vision.encode(), digest_size=KEY_BYTES).digest()
         self._kept = 0
 
     def find(self, scene: str, state: LatticeState) -> Reading | None:
-        """What was read in a scene, by its hash, at a lattice state; None where that is not known, or is torn."""
+        """Return the reading at a lattice state of a scene, named by its hash; None if it is unknown or torn."""
         key = self._key(scene, state)
         for begin in self._slots(key):
-            slot = self._memory[begin : begin + SLOT_BYTES]  # a copy: what is checked is what is used
+            slot = self._memory[begin : begin + SLOT_BYTES]  # a copy: the bytes that are checked are those returned
             if slot[:KEY_BYTES] == key and slot[KEY_BYTES:HEAD_BYTES] == _check(key, slot[HEAD_BYTES:]):
                 return _unpacked(slot[HEAD_BYTES:])
         return None
 
     def keep(self, scene: str, state: LatticeState, reading: Reading) -> Reading:
-        """Remembers one picture's reading, parts of `SHAPES`, and returns it as `find` will."""
+        """Store the reading of one picture, with parts of `SHAPES`, and return it as `find` will return it."""
         key = self._key(scene, state)
         content = np.concatenate([np.ravel(part) for part in reading]).astype(np.float16).tobytes()
         begins = self._slots(key)
@@ -92,14 +92,14 @@ class ReadingCache:
         return _unpacked(content)
 
     def close(self) -> None:
-        """Lets go of the file, which stays; closing again does nothing."""
+        """Close the file, which stays on disk; closing again does nothing."""
         if not self._memory.closed:
             self._memory.close()
             os.close(self._file)
 
     def _key(self, scene: str, state: LatticeState) -> bytes:
-        place = f"{scene}/{state.ix}/{state.iy}/{state.heading}"
-        return blake2b(place.encode(), digest_size=KEY_BYTES, key=self._vision).digest()
+        position = f"{scene}/{state.ix}/{state.iy}/{state.heading}"
+        return blake2b(position.encode(), digest_size=KEY_BYTES, key=self._vision).digest()
 
     def _slots(self, key: bytes) -> range:
         begin = int.from_bytes(key[:8], "little") % self._sets * SET_BYTES
@@ -107,18 +107,18 @@ class ReadingCache:
 
 
 def _remove_others(kept: Path) -> None:
-    """Removes this user's files that no living process uses, but for one."""
+    """Remove the cache files of this user that no living process uses, except `kept`."""
     for path in kept.parent.glob(f"{PREFIX}*"):
         if path == kept:
             continue
         try:
             file = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
-        except OSError:  # another process was faster, or it is nothing that we made
+        except OSError:  # another process removed it, or it is no file of ours
             continue
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             path.unlink(missing_ok=True)
-        except OSError:  # in use, or nothing that we made
+        except OSError:  # in use, or no file of ours
             pass
         finally:
             os.close(file)
@@ -129,7 +129,7 @@ def _check(key: bytes, content: bytes) -> bytes:
 
 
 def _unpacked(content: bytes) -> Reading:
-    """The reading in a slot's content, float32, its distributions of sum 1 again."""
+    """Return the reading in a slot's content, float32, with distributions normalised to sum 1."""
     flat = np.frombuffer(content, np.float16).astype(np.float32)
     clearance, dynamic, rays = (flat[part].reshape(shape) for part, shape in zip(_PARTS, SHAPES, strict=True))
     clearance /= np.add.reduce(clearance, -1, keepdims=True)

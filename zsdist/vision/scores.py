@@ -1,21 +1,21 @@
-"""How good a reading of images is: by the action it would choose, and by the rays it would put on the map."""
+"""Scores of a reading of images: the action that it would choose, and the rays that it would put on the map."""
 
 import numpy as np
 
-MISS_M = (1.5, 2.5)  # a miss: nearer than the first in truth, said to be beyond the second
-FALSE_ALARM_M = (3.5, 2.0)  # a false alarm: beyond the first in truth, said to be nearer than the second
-NEAR_OBJECT_M = 2.5  # an object whose nearest point in view is nearer counts
-UNSEEN_BEYOND_M = 1.0  # an object is unseen where each of its rays is said to be farther by more
-LEAST_RAYS = 2  # an object that fewer rays meet is too narrow, or too little of it is in view, to count
+MISS_M = (1.5, 2.5)  # a miss: the true distance is below the first, the predicted one above the second
+FALSE_ALARM_M = (3.5, 2.0)  # a false alarm: the true distance is above the first, the predicted one below the second
+NEAR_OBJECT_M = 2.5  # an object counts if its nearest point in view is nearer
+UNSEEN_BEYOND_M = 1.0  # an object is unseen if every prediction along its rays is too long by more
+LEAST_RAYS = 2  # an object that fewer rays meet does not count: it is too narrow, or too little of it is in view
 
 
 def action_scores(predicted: np.ndarray, labels: np.ndarray) -> dict[str, float]:
-    """Compares rewards `(N, 3)` that a model says with the true labels `(N, 3)`.
+    """Return scores of predicted rewards `(N, 3)` against the true labels `(N, 3)`.
 
     Returns:
-        `best_action_accuracy`: share of images on which the action that looks best is one that is best (where several
-        are, to 0.001, each is right); `regret`: mean loss of true label by following what looks best; `mae`: mean
-        absolute error of the rewards.
+        `best_action_accuracy`: share of images on which the action of the highest prediction is a best one (labels
+        within 0.001 of the maximum are all best); `regret`: mean loss of true label by taking the action of the
+        highest prediction; `mae`: mean absolute error of the rewards.
     """
     best = labels.max(1)
     gained = np.take_along_axis(labels, predicted.argmax(1)[:, None], 1)[:, 0]
@@ -26,26 +26,27 @@ def action_scores(predicted: np.ndarray, labels: np.ndarray) -> dict[str, float]
     }
 
 
-def ray_scores(said_m: np.ndarray, true_m: np.ndarray) -> dict[str, float]:
-    """Misses and false alarms of distances `(N, R)` along rays, as shares of the rays where each could happen."""
+def ray_scores(predicted_m: np.ndarray, true_m: np.ndarray) -> dict[str, float]:
+    """Return rates of misses and false alarms of distances `(N, R)`, over the rays on which each can happen."""
     near, far = true_m < MISS_M[0], true_m > FALSE_ALARM_M[0]
     return {
-        "miss_rate": float(np.sum(near & (said_m > MISS_M[1])) / max(near.sum(), 1)),
-        "false_alarm_rate": float(np.sum(far & (said_m < FALSE_ALARM_M[1])) / max(far.sum(), 1)),
+        "miss_rate": float(np.sum(near & (predicted_m > MISS_M[1])) / max(near.sum(), 1)),
+        "false_alarm_rate": float(np.sum(far & (predicted_m < FALSE_ALARM_M[1])) / max(far.sum(), 1)),
     }
 
 
 def calibration(quantile_m: np.ndarray, true_m: np.ndarray, range_m: float) -> dict[str, float]:
-    """How often the truth lies under a quantile; of a calibrated reading as often as the quantile's share.
+    """Return how often the truth lies below a quantile; a calibrated reading gives the share of the quantile.
 
     Args:
-        quantile_m: `(N, R)` a quantile of the distances said, at most `range_m`.
+        quantile_m: `(N, R)` a quantile of the predicted distances, at most `range_m`.
         true_m: `(N, R)`, capped at `range_m`.
-        range_m: of the camera.
+        range_m: range of the camera.
 
     Returns:
-        `short`: the share over rays whose quantile is short of the range, NaN where none is; `all`: over all rays, of
-        which those that are free for certain can never have the truth below; `rays`: how many are short of it.
+        `short`: the share over rays whose quantile is below the range, NaN if there is none; `all`: the share over all
+        rays (the truth is never below a quantile that equals the range); `rays`: number of rays with a quantile below
+        the range.
     """
     below, short = true_m < quantile_m, quantile_m < range_m
     return {
@@ -55,46 +56,46 @@ def calibration(quantile_m: np.ndarray, true_m: np.ndarray, range_m: float) -> d
     }
 
 
-def unseen_objects(objects: np.ndarray, said_m: np.ndarray, true_m: np.ndarray) -> tuple[int, int]:
-    """Whole objects that one look does not see.
+def unseen_objects(objects: np.ndarray, predicted_m: np.ndarray, true_m: np.ndarray) -> tuple[int, int]:
+    """Return the number of near objects, and how many of them a single picture misses as a whole.
 
-    An object counts where `LEAST_RAYS` or more rays of a picture meet it, the nearest of them within `NEAR_OBJECT_M`.
-    It is unseen where every one of its rays is said to be more than `UNSEEN_BEYOND_M` longer than it is.
+    An object counts if `LEAST_RAYS` or more rays of a picture meet it, the nearest within `NEAR_OBJECT_M`. It is unseen
+    if the prediction along each of its rays is too long by more than `UNSEEN_BEYOND_M`.
 
     Args:
-        objects: `(N, R)` int, a number of what each ray meets, the same for rays that meet the same object of a
-            picture; negative where that is none.
-        said_m: `(N, R)` distances said.
+        objects: `(N, R)` int, number of the object that each ray meets, the same for all rays of a picture that meet
+            it; negative if a ray meets none.
+        predicted_m: `(N, R)` predicted distances.
         true_m: `(N, R)`.
 
     Returns:
-        How many objects count, and how many of those are unseen.
+        Number of objects that count, and number of those that are unseen.
     """
     counted, unseen = 0, 0
-    for numbers, said, true in zip(objects, said_m, true_m, strict=True):
+    for numbers, predicted, true in zip(objects, predicted_m, true_m, strict=True):
         for number in np.unique(numbers[numbers >= 0]):
             rays = numbers == number
             if rays.sum() >= LEAST_RAYS and true[rays].min() < NEAR_OBJECT_M:
                 counted += 1
-                unseen += bool((said[rays] > true[rays] + UNSEEN_BEYOND_M).all())
+                unseen += bool((predicted[rays] > true[rays] + UNSEEN_BEYOND_M).all())
     return counted, unseen
 
 
 def depth_rays_m(
     depth_m: np.ndarray, rays: int, field_of_view_rad: float, camera_height_m: float, range_m: float, sight_m: float
 ) -> np.ndarray:
-    """Distances along rays that a depth image tells, with no knowledge of what is in the picture.
+    """Return distances along rays from a depth image of a level camera, without knowledge of the scene.
 
-    A pixel counts where its point stands above the ground and below `sight_m`; a ray is the nearest such point of its
-    pixel columns. For a level camera.
+    A pixel counts if its point is above the ground and below `sight_m`; a ray ends at the nearest such point of its
+    pixel columns.
 
     Args:
-        depth_m: `(..., px, px)` along the camera's axis; infinite or beyond the range where nothing is.
-        rays: columns to gather the pixels in.
+        depth_m: `(..., px, px)` along the camera's axis; infinite or beyond the range where there is no surface.
+        rays: number of groups of pixel columns.
         field_of_view_rad: of the square image.
         camera_height_m: above the ground.
         range_m: horizontal distance beyond which a ray is free.
-        sight_m: height above which nothing is in the car's way.
+        sight_m: height above which nothing obstructs the car.
 
     Returns:
         `(..., rays)` horizontal distances in metres, at most `range_m`.
@@ -103,7 +104,7 @@ def depth_rays_m(
     slope = np.tan(field_of_view_rad / 2) * (1 - 2 * (np.arange(px) + 0.5) / px)  # of rows up, of columns left
     depth_m = np.where(np.isfinite(depth_m), depth_m, 1e3)
     height = camera_height_m + depth_m * slope[:, None]
-    # the ground itself, at the far end of a pixel that looks on it, is no more than a pixel's worth above zero
+    # the ground at the far end of a pixel seems higher than zero, by at most one pixel's extent
     ground = 0.02 + depth_m * 2 * np.tan(field_of_view_rad / 2) / px
     counts = (height > ground) & (height < sight_m)
     distance = np.where(counts, depth_m * np.sqrt(1 + slope**2), range_m)

@@ -14,14 +14,14 @@ def views(count=10, seed=5, split="vision", **options):
     return list(captioned_views(["vocabulary"], split, count, seed, CAMERA, **options))
 
 
-def test_concepts_are_the_kinds_the_grounds_and_what_surrounds_them():
+def test_concepts_are_the_kinds_the_grounds_the_wall_and_the_sky():
     assert set(KIND_WORDS) == set(KINDS) and set(GROUND_WORDS) == set(GROUNDS)
     assert set(CONCEPTS[: len(KINDS)]) == set(KINDS)
     assert set(CONCEPTS) - set(KINDS) - set(GROUNDS) == {"wall", "sky"}
 
 
 @pytest.mark.parametrize("varied", [False, True])
-def test_a_view_tells_what_each_cell_shows(varied):
+def test_a_view_has_the_shares_of_concepts_in_each_cell(varied):
     for view in views(varied=varied):
         assert view.image.shape == (64, 64, 3) and view.image.dtype == np.uint8
         assert view.cells.shape == (CELLS, CELLS, len(CONCEPTS))
@@ -52,14 +52,14 @@ def test_a_rock_on_the_left_of_a_meadow_is_described_so():
     assert any(word in sentence for word in KIND_WORDS["rock"].training) and "left" in sentence
 
 
-def test_shares_of_cells_are_counted_where_the_pixels_do_not_divide_evenly():
+def test_cells_may_have_unequal_numbers_of_pixels():
     concepts = np.zeros((30, 30), np.int64)
     concepts[:, 15:] = 1
     shares = cell_shares(concepts, 14)
     assert (shares[:, :7, 0] == 1).all() and (shares[:, 7:, 1] == 1).all()
 
 
-def test_a_picture_is_of_a_kind_only_if_it_covers_enough_and_twice_what_any_other_does():
+def test_a_dominant_kind_covers_enough_and_twice_as_much_as_any_other():
     assert dominant_kind(np.array([0.1, 0.02, 0.0])) == 0
     assert dominant_kind(np.array([0.1, 0.06, 0.0])) == -1
     assert dominant_kind(np.array([0.0, 0.05, 0.0])) == -1

@@ -3,7 +3,7 @@ import pytest
 
 from zsdist.config import CameraConfig
 from zsdist.datasets.labelled import label
-from zsdist.datasets.masked import masked_view, masked_views, without
+from zsdist.datasets.masked import masked_view, masked_views, remove_obstacle
 from zsdist.errors import SceneError
 from zsdist.sim.camera.caster import INSTANCE_GROUND, INSTANCE_SKY, INSTANCE_WALL, CasterCamera
 from zsdist.sim.scenes.kinds import KINDS, SEGMENT_GROUND, SEGMENT_SKY, SEGMENT_WALL
@@ -48,20 +48,20 @@ def test_the_truth_of_a_mask_is_that_of_the_scene_without_its_object():
     assert view.scene_hash == scene(behind, near).hash()
 
 
-def test_background_masks_leave_the_truth_as_it_is():
+def test_background_masks_leave_the_truth_unchanged():
     view = masked_view(CasterCamera(CAMERA), scene(person(3.0, 0.0)), HERE)
     background = [mask for mask in view.masks if mask.background]
     assert len(background) >= 4
     assert all((mask.ray_distance_m == view.ray_distance_m).all() for mask in background)
 
 
-def test_taking_a_walker_away_leaves_the_others_where_they_are():
+def test_removing_a_walker_leaves_the_positions_of_the_others():
     first, second = person(4.0, 0.0, ((4.0, 0.0), (4.0, 2.0))), person(3.0, -2.0, ((3.0, -2.0), (3.0, -1.0)))
     people = np.array([[4.0, 1.0], [3.0, -1.5]])
-    rest, places = without(scene(Obstacle("rock", 8.0, 0.0, 0.5), first, second), 1, people)
+    rest, places = remove_obstacle(scene(Obstacle("rock", 8.0, 0.0, 0.5), first, second), 1, people)
     assert rest.walkers() == (second,)
     assert places.tolist() == [[3.0, -1.5]]
-    assert without(scene(first), 0, None)[1] is None
+    assert remove_obstacle(scene(first), 0, None)[1] is None
 
 
 @pytest.mark.parametrize("varied", [False, True])
@@ -77,6 +77,6 @@ def test_masked_views_repeat_with_their_arguments_and_have_at_most_sixteen_masks
     assert len(list(masked_views(["street"], "vision", 0, 3, CAMERA))) == 0
 
 
-def test_the_slow_camera_is_refused():
+def test_a_camera_without_instances_is_refused():
     with pytest.raises(SceneError, match="pybullet"):
         next(masked_views(["street"], "vision", 1, 0, CAMERA.model_copy(update={"back_end": "pybullet"})))

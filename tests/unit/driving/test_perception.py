@@ -11,7 +11,7 @@ from zsdist.planning.grid import Grid
 from zsdist.sim.scenes import families
 from zsdist.sim.scenes.scene import Obstacle, Scene
 from zsdist.types import Level, Pose
-from zsdist.vision.ray_ablation import limited
+from zsdist.vision.ray_ablation import ablate_rays
 from zsdist.vision.reading_cache import SET_BYTES, ReadingCache
 
 STILL = families.draw("iid", "train", 0)
@@ -154,5 +154,5 @@ def test_without_a_cache_every_picture_is_taken_at_the_true_pose_and_nothing_is_
 @pytest.mark.parametrize("rays", ["three", "none"])
 def test_cars_see_no_more_than_the_ablation_lets_through(visual_act, rays):
     (whole,), (view,) = (perception(visual_act, rays=share).views([car()]) for share in ("all", rays))
-    np.testing.assert_array_equal(view.ray_probabilities, limited(whole, rays).ray_probabilities)
-    np.testing.assert_array_equal(view.advice, limited(whole, rays).advice)
+    np.testing.assert_array_equal(view.ray_probabilities, ablate_rays(whole, rays).ray_probabilities)
+    np.testing.assert_array_equal(view.advice, ablate_rays(whole, rays).advice)

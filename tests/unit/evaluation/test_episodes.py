@@ -19,7 +19,7 @@ from zsdist.run import program
 from zsdist.sim.scenes import families
 from zsdist.sim.scenes.scene import Obstacle, Scene, Start
 from zsdist.types import Action, Level, Outcome
-from zsdist.vision.ray_ablation import limited
+from zsdist.vision.ray_ablation import ablate_rays
 
 CONFIG = Config()
 TABLE = FootprintTable(Grid.from_config(CONFIG.grid))
@@ -201,7 +201,7 @@ def test_the_learned_driver_limits_its_views_after_shuffling_them(rays):
     rng = np.random.default_rng(3)
     view = by_camera(FakeVisualAct())(seen[0].observed)
     view = dataclasses.replace(view, advice=rng.permutation(view.advice), clearance_m=rng.permutation(view.clearance_m))
-    view = limited(view, rays)
+    view = ablate_rays(view, rays)
     expected.clear_disc(record.poses[0].x_m, record.poses[0].y_m, START_DISC_M)
     expected.update(record.poses[0], view, config.camera.forward_m)
     np.testing.assert_array_equal(driver.thought.situation.advice, view.advice)

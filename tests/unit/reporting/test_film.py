@@ -31,7 +31,7 @@ SCENE = Scene(
 class Looking(FakeVisualAct):
     """Vision model with attention at the upper left for forward, the lower left for left, the lower right for right."""
 
-    def look(self, images):
+    def observe(self, images):
         attention = np.zeros((len(images), 3, 196), np.float32)
         attention[:, 0, 0] = attention[:, 1, 182] = attention[:, 2, 195] = 1.0
         return Observation(attention, np.zeros((len(images), 4, 8), np.float32))

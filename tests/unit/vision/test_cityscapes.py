@@ -1,4 +1,4 @@
-"""The reader on small trees in the layout of Cityscapes, drawn here from a world whose distances are known."""
+"""Tests of the reader on small folders in the layout of Cityscapes, drawn from a world with known distances."""
 
 import json
 import math
@@ -80,7 +80,7 @@ def only(root, camera=CAMERA, **options):
 
 
 def expected(things):
-    """What a ray through the middle of each band meets, over the scale; and which bands lie whole on one thing."""
+    """Scaled distance and motion at the middle of each ray's band, and bands that lie completely on one object."""
     distance, moving = np.full(RAYS, 5.0), np.zeros(RAYS, bool)
     edges = np.tan(math.radians(22.5)) * (2 * np.arange(RAYS + 1) / RAYS - 1)
     clear = np.ones(RAYS, bool)
@@ -92,7 +92,7 @@ def expected(things):
 
 
 @pytest.mark.parametrize("stereo", [True, False])
-def test_rays_are_as_long_as_the_world_is_with_stereo_or_from_the_foot_on_the_ground(tmp_path, stereo):
+def test_rays_have_the_true_length_with_stereo_or_from_the_foot_on_the_ground(tmp_path, stereo):
     things = [HOUSE, A_CAR, A_PERSON]
     view = only(write(tmp_path, things, stereo=stereo))
     distance, moving, clear = expected(things)
@@ -110,7 +110,7 @@ def test_rays_run_from_left_to_right_and_a_thin_pole_stops_its_ray(tmp_path):
     assert not view.ray_dynamic.any()
 
 
-def test_stray_values_of_the_stereo_make_nothing_nearer(tmp_path):
+def test_stray_stereo_values_make_no_object_nearer(tmp_path):
     root, fine = write(tmp_path, [HOUSE, A_CAR]), CAMERA.model_copy(update={"size_px": 224})
     clean = only(root, fine).ray_clearance_m
     path = next(root.rglob("*_disparity.png"))
@@ -122,17 +122,17 @@ def test_stray_values_of_the_stereo_make_nothing_nearer(tmp_path):
     assert only(root, fine).ray_clearance_m == pytest.approx(clean, rel=0.01)
 
 
-def test_what_hangs_higher_than_a_car_is_in_nobodys_way(tmp_path):
+def test_objects_above_the_car_do_not_obstruct(tmp_path):
     assert (only(write(tmp_path, [CROWN])).ray_clearance_m == 5.0).all()
 
 
-def test_the_scale_says_how_many_metres_of_the_street_are_one_of_the_car(tmp_path):
+def test_the_scale_is_metres_of_the_street_per_metre_of_the_car(tmp_path):
     root = write(tmp_path, [A_CAR])
     near, far = (only(root, scale=scale).ray_clearance_m.min() for scale in (8.0, 2.5))
     assert near == pytest.approx(10.0 / 8.0, rel=0.02) and far == pytest.approx(4.0, rel=0.02)
 
 
-def test_the_picture_is_level_at_its_true_angles_and_grey_where_the_frame_shows_nothing(tmp_path):
+def test_the_picture_is_level_at_true_angles_and_filled_outside_the_frame(tmp_path):
     image = only(write(tmp_path, [A_CAR])).image
     assert image.shape == (64, 64, 3) and image.dtype == np.uint8
     assert abs(int(image[30, 32, 0]) - COLOURS[SKY] // 2) < 3 and abs(int(image[33, 32, 2]) - COLOURS[ROAD]) < 3  # RGB
@@ -143,7 +143,7 @@ def test_the_picture_is_level_at_its_true_angles_and_grey_where_the_frame_shows_
     assert COLOURS[ROAD] < image[0, 0, 2] < COLOURS[SKY]
 
 
-def test_a_hidden_object_leaves_what_is_seen_beside_it_and_background_changes_nothing(tmp_path):
+def test_a_hidden_object_leaves_the_rays_beside_it_and_background_changes_nothing(tmp_path):
     root = write(tmp_path, [HOUSE, A_POLE, A_CAR])
     (view,) = cityscapes_masked_views(root, "train", 1, 0, CAMERA)
     assert (view.image == only(root).image).all() and view.scene_hash == only(root).scene_hash
@@ -162,7 +162,7 @@ def test_a_hidden_object_leaves_what_is_seen_beside_it_and_background_changes_no
     assert not any(mask.hidden[0].any() for mask in view.masks)  # of what the frame does not show
 
 
-def test_each_standing_thing_is_told_from_its_polygon(tmp_path):
+def test_each_standing_object_has_the_mask_of_its_polygon(tmp_path):
     root = write(tmp_path, [(POLE, 9.0, (-1.5, -1.2), (0.0, 4.0)), (POLE, 9.0, (1.2, 1.5), (0.0, 4.0))])
     (view,) = cityscapes_masked_views(root, "train", 1, 0, CAMERA)
     objects = [mask for mask in view.masks if not mask.background]
@@ -172,7 +172,7 @@ def test_each_standing_thing_is_told_from_its_polygon(tmp_path):
         assert (mask.ray_distance_m[view.ray_distance_m < 5.0] == 5.0).any()
 
 
-def test_frames_come_in_a_drawn_order_once_each_and_those_without_labels_not_at_all(tmp_path):
+def test_labelled_frames_come_once_each_in_a_random_order(tmp_path):
     names = [f"{city}_00000{k}_000019" for city in ("aachen", "bremen") for k in range(3)]
     for name in names:
         write(tmp_path, [A_CAR], name)
@@ -186,7 +186,7 @@ def test_frames_come_in_a_drawn_order_once_each_and_those_without_labels_not_at_
     assert len({tuple(order(seed)) for seed in range(3)}) > 1
 
 
-def test_frames_of_one_drive_are_known_by_their_hash(tmp_path):
+def test_frames_of_one_drive_share_a_hash(tmp_path):
     for name in ("aachen_000000_000019", "aachen_000000_000020", "aachen_000001_000019", "bremen_000000_000019"):
         write(tmp_path, [A_CAR], name)
     write(tmp_path, [A_CAR], "lindau_000000_000019", split="val")
@@ -225,7 +225,7 @@ def replace(pattern, text):
 
 
 @pytest.mark.parametrize(
-    ("act", "said"),
+    ("act", "message"),
     [
         (lambda root: shutil.rmtree(root / "leftImg8bit"), r"has no leftImg8bit/train/.* expected is the root"),
         (lambda root: shutil.rmtree(root / "disparity"), r"lacks .*_disparity\.png; .* disparity_trainvaltest\.zip"),
@@ -244,10 +244,10 @@ def replace(pattern, text):
         (damage_camera("intrinsic", "u0", 1096.98), r"axis at pixel 1096\.98, .* width, 512; .* 2048 x 1024"),
     ],
 )
-def test_what_is_missing_or_damaged_is_named_in_one_line(tmp_path, act, said):
+def test_missing_and_damaged_files_are_named_in_one_line(tmp_path, act, message):
     root = write(tmp_path, [A_CAR])
     act(root)
-    with pytest.raises(DataError, match=said) as raised:
+    with pytest.raises(DataError, match=message) as raised:
         only(root)
     assert "\n" not in str(raised.value)
 

@@ -24,7 +24,7 @@ def build(path):
     export(Twice(), EXAMPLE, path, "x", ["y"])
 
 
-def test_what_is_exported_computes_what_torch_does_for_any_batch():
+def test_an_exported_network_computes_the_same_as_torch_for_any_batch():
     session = cached_session("twice", build)
     np.testing.assert_allclose(session.run(["y"], {"x": np.ones((5, 3), np.float32)})[0], 2.0)
 
@@ -34,7 +34,7 @@ def test_a_network_is_built_once_and_then_read():
     cached_session("twice", lambda path: pytest.fail("built again"))
 
 
-def test_builders_at_the_same_time_leave_one_whole_file_and_nothing_else(tmp_path):
+def test_concurrent_builders_leave_one_whole_file_and_nothing_else(tmp_path):
     build(tmp_path / "made.onnx")
     content, meet, written = (tmp_path / "made.onnx").read_bytes(), threading.Barrier(2), []
 
@@ -66,7 +66,7 @@ def test_a_network_that_differs_from_its_export_is_refused():
         cached_session("drifting", lambda path: export(Drifting(), EXAMPLE, path, "x", ["y"]))
 
 
-def test_layers_that_act_otherwise_in_training_are_exported_as_for_use():
+def test_layers_that_behave_differently_in_training_are_exported_in_evaluation_mode():
     dropout = torch.nn.Sequential(torch.nn.Dropout(0.9))
     session = cached_session("dropout", lambda path: export(dropout.train(), EXAMPLE, path, "x", ["y"]))
     np.testing.assert_array_equal(session.run(["y"], {"x": EXAMPLE})[0], EXAMPLE)
@@ -91,7 +91,7 @@ def test_the_hash_of_a_missing_file_names_it(tmp_path):
         file_sha256(tmp_path / "nowhere")
 
 
-def test_more_axes_than_the_batch_may_be_of_any_length():
+def test_several_axes_may_have_any_length():
     session = cached_session("free", lambda path: export(Twice(), EXAMPLE, path, "x", ["y"], free=("batch", "length")))
     with pytest.raises(Exception, match="INVALID_ARGUMENT"):
         cached_session("twice", build).run(["y"], {"x": np.ones((1, 8), np.float32)})

@@ -8,7 +8,7 @@ from zsdist.vision.fingerprint import VisionIdentity
 TRAINED = VisionIdentity("clip/b", "a" * 64, "head", "b" * 64)
 
 
-def test_the_same_is_allowed_without_a_word():
+def test_the_same_vision_is_allowed_without_a_message():
     assert TRAINED.check("runs/x", replace(TRAINED)) is None
 
 
@@ -22,12 +22,12 @@ def test_another_encoder_is_refused_naming_both(change):
     assert "\n" not in str(refusal.value)
 
 
-def test_another_head_on_the_same_encoder_is_said_in_one_line():
+def test_another_head_on_the_same_encoder_is_reported_in_one_line():
     line = TRAINED.check("runs/x", replace(TRAINED, weights_sha256="d" * 64))
     assert "head bbbb" in line and "head dddd" in line and "\n" not in line
 
 
-def test_another_student_is_said_and_a_student_in_place_of_a_head_is_refused():
+def test_another_student_is_reported_and_a_student_in_place_of_a_head_is_refused():
     student = VisionIdentity("student", "e" * 64, "student", "e" * 64)
     other = replace(student, encoder_sha256="f" * 64, weights_sha256="f" * 64)
     assert "student eeee" in student.check("runs/x", other)
@@ -35,11 +35,11 @@ def test_another_student_is_said_and_a_student_in_place_of_a_head_is_refused():
         TRAINED.check("runs/x", student)
 
 
-def test_what_is_written_reads_back():
-    assert VisionIdentity.read(TRAINED.written()) == TRAINED
+def test_an_identity_reads_back_from_json():
+    assert VisionIdentity.from_json(TRAINED.to_json()) == TRAINED
 
 
-@pytest.mark.parametrize("wrong", [None, [], {}, TRAINED.written() | {"more": "x"}, TRAINED.written() | {"encoder": 3}])
-def test_anything_else_is_refused(wrong):
+@pytest.mark.parametrize("wrong", [None, [], {}, TRAINED.to_json() | {"more": "x"}, TRAINED.to_json() | {"encoder": 3}])
+def test_anything_but_an_identity_is_refused(wrong):
     with pytest.raises(ValueError, match="vision is"):
-        VisionIdentity.read(wrong)
+        VisionIdentity.from_json(wrong)

@@ -27,12 +27,12 @@ def test_the_nearest_obstacle_of_a_direction_gives_its_distance_and_its_kind():
     np.testing.assert_array_equal(moving, [False, True, False])
 
 
-def test_eq03_open_ground_towards_the_goal_is_the_best_there_is():
+def test_eq03_open_ground_towards_the_goal_has_the_highest_label():
     best = label([5, 5, 5])
     assert best.argmax() == 0 and 1.9 < best[0] <= 2.0
 
 
-def test_eq03_an_obstacle_near_by_outweighs_the_direction_of_the_goal():
+def test_eq03_a_near_obstacle_outweighs_the_direction_of_the_goal():
     assert label([0.9, 5, 1.0]).argmax() == 1
 
 
@@ -41,7 +41,7 @@ def test_eq03_the_goal_decides_between_directions_that_are_equally_open():
     assert label([5, 5, 5], bearing=-0.9).argmax() == 2
 
 
-def test_eq03_something_that_moves_asks_for_more_room_than_something_that_stands():
+def test_eq03_a_moving_obstacle_needs_more_clearance_than_a_static_one():
     still, moving = label([2.0] * 3), label([2.0] * 3, dynamic=[1, 1, 1])
     assert (moving < still - 0.3).all()
 
@@ -52,7 +52,7 @@ def test_eq03_grows_with_clearance_and_never_leaves_its_scale():
     assert min(rewards) >= -2 and max(rewards) <= 2
 
 
-def test_eq03_what_stands_behind_a_near_goal_does_not_count():
+def test_eq03_obstacles_behind_a_near_goal_do_not_count():
     assert label([1.6, 5, 5], distance=0.6).argmax() == 0
     assert openness(np.float32(1.6), np.float32(0), np.float32(0.6)) == 1.0
 

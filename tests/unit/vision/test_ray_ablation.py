@@ -5,7 +5,7 @@ from zsdist.planning.belief import BeliefMap
 from zsdist.planning.grid import Grid
 from zsdist.types import Pose, View
 from zsdist.vision import rays
-from zsdist.vision.ray_ablation import limited
+from zsdist.vision.ray_ablation import ablate_rays
 
 ANGLES = rays.ray_angles_rad(rays.RAYS, np.pi / 2)
 DISTANCES = np.linspace(1.0, 4.0, rays.RAYS)
@@ -19,24 +19,24 @@ VIEW = View(
 )
 
 
-def test_all_rays_are_the_view_itself():
-    assert limited(VIEW, "all") is VIEW
+def test_all_rays_leave_the_view_unchanged():
+    assert ablate_rays(VIEW, "all") is VIEW
 
 
-def test_three_rays_tell_nothing_but_the_clearance_of_their_direction():
-    said = rays.quantile_m(limited(VIEW, "three").ray_probabilities, 0.5)
-    left, right = said[ANGLES > 0.3], said[ANGLES < -0.3]
-    assert len(np.unique(said)) == 3
+def test_three_rays_contain_only_the_clearance_of_their_direction():
+    distance_m = rays.quantile_m(ablate_rays(VIEW, "three").ray_probabilities, 0.5)
+    left, right = distance_m[ANGLES > 0.3], distance_m[ANGLES < -0.3]
+    assert len(np.unique(distance_m)) == 3
     assert left == pytest.approx(1.0, abs=0.1) and right == pytest.approx(5.0)
-    assert said[np.abs(ANGLES) < 0.2] == pytest.approx(2.0, abs=0.2)
-    assert (limited(VIEW, "three").advice == VIEW.advice).all()
+    assert distance_m[np.abs(ANGLES) < 0.2] == pytest.approx(2.0, abs=0.2)
+    assert (ablate_rays(VIEW, "three").advice == VIEW.advice).all()
 
 
-def test_without_rays_a_map_learns_where_the_car_stands_and_nothing_else():
+def test_without_rays_a_map_learns_only_the_car_position():
     grid, pose = Grid(), Pose(0.0, 0.0, 0.0)
-    looked, stood = BeliefMap(grid), BeliefMap(grid)
-    view = limited(VIEW, "none")
-    looked.update(pose, view, 1.0)
-    stood.clear_car(pose)
-    assert (looked.seen() == stood.seen()).all() and not looked.occupied().any()
+    updated, cleared = BeliefMap(grid), BeliefMap(grid)
+    view = ablate_rays(VIEW, "none")
+    updated.update(pose, view, 1.0)
+    cleared.clear_car(pose)
+    assert (updated.seen() == cleared.seen()).all() and not updated.occupied().any()
     assert not view.advice.any()

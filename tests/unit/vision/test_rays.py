@@ -27,7 +27,7 @@ def test_edges_grow_by_one_factor_up_to_the_range():
 
 
 @given(st.floats(0.0, 20.0))
-def test_a_soft_label_is_a_distribution_about_the_true_bin(distance):
+def test_a_soft_label_is_a_distribution_around_the_true_bin(distance):
     label = soft_labels(np.array(distance))
     assert label.sum() == pytest.approx(1, abs=1e-5)
     true_bin = np.clip(np.searchsorted(BIN_EDGES_M, distance, "right") - 1, 0, BINS - 1)

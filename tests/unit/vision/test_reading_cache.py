@@ -32,7 +32,7 @@ while True:
 
 @pytest.fixture(autouse=True)
 def temporary_folder(tmp_path, monkeypatch):
-    """The machine's folder for temporary files, here and in processes that are started."""
+    """A folder for temporary files, in this process and in those it starts."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     return tmp_path
@@ -49,7 +49,7 @@ def reading(seed=0):
 
 
 def numbered(number):
-    """A reading in every part of which one finds the number, up to `BINS`."""
+    """A reading that holds the number, below `BINS`, in each of its parts."""
     clearance, dynamic, rays = (np.zeros(shape, np.float32) for shape in SHAPES)
     clearance[:, number] = rays[:, number] = 1
     return Reading(clearance, dynamic + number, rays)
@@ -61,7 +61,7 @@ def assert_equal(one, other):
 
 
 def kill(process):
-    """By SIGKILL."""
+    """End a process with SIGKILL."""
     process.kill()
     process.wait()
     process.stdout.close()
@@ -81,7 +81,7 @@ def writer(size_bytes):
     return process
 
 
-def test_what_is_kept_is_found_by_every_process_as_it_was_returned_and_nearly_as_it_was():
+def test_a_stored_reading_is_found_by_every_cache_as_returned_and_close_to_the_original():
     one, other = opened(), opened()
     assert one.find("scene", HERE) is None
     kept = one.keep("scene", HERE, reading())
@@ -102,29 +102,44 @@ def test_a_reading_belongs_to_its_vision_scene_cell_and_heading(vision, scene, s
     assert opened(vision=vision).find(scene, state) is None
 
 
-def test_a_torn_reading_is_none_whichever_byte_is_wrong():
+def used_slots(file):
+    """Offsets of the slots that are not empty."""
+    content = file.read_bytes()
+    return [at for at in range(0, len(content), SLOT_BYTES) if any(content[at : at + SLOT_BYTES])]
+
+
+def overwrite(file, at, content):
+    """Overwrite a part of the file, which caches have mapped into memory."""
+    with file.open("r+b") as stream:
+        stream.seek(at)
+        stream.write(content)
+
+
+def test_a_reading_with_any_wrong_byte_is_not_found(temporary_folder):
     cache = opened(SET_BYTES)
     cache.keep("scene", HERE, reading())
-    (begin,) = (at for at in range(0, SET_BYTES, SLOT_BYTES) if any(cache._memory[at : at + SLOT_BYTES]))
+    (file,) = files_in(temporary_folder)
+    (begin,) = used_slots(file)
     for at in (0, 20, HEAD_BYTES, HEAD_BYTES + 900, SLOT_BYTES - 1):
-        byte = cache._memory[begin + at]
-        cache._memory[begin + at] = byte ^ 1
+        byte = file.read_bytes()[begin + at]
+        overwrite(file, begin + at, bytes([byte ^ 1]))
         assert cache.find("scene", HERE) is None
-        cache._memory[begin + at] = byte
+        overwrite(file, begin + at, bytes([byte]))
     assert cache.find("scene", HERE) is not None
 
 
-def test_a_half_written_slot_is_written_anew():
+def test_a_half_written_slot_is_overwritten(temporary_folder):
     cache = opened(SET_BYTES)
     cache.keep("scene", HERE, reading(1))
-    (begin,) = (at for at in range(0, SET_BYTES, SLOT_BYTES) if any(cache._memory[at : at + SLOT_BYTES]))
-    cache._memory[begin + HEAD_BYTES : begin + 500] = bytes(500 - HEAD_BYTES)
+    (file,) = files_in(temporary_folder)
+    (begin,) = used_slots(file)
+    overwrite(file, begin + HEAD_BYTES, bytes(500 - HEAD_BYTES))
     assert cache.find("scene", HERE) is None
     assert_equal(cache.keep("scene", HERE, reading(2)), cache.find("scene", HERE))
-    assert sum(any(cache._memory[at : at + SLOT_BYTES]) for at in range(0, SET_BYTES, SLOT_BYTES)) == 1
+    assert len(used_slots(file)) == 1
 
 
-def test_the_file_never_grows_and_what_is_new_replaces_what_is_old(temporary_folder):
+def test_the_file_never_grows_and_new_readings_replace_old_ones(temporary_folder):
     size = 2 * SET_BYTES + 5
     cache = opened(size)
     for number in range(100):
@@ -136,7 +151,7 @@ def test_the_file_never_grows_and_what_is_new_replaces_what_is_old(temporary_fol
     assert file.stat().st_mode & 0o777 == 0o600
 
 
-def test_a_writer_that_is_killed_at_any_moment_leaves_whole_readings_or_none():
+def test_a_writer_killed_at_any_moment_leaves_whole_readings_or_none():
     cache = opened(SET_BYTES)
     for _ in range(2):
         process = writer(SET_BYTES)
@@ -153,7 +168,7 @@ def test_a_writer_that_is_killed_at_any_moment_leaves_whole_readings_or_none():
             assert_equal(cache.keep("scene", place, reading(ix)), cache.find("scene", place))
 
 
-def test_a_later_run_finds_what_one_before_it_read_even_if_that_was_killed():
+def test_a_later_run_finds_readings_of_an_earlier_one_even_if_a_writer_was_killed():
     size = 64 * SET_BYTES  # with room for what the other writes
     one = opened(size)
     kept = one.keep("scene", LatticeState(1, 1, 1), reading())
@@ -162,7 +177,7 @@ def test_a_later_run_finds_what_one_before_it_read_even_if_that_was_killed():
     assert_equal(opened(size).find("scene", LatticeState(1, 1, 1)), kept)
 
 
-def test_a_file_of_another_size_is_removed_once_nobody_uses_it(temporary_folder):
+def test_an_unused_file_of_another_size_is_removed(temporary_folder):
     sizes = [SET_BYTES * count for count in (1, 2, 3)]
     process, two = writer(sizes[0]), opened(sizes[1])
     assert {path.stat().st_size for path in files_in(temporary_folder)} == set(sizes[:2])
@@ -175,7 +190,7 @@ def test_a_file_of_another_size_is_removed_once_nobody_uses_it(temporary_folder)
     assert {path.stat().st_size for path in files_in(temporary_folder)} == set(sizes[2:])
 
 
-def test_what_there_is_no_room_for_is_refused_in_one_line(monkeypatch):
+def test_sizes_without_room_are_refused_in_one_line(monkeypatch):
     with pytest.raises(ConfigError, match=rf"vision\.cache_bytes is 100; allowed are 0 .* {SET_BYTES} or more"):
         opened(100)
 
@@ -183,22 +198,22 @@ def test_what_there_is_no_room_for_is_refused_in_one_line(monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(reading_cache.os, "posix_fallocate", full)
-    with pytest.raises(RunError, match=r"vision\.cache_bytes is .* cannot be made \(No space left on device\)"):
+    with pytest.raises(RunError, match=r"vision\.cache_bytes is .* cannot be created \(No space left on device\)"):
         opened()
 
 
-def test_a_file_that_another_user_has_put_there_is_not_trusted(monkeypatch):
+def test_a_file_of_another_user_is_not_trusted(monkeypatch):
     opened().close()
     owner = os.getuid()
     monkeypatch.setattr(reading_cache.os, "getuid", lambda: owner + 1)
-    with pytest.raises(RunError, match=r"cannot be made \(it belongs to another user\)"):
+    with pytest.raises(RunError, match=r"cannot be created \(it belongs to another user\)"):
         opened()
 
 
-def test_a_link_in_the_place_of_the_file_is_not_followed(temporary_folder, tmp_path_factory):
+def test_a_symbolic_link_is_not_followed(temporary_folder, tmp_path_factory):
     target = tmp_path_factory.mktemp("else") / "file"
     target.write_bytes(b"precious")
     os.symlink(target, temporary_folder / f"{reading_cache.PREFIX}{64 * SET_BYTES}")
-    with pytest.raises(RunError, match="cannot be made"):
+    with pytest.raises(RunError, match="cannot be created"):
         opened()
     assert target.read_bytes() == b"precious"

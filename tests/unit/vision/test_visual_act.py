@@ -12,20 +12,20 @@ from zsdist.config import CameraConfig, VisionConfig
 from zsdist.datasets.labelled import labelled_views
 from zsdist.errors import ImageError, WeightsError
 from zsdist.vision.encoders.lite0 import FEATURES, INPUT_PX, SIDE, EfficientNetLite0
-from zsdist.vision.folder import HEAD_FILE, METADATA_FILE, PROJECTION_FILE, STUDENT_FILE, read, write
 from zsdist.vision.models import STUDENT_PX
 from zsdist.vision.models.head import Probabilities, VisualActHead
 from zsdist.vision.models.projection import Projection, attended_embeddings, image_embedding, projection_of
 from zsdist.vision.models.student import Student
 from zsdist.vision.rays import BINS, RAYS
 from zsdist.vision.visual_act import VisualAct
+from zsdist.vision.weights_folder import HEAD_FILE, METADATA_FILE, PROJECTION_FILE, STUDENT_FILE, read, write
 
 CAMERA = CameraConfig()
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A folder with a small amount of training: none."""
+    """A folder of untrained weights."""
     encoder = EfficientNetLite0()
     with torch.random.fork_rng():
         torch.manual_seed(0)
@@ -43,7 +43,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture
 def folder(made, tmp_path):
-    """A copy of `made` to spoil."""
+    """A copy of `made` that a test may damage."""
     return shutil.copytree(made, tmp_path / "weights")
 
 
@@ -62,7 +62,7 @@ def images(count, px=INPUT_PX):
     return np.random.default_rng(0).integers(0, 256, (count, px, px, 3), np.uint8)
 
 
-def test_the_shipped_model_gives_one_view_an_image_with_proper_distributions():
+def test_the_shipped_model_gives_one_view_per_image_with_normalised_distributions():
     model = VisualAct.load(VisionConfig(), CAMERA)
     views = model(images(3), np.zeros(3), np.full(3, 6.0))
     assert len(views) == 3 and len(model.weights_sha256) == 64 and model.encoder_name == EfficientNetLite0.name
@@ -75,7 +75,7 @@ def test_the_shipped_model_gives_one_view_an_image_with_proper_distributions():
         assert view.advice.dtype == view.clearance_m.dtype == view.ray_probabilities.dtype == np.float32
 
 
-def test_the_shipped_model_tells_left_from_right_in_pictures_and_in_their_mirror_images():
+def test_the_shipped_model_distinguishes_left_and_right_in_pictures_and_their_mirror_images():
     views = list(labelled_views(["ood-all"], "test", 40, 0, CAMERA))
     pictures = np.stack([view.image for view in views])
     true = np.array([view.clearance_m[1] - view.clearance_m[2] for view in views])
@@ -98,7 +98,7 @@ def test_the_goal_changes_the_advice_and_nothing_else():
     np.testing.assert_array_equal(left.clearance_m, right.clearance_m)
 
 
-def test_views_of_what_was_read_are_those_of_the_image_whatever_the_goal():
+def test_views_of_a_reading_equal_views_of_the_image_for_any_goal():
     model, goals = VisualAct.load(VisionConfig(), CAMERA), (np.array([0.8, -0.4]), np.array([3.0, 9.0]))
     reading = model.read(images(2))
     for one, other in zip(model.views(reading, *goals), model(images(2), *goals), strict=True):
@@ -108,7 +108,7 @@ def test_views_of_what_was_read_are_those_of_the_image_whatever_the_goal():
         model.views(reading, np.zeros(1), np.ones(1))
 
 
-def test_a_lower_quantile_sees_less_room(made):
+def test_a_lower_quantile_gives_less_clearance(made):
     clearances = [
         VisualAct.load(VisionConfig(weights=str(made), ray_quantile=share), CAMERA)(images(1), [0.0], [5.0])[
             0
@@ -118,8 +118,8 @@ def test_a_lower_quantile_sees_less_room(made):
     assert (clearances[0] < clearances[1]).all()
 
 
-def test_goals_must_be_one_an_image(made):
-    with pytest.raises(ValueError, match="one an image"):
+def test_the_number_of_goals_must_be_that_of_images(made):
+    with pytest.raises(ValueError, match="one for each image"):
         load(made)(images(2), np.zeros(1), np.zeros(2))
 
 
@@ -153,7 +153,7 @@ def test_weights_for_another_camera_are_refused(folder):
 
 
 def rewritten(folder, **contents):
-    """The folder with other contents, rightly hashed, of the files named by their stems."""
+    """The folder with other contents, correctly hashed, of the files with the given stems."""
     old = read(folder)
     files = {file: old.content(file) for file in old.metadata["files"]}
     write(folder, files | {f"{stem}.safetensors": content for stem, content in contents.items()}, old.metadata)
@@ -162,7 +162,7 @@ def rewritten(folder, **contents):
 
 @pytest.fixture
 def empty_cache(tmp_path, monkeypatch):
-    """No network was built yet, but for the encoder, which takes a while."""
+    """A cache without networks; the encoder is opened before, since building it takes long."""
     encoder = EfficientNetLite0()
     monkeypatch.setattr("zsdist.vision.visual_act.open_encoder", lambda spec: encoder)
     monkeypatch.setenv("ZSDIST_CACHE", str(tmp_path / "cache"))
@@ -180,18 +180,18 @@ def test_weights_of_another_network_are_refused_in_one_line(folder, empty_cache,
         assert "\n" not in str(refusal.value)
 
 
-def test_a_projection_that_is_none_is_refused_when_it_is_asked_for(folder, empty_cache):
+def test_a_damaged_projection_is_refused_when_it_is_used(folder, empty_cache):
     model = load(rewritten(folder, projection=b"no tensors"))
     with pytest.raises(WeightsError, match=r"projection\.safetensors are not those of a projection"):
-        model.look(images(1))
+        model.observe(images(1))
 
 
-def test_weights_without_a_temperature_or_with_one_more_are_refused(folder, empty_cache):
+def test_weights_with_a_missing_or_an_additional_tensor_are_refused(folder, empty_cache):
     weights = safetensors.torch.load(read(folder).content(HEAD_FILE))
     for change in ({"one_more": torch.ones(())}, {"rays_temperature": None}):
-        spoilt = {name: value for name, value in (weights | change).items() if value is not None}
+        damaged = {name: value for name, value in (weights | change).items() if value is not None}
         with pytest.raises(WeightsError, match=next(iter(change))):
-            load(rewritten(folder, head=safetensors.torch.save(spoilt)))
+            load(rewritten(folder, head=safetensors.torch.save(damaged)))
 
 
 def test_distributions_are_those_of_the_network_at_its_temperatures(folder, empty_cache):
@@ -202,14 +202,14 @@ def test_distributions_are_those_of_the_network_at_its_temperatures(folder, empt
     pictures = images(2, STUDENT_PX)
     found = load(rewritten(folder, student=safetensors.torch.save(weights)), network="student").read(pictures)
     with torch.no_grad():
-        said, expected = network(torch.from_numpy(pictures)), Probabilities(network)(torch.from_numpy(pictures))
+        logits, expected = network(torch.from_numpy(pictures)), Probabilities(network)(torch.from_numpy(pictures))
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-4)
-    np.testing.assert_allclose(found[2], (said.rays / 3).softmax(-1), atol=1e-4)
-    np.testing.assert_allclose(found[0], (said.clearance / 0.5).softmax(-1), atol=1e-4)
+    np.testing.assert_allclose(found[2], (logits.rays / 3).softmax(-1), atol=1e-4)
+    np.testing.assert_allclose(found[0], (logits.clearance / 0.5).softmax(-1), atol=1e-4)
 
 
-def test_a_network_that_was_built_from_other_code_is_built_anew(folder, empty_cache, monkeypatch):
+def test_a_network_built_from_other_code_is_rebuilt(folder, empty_cache, monkeypatch):
     first = load(folder, network="student").read(images(1))
     monkeypatch.setattr("zsdist.vision.models.student.LEVELS", 32.0)
     again = load(folder, network="student").read(images(1))
@@ -230,7 +230,7 @@ def test_the_student_gives_views_without_any_encoder_at_any_resolution(made, mon
     assert model.weights_sha256 == read(made).sha256(STUDENT_FILE) != read(made).sha256(HEAD_FILE)
 
 
-def test_the_student_takes_a_picture_of_its_own_size_as_it_is(made, monkeypatch):
+def test_the_student_takes_a_picture_of_its_own_size_without_resampling(made, monkeypatch):
     model, pictures = load(made, network="student"), images(1, STUDENT_PX)
     expected = model.read(pictures)
     monkeypatch.setattr("zsdist.vision.encoders.base._coverage", pytest.fail)
@@ -238,28 +238,28 @@ def test_the_student_takes_a_picture_of_its_own_size_as_it_is(made, monkeypatch)
         np.testing.assert_array_equal(one, other)
 
 
-def test_the_student_needs_no_encoder_to_fit_the_weights(folder):
+def test_the_student_ignores_the_encoder_of_the_weights(folder):
     rewrite(folder, lambda metadata: metadata["encoder"].update(name="resnet"))
     assert load(folder, network="student").encoder_name == "student"
 
 
-def test_the_student_has_no_words_and_says_so(made):
+def test_the_student_refuses_to_observe(made):
     with pytest.raises(WeightsError, match=r"vision\.network is 'student'.*allowed is 'head'"):
-        load(made, network="student").look(images(1))
+        load(made, network="student").observe(images(1))
 
 
-def test_a_folder_without_a_student_or_a_projection_says_so(folder):
+def test_a_folder_without_a_student_or_a_projection_is_refused_by_name(folder):
     old = read(folder)
     write(folder, {HEAD_FILE: old.content(HEAD_FILE)}, old.metadata)
     with pytest.raises(WeightsError, match=rf"hold no {STUDENT_FILE}, only {HEAD_FILE}"):
         load(folder, network="student")
     with pytest.raises(WeightsError, match=f"hold no {PROJECTION_FILE}"):
-        load(folder).look(images(1))
+        load(folder).observe(images(1))
 
 
-def test_a_look_is_the_attention_and_the_embeddings_of_the_whole_and_of_where_each_action_looked(made):
+def test_an_observation_is_the_attention_and_the_embeddings_of_the_whole_and_the_attended_parts(made):
     model, pictures = load(made), images(2)
-    look = model.look(pictures)
+    look = model.observe(pictures)
     head = VisualActHead(FEATURES, SIDE, np.pi / 2).eval()
     head.load_state_dict(safetensors.torch.load(read(made).content(HEAD_FILE)))
     projection = projection_of(safetensors.torch.load(read(made).content(PROJECTION_FILE)))
@@ -272,7 +272,7 @@ def test_a_look_is_the_attention_and_the_embeddings_of_the_whole_and_of_where_ea
     assert look.attention.shape == (2, 3, SIDE * SIDE) and look.embeddings.shape == (2, 4, 6)
 
 
-def test_an_encoder_that_brings_its_own_projection_needs_none_in_the_folder(folder, empty_cache, monkeypatch):
+def test_an_encoder_with_its_own_projection_needs_none_in_the_folder(folder, empty_cache, monkeypatch):
     old, rng = read(folder), np.random.default_rng(0)
     write(folder, {HEAD_FILE: old.content(HEAD_FILE)}, old.metadata)
     native = {"weight": rng.normal(size=(5, FEATURES)).astype(np.float32), "bias": np.zeros(5, np.float32)}
@@ -280,7 +280,7 @@ def test_an_encoder_that_brings_its_own_projection_needs_none_in_the_folder(fold
     model, pictures = load(folder), images(1)
     mean = EfficientNetLite0().tokens(pictures).mean((1, 2)) @ native["weight"].T
     np.testing.assert_allclose(
-        model.look(pictures).embeddings[:, 0], mean / np.linalg.norm(mean, axis=1, keepdims=True), atol=1e-4
+        model.observe(pictures).embeddings[:, 0], mean / np.linalg.norm(mean, axis=1, keepdims=True), atol=1e-4
     )
 
 
@@ -297,7 +297,7 @@ def test_an_encoder_that_brings_its_own_projection_needs_none_in_the_folder(fold
     ],
     ids=["no batch", "float", "not square", "four channels", "empty", "none"],
 )
-def test_images_that_are_none_are_refused_in_one_line(made, network, wrong):
+def test_arrays_that_are_no_images_are_refused_in_one_line(made, network, wrong):
     model = load(made, network=network)
     for use in (model.read, lambda images: model(images, np.zeros(1), np.ones(1))):
         with pytest.raises(ImageError, match=r"images are .*; allowed are") as refusal:
@@ -306,9 +306,9 @@ def test_images_that_are_none_are_refused_in_one_line(made, network, wrong):
 
 
 @pytest.mark.parametrize("network", ["head", "student"])
-def test_a_built_model_sees_and_looks_without_torch(made, network):
-    load(made, network=network), load(made).look(images(1))
-    look = "m.look(i);" if network == "head" else ""
+def test_a_built_model_reads_and_observes_without_torch(made, network):
+    load(made, network=network), load(made).observe(images(1))
+    look = "m.observe(i);" if network == "head" else ""
     code = (
         "import sys, numpy as np; from zsdist.config import CameraConfig, VisionConfig;"
         "from zsdist.vision.visual_act import VisualAct;"

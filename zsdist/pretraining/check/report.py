@@ -15,12 +15,12 @@ from zsdist.pretraining.check.figures import Miss
 from zsdist.pretraining.check.predictions import Predictions, predict
 from zsdist.pretraining.check.sets import SETS, WILDERNESS, Sample, of_set, wilderness
 from zsdist.reporting.markdown import table
-from zsdist.vision import folder
-from zsdist.vision.folder import HISTORY_FILE
+from zsdist.vision import weights_folder
 from zsdist.vision.labels import DIRECTIONS
 from zsdist.vision.rays import RANGE_M, quantile_m
 from zsdist.vision.scores import MISS_M, calibration
 from zsdist.vision.visual_act import VisualAct
+from zsdist.vision.weights_folder import HISTORY_FILE
 from zsdist.vision.words.table3 import COLUMNS
 
 PAGE = "vision.md"
@@ -105,7 +105,7 @@ def reliability(predictions: Predictions) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _losses(config: Config, out: Path) -> list[str]:
-    weights = folder.read(folder.locate(config.vision.weights))
+    weights = weights_folder.read(weights_folder.locate(config.vision.weights))
     if not (weights.path / HISTORY_FILE).exists():
         return ["## Loss (Fig. 5)", "", f"Left out: the weights come without {HISTORY_FILE}.", ""]
     history = weights.history()
@@ -185,7 +185,7 @@ def _attention(model: VisualAct, samples: list[Sample], known: bool, left_out: d
     if not known:
         return ["## Attention of each action", "", f"Left out: {left_out['attention']}.", ""]
     chosen = attention_examples(samples)
-    observed = model.look(np.stack([sample.image for sample in chosen.values()]))
+    observed = model.observe(np.stack([sample.image for sample in chosen.values()]))
     figures.draw_attention(
         [sample.image for sample in chosen.values()], observed.attention, list(chosen), out / "vision-attention.jpg"
     )

@@ -13,12 +13,12 @@ from zsdist.pretraining.batches import BATCH, batched
 from zsdist.pretraining.check.sets import Sample
 from zsdist.sim.scenes.kinds import KINDS
 from zsdist.sim.scenes.manifest import MANIFEST
-from zsdist.vision import folder
+from zsdist.vision import weights_folder
 from zsdist.vision.encoders import open_encoder
 from zsdist.vision.encoders.base import Encoder
-from zsdist.vision.folder import PROJECTION_FILE, VOCABULARY_FILE
 from zsdist.vision.rays import RAYS, ray_angles_rad
 from zsdist.vision.visual_act import VisualAct
+from zsdist.vision.weights_folder import PROJECTION_FILE, VOCABULARY_FILE
 from zsdist.vision.words.measures import LEFT_OUT, naming_accuracy, words_of_kinds
 from zsdist.vision.words.table3 import COLUMNS, background_share, directions_of, object_share, only_direction, table3
 from zsdist.vision.words.vocabulary import GROUND_WORDS, KIND_WORDS, TABLE3_WORDS, Vocabulary, shipped_words
@@ -68,7 +68,7 @@ class Observations:
 
     def add(self, batch: list[Sample]) -> None:
         """Add a batch of pictures."""
-        self._embeddings.append(self._model.look(np.stack([sample.image for sample in batch])).embeddings)
+        self._embeddings.append(self._model.observe(np.stack([sample.image for sample in batch])).embeddings)
         self._segments += [sample.truth["ray_segment"] for sample in batch]
         self._distances += [sample.truth["ray_clearance_m"] for sample in batch]
         self._grounds += [sample.scene.ground for sample in batch]
@@ -107,7 +107,7 @@ class Observations:
 
 def word_rows(config: Config) -> dict[str, np.ndarray]:
     """Return the embedding `(D,)` of the word for each kind and ground; the paper's word if it has one."""
-    weights = folder.read(folder.locate(config.vision.weights))
+    weights = weights_folder.read(weights_folder.locate(config.vision.weights))
     vocabulary = Vocabulary.from_bytes(weights.content(VOCABULARY_FILE))
     names = {name: words.training[0] for name, words in (KIND_WORDS | GROUND_WORDS).items()} | TABLE3_WORDS
     rows = _text_projector(shipped_projection(config))(vocabulary.rows(list(names.values())))
@@ -121,7 +121,7 @@ def shipped_projection(config: Config) -> "Projection":
 
     from zsdist.vision.models.projection import projection_of
 
-    weights = folder.read(folder.locate(config.vision.weights))
+    weights = weights_folder.read(weights_folder.locate(config.vision.weights))
     try:
         return projection_of(safetensors.torch.load(weights.content(PROJECTION_FILE)))
     except (safetensors.SafetensorError, KeyError, RuntimeError) as error:
@@ -241,7 +241,7 @@ def _reason_without_words(config: Config) -> str | None:
     """Return the reason why the weights have no words; None if they have."""
     if config.vision.network == "student":
         return "the student has no attention and no words; allowed is vision.network=head"
-    weights = folder.read(folder.locate(config.vision.weights))
+    weights = weights_folder.read(weights_folder.locate(config.vision.weights))
     missing = [file for file in (PROJECTION_FILE, VOCABULARY_FILE) if not weights.has(file)]
     return f"weights {weights.path} lack {' and '.join(missing)}" if missing else None
 

@@ -1,7 +1,7 @@
-"""The files of a Cityscapes copy: where they are, what they hold, and a clear word where they do not.
+"""Reader of the files of a Cityscapes copy, with an error that names each missing or damaged file.
 
-A frame `<city>_<sequence>_<frame>` has a file in each of four folders, `<folder>/<split>/<city>/`: the picture in
-`leftImg8bit`, polygons and instance numbers in `gtFine`, the calibration in `camera` and `disparity`.
+A frame `<city>_<sequence>_<frame>` has files in four folders, `<folder>/<split>/<city>/`: the picture in
+`leftImg8bit`, polygons and instance numbers in `gtFine`, the calibration in `camera`, the stereo in `disparity`.
 """
 
 import json
@@ -17,7 +17,7 @@ import numpy as np
 
 from zsdist.errors import DataError
 
-SPLITS = ("train", "val")  # the annotations of others are coarse or withheld
+SPLITS = ("train", "val")  # the annotations of other splits are coarse or withheld
 EGO_VEHICLE, BORDER = 1, (2, 3)
 GROUND = (6, 7, 8, 9, 10, 22)  # ground, road, sidewalk, parking, rails, terrain
 SKY = 23
@@ -29,8 +29,8 @@ MOVING = {
     "person": 24, "rider": 25, "car": 26, "truck": 27, "bus": 28, "caravan": 29, "trailer": 30, "train": 31,
     "motorcycle": 32, "bicycle": 33,
 }  # fmt: skip
-_INSTANCES_A_LABEL = 1000  # an instance number is its label's times this, and its own; below this it is a label
-_PARTS = {  # what a frame has beside its picture: folder, end of the name, package to download
+_INSTANCES_A_LABEL = 1000  # an instance number is label times this plus a counter; below this it is a label
+_PARTS = {  # files of a frame besides its picture: folder, end of the name, package to download
     "polygons": ("gtFine", "_gtFine_polygons.json", "gtFine_trainvaltest.zip"),
     "instances": ("gtFine", "_gtFine_instanceIds.png", "gtFine_trainvaltest.zip"),
     "camera": ("camera", "_camera.json", "camera_trainvaltest.zip"),
@@ -42,14 +42,14 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 
 @dataclass(frozen=True)
 class Calibration:
-    """Of the left camera, in pixels, metres and radians.
+    """Calibration of the left camera, in pixels, metres and radians.
 
     Attributes:
         fx_px, fy_px: focal lengths.
-        u0_px, v0_px: column and row of the axis.
-        baseline_m: between the two cameras.
-        pitch_rad: of the axis, positive: down.
-        height_m: above the ground.
+        u0_px, v0_px: column and row of the optical axis.
+        baseline_m: distance between the two cameras.
+        pitch_rad: pitch of the axis, positive downwards.
+        height_m: height above the ground.
     """
 
     fx_px: float
@@ -63,16 +63,16 @@ class Calibration:
 
 @dataclass(frozen=True)
 class CityscapesFrame:
-    """One frame as it is on disk.
+    """One frame as stored on disk.
 
     Attributes:
         name: `<city>_<sequence>_<frame>`.
         picture: `(H, W, 3)` uint8, RGB.
         labels: `(H, W)` int32, the data set's label of each pixel.
-        objects: `(H, W)` int32, a number for each thing that stands or moves by itself, -1 where there is none: those
-            with an instance number, and each polygon of what has none.
-        depth_m: `(H, W)` float32, along the camera's axis; infinite where it was not measured.
-        calibration: of the camera.
+        objects: `(H, W)` int32, a number for each standing or moving object, -1 for none. Objects with an instance
+            number keep it; each polygon of the others is an object.
+        depth_m: `(H, W)` float32, along the camera's axis; infinite if not measured.
+        calibration: calibration of the camera.
     """
 
     name: str
@@ -84,10 +84,10 @@ class CityscapesFrame:
 
 
 def frames(folder: Path, split: str) -> list[Path]:
-    """The pictures of a split, in order of their names.
+    """Return the paths of a split's pictures, in order of their names.
 
     Raises:
-        DataError: an unknown split, or no picture where they should be.
+        DataError: the split is unknown, or the folder has no pictures of it.
     """
     if split not in SPLITS:
         raise DataError(f"Cityscapes split is {split!r}; allowed are {', '.join(SPLITS)}")
@@ -101,14 +101,14 @@ def frames(folder: Path, split: str) -> list[Path]:
 
 
 def read_frame(picture: Path) -> CityscapesFrame:
-    """The frame of a picture that `frames` found.
+    """Return the frame of a picture that `frames` found.
 
     Raises:
         DataError: a file is missing, damaged, or does not fit the others.
     """
     name = picture.name.removesuffix(_PICTURE)
     if not re.fullmatch(r".+_\d{6}_\d{6}", name):
-        raise DataError(f"picture {picture} is named otherwise than <city>_000000_000000{_PICTURE}")
+        raise DataError(f"picture {picture} has an unknown name; expected is <city>_000000_000000{_PICTURE}")
     root, split, city = picture.parents[3], picture.parents[1].name, picture.parent.name
     parts = {}
     for part, (folder, end, package) in _PARTS.items():
@@ -121,7 +121,7 @@ def read_frame(picture: Path) -> CityscapesFrame:
     values = _png(parts["disparity"], np.uint16, 1)
     for part, array in (("instances", instances), ("disparity", values)):
         if array.shape != image.shape[:2]:
-            raise DataError(f"{parts[part]} is {array.shape} pixels; expected is {image.shape[:2]}, as the picture's")
+            raise DataError(f"{parts[part]} is {array.shape} pixels; expected is {image.shape[:2]}, as in the picture")
     labels = np.where(instances < _INSTANCES_A_LABEL, instances, instances // _INSTANCES_A_LABEL)
     depth_m = np.full(values.shape, np.inf, np.float32)
     measured = values > 1  # 0: not measured; 1: no disparity, so infinitely far
@@ -131,7 +131,7 @@ def read_frame(picture: Path) -> CityscapesFrame:
 
 
 def _objects(polygons: list[tuple[str, np.ndarray]], instances: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """`CityscapesFrame.objects`, from the polygons' labels and corners in the order in which they were drawn."""
+    """Return `CityscapesFrame.objects` from the polygons' labels and corners, in the order in which they were drawn."""
     drawn = np.full(instances.shape, -1, np.int32)
     for number, (label, corners) in enumerate(polygons):
         if label in STANDING:
@@ -142,13 +142,13 @@ def _objects(polygons: list[tuple[str, np.ndarray]], instances: np.ndarray, labe
 
 
 def _polygons(path: Path) -> list[tuple[str, np.ndarray]]:
-    """Label and corners `(K, 2)` int32 of each polygon."""
+    """Return label and corners `(K, 2)` int32 of each polygon."""
     objects = _json(path, "objects")["objects"]
     try:
         return [
-            (str(thing["label"]), np.array(thing["polygon"], np.float64).reshape(-1, 2).round().astype(np.int32))
-            for thing in objects
-            if not thing.get("deleted") and thing["polygon"]
+            (str(entry["label"]), np.array(entry["polygon"], np.float64).reshape(-1, 2).round().astype(np.int32))
+            for entry in objects
+            if not entry.get("deleted") and entry["polygon"]
         ]
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise DataError(f"{path} has objects without a label and a polygon of points: {error!r}") from error
@@ -160,10 +160,10 @@ def _calibration(path: Path, shape: tuple[int, int]) -> Calibration:
     wanted += [("extrinsic", key) for key in ("baseline", "pitch", "z")]
     numbers = []
     for part, key in wanted:
-        value = tree[part].get(key) if isinstance(tree[part], dict) else None
+        value: Any = tree[part].get(key) if isinstance(tree[part], dict) else None
         positive = key in ("fx", "fy", "baseline", "z")
-        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        if not number or (positive and value <= 0):
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not is_number or not math.isfinite(value) or (positive and value <= 0):
             raise DataError(f"{path} has {part}.{key} {value!r}; expected is a number{' above 0' * positive}")
         numbers.append(float(value))
     result = Calibration(*numbers)
@@ -171,7 +171,7 @@ def _calibration(path: Path, shape: tuple[int, int]) -> Calibration:
         if not 0.3 < axis / size < 0.7:
             raise DataError(
                 f"{path} has the axis at pixel {axis:g}, far from the middle of the picture's {of}, {size}; expected "
-                "are pictures at the size of the calibration, 2048 x 1024"
+                "are pictures in the size of the calibration, 2048 x 1024"
             )
     return result
 
@@ -188,14 +188,14 @@ def _json(path: Path, *keys: str) -> dict[str, Any]:
 
 
 def _png(path: Path, dtype: type, channels: int) -> np.ndarray:
-    """A PNG file, `(H, W)` or `(H, W, 3)`; raises `DataError` unless it is whole and of this type."""
+    """Return a PNG image, `(H, W)` or `(H, W, 3)`; raise `DataError` unless the file is whole and of this type."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise DataError(f"{path} cannot be read: {error.strerror or error}") from error
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if _whole(data) else None
     if image is None:
-        raise DataError(f"{path} is damaged: {len(data)} bytes that are no whole PNG file")
+        raise DataError(f"{path} is damaged: {len(data)} bytes that are not a complete PNG file")
     found = 1 if image.ndim == 2 else image.shape[2]
     if image.dtype != dtype or found != channels:
         expected = f"{channels} of {np.dtype(dtype).itemsize * 8} bit"
@@ -204,7 +204,7 @@ def _png(path: Path, dtype: type, channels: int) -> np.ndarray:
 
 
 def _whole(data: bytes) -> bool:
-    """Whether a PNG file has all its chunks, each with its checksum; decoders take half a file for a picture."""
+    """Return whether a PNG file has all its chunks with valid checksums; decoders accept truncated files."""
     at = len(_PNG)
     if data[:at] != _PNG:
         return False

@@ -1,15 +1,15 @@
-"""Cityscapes as a source of pictures with labels, as the simulator is one.
+"""Cityscapes as a source of pictures with labels, with the same fields as the simulator's data sets.
 
 **View.** A picture is resampled as a level camera would have taken it, at its true angles and at the field of view of
-`camera.field_of_view_deg`, so that the rays mean what they mean elsewhere. The data set shows about 45 degrees and no
-more; a wider view would have rays at which nobody looked, and is refused. It is half as high as wide: the rows above
-and below, of which it tells nothing, have the mean colour of the rest.
+`camera.field_of_view_deg`, so that rays have the same meaning as elsewhere. The data set covers about 45 degrees; a
+wider view would have rays without data and is refused. A frame is half as high as wide: the rows above and below it
+are filled with the mean colour of the rest.
 
-**Scale.** Next to nothing in it is within the car's range of 5 m: the bonnet and the lower edge hide the ground up to
-about that. So distances are divided by `scale`, 5 unless told otherwise, which maps 25 m of street to the range.
-Geometrically that is a world five times smaller, seen from 1.22 m / 5 above the ground: `camera.height_m` of 0.24 says
-so in the weights' folder. Pictures of both kinds in one training would contradict each other about how far a thing
-is whose foot is seen in a certain row.
+**Scale.** Almost nothing in the frames is within the car's range of 5 m: the bonnet and the lower edge hide the ground
+up to about that distance. So distances are divided by `scale`, 5 by default, which maps 25 m of street to the range.
+Geometrically that is a world five times smaller, seen from 1.22 m / 5 above the ground; the weights' folder states it
+as `camera.height_m` 0.24. Pictures of both scales in one training would contradict each other about the distance of an
+object whose foot is in a given row.
 """
 
 import hashlib
@@ -34,27 +34,27 @@ from zsdist.vision.cityscapes.files import (
     frames,
     read_frame,
 )
-from zsdist.vision.masks import Mask, MaskedView, choose
+from zsdist.vision.masks import Mask, MaskedView, choose_masks
 from zsdist.vision.rays import RAYS
 
 SCALE = 5.0
-SIGHT_HEIGHT_M = 1.5  # in the street's own metres: what is above, such as a crown, is in nobody's way
-_FINER = 4  # pixels of the frame's view for one of the picture's, a side: for thin things, and for a smooth picture
-_LEAST_PIXELS, _LEAST_SHARE = 8, 0.03  # of what a ray meets, at a distance or nearer: fewer are stray stereo values
-_UNLABELLED_SHARE = 0.5  # of a ray's view; with more, nobody knows what is there
-_OUTSIDE = -1  # label of what is not in the frame
+SIGHT_HEIGHT_M = 1.5  # in metres of the street: objects above it, such as a tree crown, do not obstruct
+_FINER = 4  # pixels of the level view per pixel of the picture, along a side: for thin objects and a smooth picture
+_LEAST_PIXELS, _LEAST_SHARE = 8, 0.03  # of a ray's hits, needed at a distance or nearer: fewer are stray stereo values
+_UNLABELLED_SHARE = 0.5  # of a ray's view; with more unlabelled pixels its content is unknown
+_OUTSIDE = -1  # label of pixels outside the frame
 
 
 @dataclass(frozen=True)
 class CityView:
-    """One picture and the truth about it; fields as of the simulator's views, for R rays, leftmost first.
+    """One picture and its truth for R rays, leftmost first; fields as in the simulator's views.
 
     Attributes:
         image: `(size_px, size_px, 3)` uint8.
         ray_clearance_m: `(R,)` float32, horizontal distance over the scale, capped at the camera's range ("free").
         ray_dynamic: `(R,)` bool, whether the ray meets a person, a rider or a vehicle.
         scene: name of the frame.
-        scene_hash: of its city and sequence, by which neighbouring frames can be kept together.
+        scene_hash: hash of city and sequence; it groups neighbouring frames.
     """
 
     image: np.ndarray
@@ -67,22 +67,22 @@ class CityView:
 def cityscapes_views(
     folder: Path, split: str, count: int, seed: int, camera: CameraConfig, scale: float = SCALE, first: int = 0
 ) -> Iterator[CityView]:
-    """Pictures of the frames `first` to `first + count` in a drawn order, the same for the same arguments.
+    """Yield pictures of the frames `first` to `first + count` in a random order, the same for the same arguments.
 
-    Left out are frames of which a ray looks mostly at what nobody labelled, and what is past the last frame.
+    Frames with a ray that covers mostly unlabelled pixels are left out. There are fewer pictures if the split ends.
 
     Args:
         folder: root of a Cityscapes copy.
         split: "train" or "val".
-        count: of frames, so of pictures at most.
-        seed: of the order.
+        count: number of frames, so of pictures at most.
+        seed: seed of the order.
         camera: resolution, field of view and range.
-        scale: metres of the street for one of the car's.
-        first: number of the first frame in that order; so one order can be shared out.
+        scale: metres of the street per metre of the car.
+        first: number of the first frame in that order; it allows several callers to share one order.
 
     Raises:
-        DataError: the folder or a file of it is not as expected.
-        ConfigError: the field of view is wider than the pictures.
+        DataError: the folder or one of its files is not as expected.
+        ConfigError: the field of view is wider than the frames.
     """
     for level in _levels(folder, split, range(first, first + count), seed, camera, scale):
         yield CityView(level.image, *level.truth(), level.name, level.scene_hash)
@@ -91,34 +91,34 @@ def cityscapes_views(
 def cityscapes_masked_views(
     folder: Path, split: str, count: int, seed: int, camera: CameraConfig, scale: float = SCALE, first: int = 0
 ) -> Iterator[MaskedView]:
-    """The same pictures with their masks; arguments and errors as of `cityscapes_views`.
+    """Yield the same pictures with their masks; arguments and errors as in `cityscapes_views`.
 
-    Nobody knows what a thing hides. The truth without it takes what is left in view for all there is.
+    The part of the scene behind an object is unknown. The truth without the object uses the remaining pixels alone.
     """
     for level in _levels(folder, split, range(first, first + count), seed, camera, scale):
         whole = level.truth()
         coarse = (slice(_FINER // 2, None, _FINER),) * 2
         labels = level.labels[coarse]
-        distance_m = np.where(labels == _OUTSIDE, 0.0, level.distance_m[coarse])  # it is no background to be hidden
+        distance_m = np.where(labels == _OUTSIDE, 0.0, level.distance_m[coarse])  # so it is not masked as background
         ground, sky = np.isin(labels, GROUND), labels == SKY
-        objects, background = choose(level.objects[coarse], distance_m, ground, sky, camera.range_m)
+        objects, background = choose_masks(level.objects[coarse], distance_m, ground, sky, camera.range_m)
         masks = [Mask(hidden, False, *level.truth(without=number)) for number, hidden in objects.items()]
         masks += [Mask(hidden, True, *whole) for hidden in background]
         yield MaskedView(level.image, *whole, tuple(masks), level.scene_hash)
 
 
 @dataclass(frozen=True)
-class _Level:
-    """What a level camera would have seen of a frame, `(n, n)` with n of `_FINER` times the picture's size.
+class _LevelView:
+    """View of a level camera on a frame, in arrays `(n, n)` with n of `_FINER` times the picture's size.
 
     Attributes:
-        name: of the frame.
+        name: name of the frame.
         image: `(size_px, size_px, 3)` uint8.
-        labels: the data set's, or `_OUTSIDE`.
-        objects: as of `CityscapesFrame.objects`.
-        distance_m: horizontal, over the scale; infinite where it is not known.
-        in_the_way: of what stands or moves below `SIGHT_HEIGHT_M`.
-        range_m: of the camera.
+        labels: labels of the data set, or `_OUTSIDE`.
+        objects: as in `CityscapesFrame.objects`.
+        distance_m: horizontal distance over the scale; infinite if unknown.
+        obstructs: whether a standing or moving object below `SIGHT_HEIGHT_M` is there.
+        range_m: range of the camera.
     """
 
     name: str
@@ -126,23 +126,23 @@ class _Level:
     labels: np.ndarray
     objects: np.ndarray
     distance_m: np.ndarray
-    in_the_way: np.ndarray
+    obstructs: np.ndarray
     range_m: float
 
     @property
     def scene_hash(self) -> str:
-        """Of its city and sequence."""
+        """Hash of the city and the sequence."""
         return hashlib.sha256(self.name.rpartition("_")[0].encode()).hexdigest()[:16]
 
     def truth(self, without: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Distance `(R,)` float32 and "dynamic" `(R,)` of each ray; `without` an object, if one is named."""
+        """Return distance `(R,)` float32 and "dynamic" `(R,)` bool of each ray, ignoring the object `without`."""
         distance_m, dynamic = np.full(RAYS, self.range_m, np.float32), np.zeros(RAYS, bool)
         for ray, columns in enumerate(np.array_split(np.arange(self.labels.shape[1]), RAYS)):
             view = slice(None), slice(columns[0], columns[-1] + 1)
-            there = self.in_the_way[view] & (self.distance_m[view] < self.range_m)
+            hits = self.obstructs[view] & (self.distance_m[view] < self.range_m)
             if without is not None:
-                there &= self.objects[view] != without
-            distances, labels = self.distance_m[view][there], self.labels[view][there]
+                hits &= self.objects[view] != without
+            distances, labels = self.distance_m[view][hits], self.labels[view][hits]
             if len(distances) < _LEAST_PIXELS:
                 continue
             least = max(_LEAST_PIXELS, round(_LEAST_SHARE * len(distances)))
@@ -151,8 +151,8 @@ class _Level:
             dynamic[ray] = np.isin(labels[nearest], list(MOVING.values())).mean() > 0.5
         return distance_m, dynamic
 
-    def known(self) -> bool:
-        """Whether every ray looks mostly at what has a label."""
+    def is_labelled(self) -> bool:
+        """Return whether every ray covers mostly labelled pixels."""
         counted = ~np.isin(self.labels, (_OUTSIDE, EGO_VEHICLE, *BORDER))
         unlabelled = counted & (self.labels == 0)
         sums = [
@@ -166,23 +166,23 @@ class _Level:
 
 def _levels(
     folder: Path, split: str, numbers: range, seed: int, camera: CameraConfig, scale: float
-) -> Iterator[_Level]:
+) -> Iterator[_LevelView]:
     pictures = frames(Path(folder), split)
     order = np.random.default_rng([seed, *split.encode()]).permutation(len(pictures))
     for index in order[numbers.start : numbers.stop]:
-        level = _level(read_frame(pictures[index]), camera, scale)
-        if level.known():
+        level = _level_view(read_frame(pictures[index]), camera, scale)
+        if level.is_labelled():
             yield level
 
 
-def _level(frame: CityscapesFrame, camera: CameraConfig, scale: float) -> _Level:
-    """A frame as a level camera would have taken it, with distances from stereo or, where it has none, from the ground.
+def _level_view(frame: CityscapesFrame, camera: CameraConfig, scale: float) -> _LevelView:
+    """Return a frame as a level camera would have taken it, with distances from stereo, else from the ground.
 
-    A pixel of the level view looks along `(1, right, down)`. What stands where the stereo measured nothing is as far
-    as the ground below it in its column, which the camera's height tells.
+    A pixel of the level view has the direction `(1, right, down)`. An object without a stereo measurement is as far
+    away as the ground below it in its column, whose distance follows from the camera's height.
     """
-    how, size, n = frame.calibration, camera.size_px, _FINER * camera.size_px
-    widest = 2 * math.degrees(math.atan(min(how.u0_px, frame.labels.shape[1] - how.u0_px) / how.fx_px))
+    eye, size, n = frame.calibration, camera.size_px, _FINER * camera.size_px
+    widest = 2 * math.degrees(math.atan(min(eye.u0_px, frame.labels.shape[1] - eye.u0_px) / eye.fx_px))
     if camera.field_of_view_deg > widest:
         raise ConfigError(
             f"camera.field_of_view_deg is {camera.field_of_view_deg:g}; the Cityscapes frame {frame.name} shows "
@@ -190,33 +190,33 @@ def _level(frame: CityscapesFrame, camera: CameraConfig, scale: float) -> _Level
         )
     right = (math.tan(math.radians(camera.field_of_view_deg) / 2) * (2 * (np.arange(n) + 0.5) / n - 1)).astype("f4")
     down = right[:, None]
-    along = math.cos(how.pitch_rad) + math.sin(how.pitch_rad) * down  # of the axis, for each metre ahead
-    columns = how.u0_px + how.fx_px * right / along
-    rows = how.v0_px + how.fy_px * (math.cos(how.pitch_rad) * down - math.sin(how.pitch_rad)) / along
+    along = math.cos(eye.pitch_rad) + math.sin(eye.pitch_rad) * down  # metres along the axis per metre ahead
+    columns = eye.u0_px + eye.fx_px * right / along
+    rows = eye.v0_px + eye.fy_px * (math.cos(eye.pitch_rad) * down - math.sin(eye.pitch_rad)) / along
     rows = np.broadcast_to(rows, columns.shape).astype(np.float32)
 
-    def seen(of: np.ndarray, outside: float) -> np.ndarray:
+    def sample(of: np.ndarray, outside: float) -> np.ndarray:
         return cv2.remap(
             of, columns, rows, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=[outside] * 4
         )
 
-    labels = seen(frame.labels.astype(np.float32), _OUTSIDE).astype(np.int32)
-    objects = seen(frame.objects.astype(np.float32), -1).astype(np.int32)  # numbers are below 2**24: exact
-    ahead_m = seen(frame.depth_m, math.inf) / along
+    labels = sample(frame.labels.astype(np.float32), _OUTSIDE).astype(np.int32)
+    objects = sample(frame.objects.astype(np.float32), -1).astype(np.int32)  # numbers are below 2**24: exact
+    ahead_m = sample(frame.depth_m, math.inf) / along
     stands = np.isin(labels, (*STANDING.values(), *MOVING.values()))
-    ground_m = _ground_below_m(labels, down, how.height_m)
+    ground_m = _ground_below_m(labels, down, eye.height_m)
     ahead_m = np.where(stands & ~np.isfinite(ahead_m), ground_m, ahead_m)
-    with np.errstate(invalid="ignore"):  # what is infinitely far at the height of the eye
-        low = how.height_m - down * ahead_m < SIGHT_HEIGHT_M
+    with np.errstate(invalid="ignore"):  # zero times infinity, at the height of the camera
+        low = eye.height_m - down * ahead_m < SIGHT_HEIGHT_M
     distance_m = (ahead_m * np.hypot(1.0, right) / scale).astype(np.float32)
-    return _Level(
+    return _LevelView(
         frame.name, _picture(frame, columns, rows, labels != _OUTSIDE, size), labels, objects, distance_m,
         stands & low, camera.range_m,
     )  # fmt: skip
 
 
 def _ground_below_m(labels: np.ndarray, down: np.ndarray, height_m: float) -> np.ndarray:
-    """How far ahead, `(n, n)`, the highest ground is that each pixel has below it; infinite where it has none."""
+    """Return the distance ahead, `(n, n)`, of the nearest ground row below each pixel; infinite if there is none."""
     ground = np.isin(labels, GROUND) & (down > 0)
     ahead_m = np.where(ground, height_m / np.maximum(down, 1e-6), np.inf)
     n = len(labels)

@@ -1,4 +1,4 @@
-"""Image encoders behind one protocol: pictures to tokens, words to the space that both share."""
+"""Image encoders behind one protocol: pictures to tokens, texts to the space shared with pictures."""
 
 from pathlib import Path
 
@@ -11,13 +11,13 @@ DEFAULT = "efficientnet-lite0"
 
 
 def open_encoder(spec: str) -> Encoder:
-    """The encoder that `config.vision.encoder` names: the default one, or CLIP from a folder on this machine.
+    """Return the encoder that `config.vision.encoder` names: the default one, or CLIP from a folder on this machine.
 
     Raises:
-        WeightsError: it is neither, or its weights are missing or damaged.
+        WeightsError: the name is neither, or the weights are missing or damaged.
     """
     if spec == DEFAULT:
         return EfficientNetLite0()
     if Path(spec).is_dir():
         return ClipFolder(Path(spec))
-    raise WeightsError(f"encoder is {spec!r}; allowed are {DEFAULT!r} and a folder with a CLIP model")
+    raise WeightsError(f"vision.encoder is {spec!r}; allowed are {DEFAULT!r} and a folder with a CLIP model")

@@ -1,4 +1,4 @@
-"""What an image encoder is, and how pictures are brought to its size."""
+"""Protocol of an image encoder, and the resampling of pictures to its size."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Protocol
@@ -15,15 +15,15 @@ TEXTS_AT_ONCE = 64
 
 
 class Encoder(Protocol):
-    """Tokens of images, and g(T) of texts, as `embed_texts`.
+    """Encoder of images to tokens, and of texts to embeddings g(T).
 
-    f(I) is made of tokens by a map into text space, which CLIP brings (`native_projection`) and which is trained by us
-    for the default encoder.
+    f(I) is computed from tokens by a map into text space. CLIP has its own (`native_projection`); for the default
+    encoder we train one.
 
     Attributes:
         name: such as "efficientnet-lite0/block10" or "clip/vit-b-32".
         sha256: of the image tower's weights file, 64 hexadecimal digits.
-        text_sha256: likewise of the text tower, which is loaded at first use; both may be in one file.
+        text_sha256: likewise of the text tower, which is loaded at first use; both towers may be in one file.
         input_px: side of the square images that it takes without resampling.
         side: tokens in a row and in a column.
         features: width of a token.
@@ -37,30 +37,30 @@ class Encoder(Protocol):
 
     @property
     def text_sha256(self) -> str:
-        """As above; raises as `embed_texts`."""
+        """SHA-256 as above; raises as `embed_texts`."""
 
     def tokens(self, images: np.ndarray) -> np.ndarray:
-        """Tokens `(B, side, side, features)` float32 of images `(B, px, px, 3)` uint8, from the top left."""
+        """Return tokens `(B, side, side, features)` float32 of images `(B, px, px, 3)` uint8, from the top left."""
 
     def embed_texts(self, texts: Sequence[str]) -> np.ndarray:
-        """Embeddings `(N, D)` float32 of texts, of unit length; the text tower is loaded at first use.
+        """Return embeddings `(N, D)` float32 of texts, of unit length; the text tower is loaded at first use.
 
         Raises:
             WeightsError: the text tower is missing or damaged.
         """
 
     def native_projection(self) -> dict[str, np.ndarray] | None:
-        """The map of tokens into text space that the encoder brings, None where it brings none.
+        """Return the encoder's own map of tokens into text space; None if it has none.
 
-        It is `{"weight": (D, features), "bias": (D,)}`, float32.
+        The map is `{"weight": (D, features), "bias": (D,)}`, float32.
         """
 
 
 def similarity(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Eq. (2): cosines `(N, M)` between the rows of `a` `(N, D)` and of `b` `(M, D)`, of whatever lengths.
+    """Return Eq. (2): cosines `(N, M)` between the rows of `a` `(N, D)` and of `b` `(M, D)`, of any lengths.
 
     Raises:
-        ValueError: they are no such arrays, or a row has no direction.
+        ValueError: the arrays have other shapes, or a row has no direction.
     """
     a, b = np.asarray(a), np.asarray(b)
     if a.ndim != 2 or b.ndim != 2 or a.shape[1] != b.shape[1]:
@@ -69,30 +69,30 @@ def similarity(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    """Vectors `(..., D)` at unit length; raises `ValueError` where one is zero or not finite."""
+    """Return vectors `(..., D)` at unit length; raise `ValueError` if one is zero or not finite."""
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
     if not (np.isfinite(lengths) & (lengths > 0)).all():
-        raise ValueError("a vector has no direction: allowed are finite vectors other than zero")
+        raise ValueError("a vector has no direction; allowed are finite vectors other than zero")
     return vectors / lengths
 
 
 def check_images(images: np.ndarray) -> None:
-    """Raises `ImageError` unless `images` is `(B, px, px, 3)` uint8, square, of 32 pixels a side or more."""
+    """Raise `ImageError` unless `images` is `(B, px, px, 3)` uint8, square, with 32 pixels or more along a side."""
     shape, dtype = np.shape(images), getattr(images, "dtype", type(images).__name__)
     if dtype != np.uint8 or len(shape) != 4 or shape[0] < 1 or shape[3] != 3 or shape[1] != shape[2] or shape[1] < 32:
         raise ImageError(f"images are {shape} {dtype}; allowed are (batch, px, px, 3) uint8, square, px of 32 or more")
 
 
 def check_texts(texts: Sequence[str]) -> list[str]:
-    """The texts as a list; raises `ValueError` unless they are one text or more, and not one text by itself."""
+    """Return the texts as a list; raise `ValueError` unless they are a non-empty sequence of strings, not a string."""
     if isinstance(texts, str) or not len(texts) or not all(isinstance(text, str) for text in texts):
         raise ValueError(f"texts are {texts!r:.80}; allowed is a sequence of one text or more")
     return list(texts)
 
 
 def run_text_tower(tokenizer: "Tokenizer", tower: "InferenceSession", texts: list[str]) -> np.ndarray:
-    """Embeddings `(N, D)` float32 of texts by a tower that takes "ids" and gives "embedding", a few at a time."""
-    parts = []
+    """Return embeddings `(N, D)` float32 of texts by a tower from "ids" to "embedding", some texts at a time."""
+    parts: list[np.ndarray] = []
     for begin in range(0, len(texts), TEXTS_AT_ONCE):
         encoded = tokenizer.encode_batch(texts[begin : begin + TEXTS_AT_ONCE])
         ids = np.array([one.ids for one in encoded], np.int64)
@@ -101,7 +101,7 @@ def run_text_tower(tokenizer: "Tokenizer", tower: "InferenceSession", texts: lis
 
 
 def resample(images: np.ndarray, size_px: int) -> np.ndarray:
-    """Square images at another size, `(B, size_px, size_px, 3)` uint8; each new pixel is the mean of what it covers."""
+    """Return square images at another size, `(B, size_px, size_px, 3)` uint8; a new pixel is the mean of its area."""
     side = images.shape[1]
     if side == size_px:
         return images
@@ -111,7 +111,7 @@ def resample(images: np.ndarray, size_px: int) -> np.ndarray:
 
 
 def _coverage(old: int, new: int) -> np.ndarray:
-    """`(new, old)` weights of a row of old pixels in new ones: a triangle as wide as the coarser of the two grids."""
+    """Return weights `(new, old)` of old pixels in new ones along a row: triangles as wide as the coarser grid."""
     centres = (np.arange(new) + 0.5) * old / new
     distance = np.abs(centres[:, None] - (np.arange(old) + 0.5)) / max(1.0, old / new)
     weights = np.clip(1 - distance, 0, None)

@@ -1,4 +1,4 @@
-"""CLIP from a folder on this machine, of open_clip or of Hugging Face; nothing is fetched from anywhere."""
+"""CLIP from a folder on this machine, in the layout of open_clip or Hugging Face; nothing is downloaded."""
 
 import hashlib
 from collections.abc import Sequence
@@ -13,19 +13,19 @@ from zsdist.vision.encoders.clip_tokenizer import read_tokenizer
 from zsdist.vision.exported import cached_session, export, file_sha256
 
 VERSION = 1
-"""Of the towers' code: exported towers of another version are not read."""
+"""Version of the towers' code: exported towers of another version are not used."""
 
 
 class ClipFolder:
     """CLIP's towers, run by onnxruntime on one thread; torch is imported only to build each at its first use.
 
-    Its tokens are the patches after the last norm. CLIP was trained to map its class token alone into text space, so
-    that patches mapped by the same projection carry meaning less surely than `embed_images` does.
+    The tokens are the patches after the last norm. CLIP was trained to map only its class token into text space, so
+    patches mapped by the same projection carry meaning less reliably than `embed_images` does.
 
-    Images of another size are resampled by triangles, where the libraries take cubic curves.
+    Images of another size are resampled with triangles, while the libraries use cubic interpolation.
 
     Raises:
-        WeightsError: the folder lacks a file, or a file is damaged or of a model that is no plain CLIP.
+        WeightsError: a file is missing, damaged, or of a model that is not a plain CLIP.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -38,35 +38,35 @@ class ClipFolder:
         self.features = self._clip.vision.width
         digest = hashlib.sha256(repr((VERSION, self.sha256, self._clip)).encode()).hexdigest()
         self._cached = f"clip-{digest[:16]}"
-        self._texts: TextSide | None = None
+        self._texts: ClipTextEncoder | None = None
         self._session = cached_session(f"{self._cached}-image", self._build)
 
     def tokens(self, images: np.ndarray) -> np.ndarray:
-        """Tokens `(B, side, side, features)` float32 of images `(B, px, px, 3)` uint8, from the top left.
+        """Return tokens `(B, side, side, features)` float32 of images `(B, px, px, 3)` uint8, from the top left.
 
         Raises:
-            ImageError: the images are no such array.
+            ImageError: `images` has another shape or dtype.
         """
         return self._run("tokens", images)
 
     def embed_images(self, images: np.ndarray) -> np.ndarray:
-        """CLIP's own embeddings `(B, D)` float32 of images, of unit length; raises as `tokens`."""
+        """Return CLIP's own embeddings `(B, D)` float32 of images, of unit length; raises as `tokens`."""
         return self._run("embedding", images)
 
     def embed_texts(self, texts: Sequence[str]) -> np.ndarray:
-        """Embeddings `(N, D)` float32 of texts, of unit length; tokenizer and text tower are loaded at first use.
+        """Return embeddings `(N, D)` float32 of texts, of unit length; tokenizer and tower are loaded at first use.
 
         Raises:
             WeightsError: the folder lacks a tokenizer, or has a damaged one.
-            ValueError: the texts are no list of texts.
+            ValueError: `texts` is not a list of texts.
         """
         texts = check_texts(texts)
         if self._texts is None:
-            self._texts = TextSide(self._folder, self._cached)
+            self._texts = ClipTextEncoder(self._folder, self._cached)
         return self._texts.embed(texts)
 
     def native_projection(self) -> dict[str, np.ndarray]:
-        """CLIP's map of its class token into text space: `weight` `(D, features)`, and a `bias` `(D,)` of zeros."""
+        """Return CLIP's map of its class token into text space: `weight` `(D, features)`, and a zero `bias` `(D,)`."""
         from zsdist.vision.encoders.clip_towers import projection
 
         weight = projection(self._clip, self._weights).numpy()
@@ -77,19 +77,19 @@ class ClipFolder:
         return self._session.run([output], {"image": resample(images, self.input_px)})[0]
 
     def _build(self, out: Path) -> None:
-        """Exports the image tower and checks it against torch."""
+        """Export the image tower and check it against torch."""
         import torch
 
         from zsdist.vision.encoders.clip_towers import image_tower
 
-        with torch.random.fork_rng():  # building it draws initial weights, which are not kept
+        with torch.random.fork_rng():  # construction draws initial weights, which are overwritten
             tower = image_tower(self._clip, self._weights)
         example = np.random.default_rng(0).integers(0, 256, (1, self.input_px, self.input_px, 3), np.uint8)
         export(tower, example, out, "image", ["tokens", "embedding"])
 
 
-class TextSide:
-    """Tokenizer and text tower of a folder; `cached` names the exported tower."""
+class ClipTextEncoder:
+    """Tokenizer and text tower of a folder; `cached` is the prefix of the exported tower's name."""
 
     def __init__(self, folder: Path, cached: str) -> None:
         self._clip, self._weights = read_folder(folder)
@@ -97,11 +97,11 @@ class TextSide:
         self._session: onnxruntime.InferenceSession = cached_session(f"{cached}-text-{self._end}", self._build)
 
     def embed(self, texts: list[str]) -> np.ndarray:
-        """Embeddings `(N, D)` float32 of unit length."""
+        """Return embeddings `(N, D)` float32 of unit length."""
         return run_text_tower(self._tokenizer, self._session, texts)
 
     def _build(self, out: Path) -> None:
-        """Exports the text tower and checks it against torch."""
+        """Export the text tower and check it against torch."""
         import torch
 
         from zsdist.vision.encoders.clip_towers import text_tower

@@ -1,8 +1,8 @@
-"""The two layouts in which CLIP models lie in folders, read into one description.
+"""Reader of the two folder layouts of CLIP models into one description.
 
-open_clip: `open_clip_config.json`, `open_clip_model.safetensors`; a tokenizer's files unless CLIP's own is meant.
+open_clip: `open_clip_config.json`, `open_clip_model.safetensors`; files of a tokenizer unless it is CLIP's own.
 Hugging Face: `config.json`, `model.safetensors`, `preprocessor_config.json`; `tokenizer.json`, or `vocab.json` with
-`merges.txt`, for texts. Nothing is fetched from anywhere.
+`merges.txt`, for texts. Nothing is downloaded.
 """
 
 import json
@@ -15,7 +15,7 @@ from zsdist.errors import WeightsError
 
 
 class Layout(StrEnum):
-    """Whose names files and weights have."""
+    """Library whose names the files and weights have."""
 
     OPEN_CLIP = "open_clip"
     HUGGING_FACE = "huggingface"
@@ -25,18 +25,18 @@ CONFIG = {Layout.OPEN_CLIP: "open_clip_config.json", Layout.HUGGING_FACE: "confi
 WEIGHTS = {Layout.OPEN_CLIP: "open_clip_model.safetensors", Layout.HUGGING_FACE: "model.safetensors"}
 ALLOWED = "allowed are the layouts " + " and ".join(f"{one} ({CONFIG[one]}, {WEIGHTS[one]})" for one in Layout)
 
-# What a configuration leaves out has these values, in the library that wrote it.
+# Defaults of settings that a configuration omits, in the library that wrote it.
 OPEN_CLIP_VISION = {
     "layers": 12, "width": 768, "head_width": 64, "mlp_ratio": 4.0, "patch_size": 16, "image_size": 224,
 }  # fmt: skip
 OPEN_CLIP_TEXT = {
     "layers": 12, "width": 512, "heads": 8, "mlp_ratio": 4.0, "context_length": 77, "vocab_size": 49408,
 }  # fmt: skip
-OPEN_CLIP_PLAIN = {  # settings that change what is computed, at the values that the plain towers have
+OPEN_CLIP_PLAIN = {  # settings that change the computation, with the values of plain towers
     "pool_type": ("tok", "argmax"), "pos_embed_type": ("learnable",), "proj_type": ("linear",),
     "block_type": ("default",),
 }  # fmt: skip
-OPEN_CLIP_OTHER = (  # settings that change nothing here
+OPEN_CLIP_OTHER = (  # settings without effect here
     "patch_dropout", "output_tokens", "attn_pooler_queries", "attn_pooler_heads", "timm_pool", "timm_proj",
     "pad_id", "eos_id", "hf_tokenizer_name", "tokenizer_mode", "tokenizer_kwargs", "hf_model_pretrained",
 )  # fmt: skip
@@ -52,7 +52,7 @@ HUGGING_FACE_TEXT = HUGGING_FACE_TOWER | {
 
 @dataclass(frozen=True)
 class TowerShape:
-    """One transformer; `inner` is the width inside a layer, `activation` is "gelu" or "quick_gelu"."""
+    """Shape of a transformer; `inner` is the width inside a layer, `activation` is "gelu" or "quick_gelu"."""
 
     layers: int
     width: int
@@ -64,20 +64,20 @@ class TowerShape:
 
 @dataclass(frozen=True)
 class Clip:
-    """A CLIP model but for its weights.
+    """Description of a CLIP model without its weights.
 
     Attributes:
-        layout: whose names its weights have.
+        layout: library whose names the weights have.
         image_px: side of the images.
         patch_px: side of a patch.
-        mean: of red, green, blue between 0 and 1, as trained with.
-        std: of the same.
-        vision: the image tower.
-        text: the text tower.
-        context: tokens of the longest text, both marks included.
-        vocabulary: how many tokens there are.
+        mean: mean of red, green and blue, between 0 and 1, in the training.
+        std: standard deviation of the same.
+        vision: image tower.
+        text: text tower.
+        context: tokens of the longest text, begin and end marks included.
+        vocabulary: number of tokens.
         dimensions: of the space that both towers map to.
-        standard_words: whether its tokenizer is the one that CLIP was published with.
+        standard_tokenizer: whether the tokenizer is the one that CLIP was published with.
     """
 
     layout: Layout
@@ -90,14 +90,14 @@ class Clip:
     context: int
     vocabulary: int
     dimensions: int
-    standard_words: bool
+    standard_tokenizer: bool
 
 
 def read_folder(folder: Path) -> tuple[Clip, Path]:
-    """What model a folder holds, and its weights file.
+    """Return the description of a folder's model, and the path of its weights file.
 
     Raises:
-        WeightsError: a file is missing or damaged, or the model is of a kind that is not read here.
+        WeightsError: a file is missing or damaged, or the model is of an unsupported kind.
     """
     layouts = [layout for layout in Layout if (folder / CONFIG[layout]).is_file()]
     if not layouts:
@@ -116,15 +116,15 @@ def read_folder(folder: Path) -> tuple[Clip, Path]:
         raise WeightsError(f"encoder configuration {path} is damaged: {error}") from error
     if clip.image_px % clip.patch_px or clip.vision.width % clip.vision.heads or clip.text.width % clip.text.heads:
         raise WeightsError(
-            f"encoder configuration {path}: patches of {clip.patch_px} px do not fill images of {clip.image_px}, "
-            "or heads not the width of a tower; allowed are whole numbers of them"
+            f"encoder configuration {path}: image size {clip.image_px} px is no multiple of the patch size "
+            f"{clip.patch_px} px, or the width of a tower no multiple of its heads; allowed are multiples"
         )
     return clip, folder / WEIGHTS[whole[0]]
 
 
 def _open_clip(path: Path) -> Clip:
     about = _read(path)
-    model, seen = about["model_cfg"], about["preprocess_cfg"]
+    model, preprocessing = about["model_cfg"], about["preprocess_cfg"]
     activation = "quick_gelu" if model.get("quick_gelu") else "gelu"
     towers = {}
     for name, defaults in (("vision_cfg", OPEN_CLIP_VISION), ("text_cfg", OPEN_CLIP_TEXT)):
@@ -132,28 +132,29 @@ def _open_clip(path: Path) -> Clip:
             plain = not value or value in OPEN_CLIP_PLAIN.get(key, ())
             if key not in defaults and key not in OPEN_CLIP_OTHER and not plain:
                 raise WeightsError(
-                    f"encoder configuration {path}: {name}.{key} is {value!r}; allowed are plain transformers without"
+                    f"encoder configuration {path}: {name}.{key} is {value!r}; allowed are transformers without it"
                 )
         towers[name] = defaults | model[name]
     vision, text = towers.values()
     if isinstance(vision["layers"], list):
-        raise WeightsError(f"encoder configuration {path}: vision_cfg is a ResNet's; allowed is a vision transformer")
+        raise WeightsError(f"encoder configuration {path}: vision_cfg is of a ResNet; allowed is a vision transformer")
     vision["heads"] = vision["width"] // vision["head_width"]
-    shapes = [
+    vision_shape, text_shape = (
         TowerShape(one["layers"], one["width"], one["heads"], int(one["width"] * one["mlp_ratio"]), activation, 1e-5)
         for one in (vision, text)
-    ]
+    )
     return Clip(
-        Layout.OPEN_CLIP,
-        _side(vision["image_size"]),
-        _side(vision["patch_size"]),
-        _colours(seen["mean"]),
-        _colours(seen["std"]),
-        *shapes,
-        text["context_length"],
-        text["vocab_size"],
-        model["embed_dim"],
-        not (text.get("hf_tokenizer_name") or text.get("tokenizer_kwargs")),
+        layout=Layout.OPEN_CLIP,
+        image_px=_side(vision["image_size"]),
+        patch_px=_side(vision["patch_size"]),
+        mean=_colours(preprocessing["mean"]),
+        std=_colours(preprocessing["std"]),
+        vision=vision_shape,
+        text=text_shape,
+        context=text["context_length"],
+        vocabulary=text["vocab_size"],
+        dimensions=model["embed_dim"],
+        standard_tokenizer=not (text.get("hf_tokenizer_name") or text.get("tokenizer_kwargs")),
     )
 
 
@@ -165,28 +166,29 @@ def _hugging_face(path: Path) -> Clip:
         )
     if not (preprocessor := path.with_name("preprocessor_config.json")).is_file():
         raise WeightsError(f"encoder folder {path.parent} lacks {preprocessor.name}, which has the mean of the colours")
-    seen = _read(preprocessor)
+    preprocessing = _read(preprocessor)
     vision, text = HUGGING_FACE_VISION | about["vision_config"], HUGGING_FACE_TEXT | about["text_config"]
     names = (
         "num_hidden_layers", "hidden_size", "num_attention_heads", "intermediate_size", "hidden_act", "layer_norm_eps"
     )  # fmt: skip
-    shapes = [TowerShape(*(one[name] for name in names)) for one in (vision, text)]
-    for shape in shapes:
+    vision_shape, text_shape = (TowerShape(*(one[name] for name in names)) for one in (vision, text))
+    for shape in (vision_shape, text_shape):
         if shape.activation not in ("gelu", "quick_gelu"):
             raise WeightsError(
                 f"encoder configuration {path}: hidden_act is {shape.activation!r}; allowed are 'gelu' and 'quick_gelu'"
             )
     return Clip(
-        Layout.HUGGING_FACE,
-        _side(vision["image_size"]),
-        _side(vision["patch_size"]),
-        _colours(seen["image_mean"]),
-        _colours(seen["image_std"]),
-        *shapes,
-        text["max_position_embeddings"],
-        text["vocab_size"],
-        about.get("projection_dim", 512),
-        standard_words=False,
+        layout=Layout.HUGGING_FACE,
+        image_px=_side(vision["image_size"]),
+        patch_px=_side(vision["patch_size"]),
+        mean=_colours(preprocessing["image_mean"]),
+        std=_colours(preprocessing["image_std"]),
+        vision=vision_shape,
+        text=text_shape,
+        context=text["max_position_embeddings"],
+        vocabulary=text["vocab_size"],
+        dimensions=about.get("projection_dim", 512),
+        standard_tokenizer=False,
     )
 
 
@@ -198,11 +200,12 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _side(size: object) -> int:
-    """The side of a square, given as a number or as two that are the same."""
+    """Return the side of a square, given as a number or as a list of equal numbers."""
     sides = set(size) if isinstance(size, list) else {size}
-    if len(sides) != 1 or not all(isinstance(side, int) and side > 0 for side in sides):
-        raise ValueError(f"a size is {size!r}; allowed is a square's, in pixels")
-    return sides.pop()
+    side = sides.pop() if len(sides) == 1 else None
+    if not isinstance(side, int) or side <= 0:
+        raise ValueError(f"a size is {size!r}; allowed is the size of a square, in pixels")
+    return side
 
 
 def _colours(values: list[float]) -> tuple[float, float, float]:

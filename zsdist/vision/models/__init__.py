@@ -1,4 +1,4 @@
-"""Networks on the tokens of an encoder, and the small one that needs none; torch."""
+"""Networks on the tokens of an encoder, and the student network, which needs no encoder; torch."""
 
 STUDENT_PX = 128
-"""Side of the pictures that the student takes; it stands here so that whoever runs the student needs no torch."""
+"""Side of the pictures that the student takes; defined here so that running the student needs no torch."""

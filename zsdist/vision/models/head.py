@@ -1,6 +1,6 @@
-"""The trained part of the visual-act model, in torch: action queries and camera rays on the tokens of an encoder."""
+"""Trained part of the visual-act model, in torch: action queries and camera rays on the tokens of an encoder."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -9,18 +9,21 @@ from torch import Tensor, nn
 from zsdist.vision.labels import SECTOR_HALF_RAD
 from zsdist.vision.rays import BINS, RAYS
 
+if TYPE_CHECKING:
+    from zsdist.vision.models.student import Student
+
 ACTIONS = 3
-MASK_MARGIN = 0  # token columns of the neighbouring directions that an action may also look at; 2 blurs I_1 to I_3
+MASK_MARGIN = 0  # token columns of the neighbouring directions that an action may also attend to; 2 blurs I_1 to I_3
 
 
 class HeadOutput(NamedTuple):
-    """What the head says of a batch of images, for the actions forward, left and right.
+    """Output of the head for a batch of images, for the actions forward, left and right.
 
     Attributes:
         clearance: `(B, 3, BINS)` logits of the distance to the nearest obstacle.
         dynamic: `(B, 3)` logits of that obstacle being of a kind that moves.
         rays: `(B, RAYS, BINS)` logits of the distance along each ray.
-        attention: `(B, 3, side * side)` where each action looked, the gaze of `ActionAttention`; each sums to 1.
+        attention: `(B, 3, side * side)` attention of each action, the gaze of `ActionAttention`; each sums to 1.
     """
 
     clearance: Tensor
@@ -30,13 +33,13 @@ class HeadOutput(NamedTuple):
 
 
 def attention(queries: Tensor, keys: Tensor, values: Tensor, allowed: Tensor) -> tuple[Tensor, Tensor]:
-    """Masked attention, Eq. (4): `softmax(Q K^T / sqrt(d_k)) V`, with no weight where `allowed` is false.
+    """Return masked attention, Eq. (4): `softmax(Q K^T / sqrt(d_k)) V`, with weight 0 where `allowed` is false.
 
     Args:
         queries: `(..., Q, d_k)`.
         keys: `(..., T, d_k)`.
         values: `(..., T, d_v)`.
-        allowed: `(Q, T)` bool, which tokens each query may look at; every row holds a true one.
+        allowed: `(Q, T)` bool, tokens that each query may attend to; at least one per row.
 
     Returns:
         `(..., Q, d_v)`, and the weights `(..., Q, T)`.
@@ -47,14 +50,16 @@ def attention(queries: Tensor, keys: Tensor, values: Tensor, allowed: Tensor) ->
 
 
 class ActionAttention(nn.Module):
-    """Multi-head attention with one learned query for each action, on tokens that carry a learned position.
+    """Multi-head attention with one learned query for each action, on tokens with a learned position.
 
-    A query is masked to the token columns of its action's direction and a margin, so that what stands on the left
-    cannot be taken for what stands on the right.
+    A query is masked to the token columns of its action's direction and a margin, so that objects on the left cannot be
+    confused with objects on the right.
 
-    One head more, the gaze, has queries and keys of the whole width. It alone is trained by the contrast and the
-    attention error, and its weights make I_1 to I_3; the others may look at the ground, by which distance is told.
+    One more head, the gaze, has queries and keys of the whole width. Only the gaze is trained by the contrast and the
+    attention error, and its weights make I_1 to I_3; the other heads may attend to the ground, which shows distance.
     """
+
+    allowed: Tensor
 
     def __init__(self, features: int, side: int, heads: int, field_of_view_rad: float) -> None:
         super().__init__()
@@ -67,7 +72,7 @@ class ActionAttention(nn.Module):
         self.register_buffer("allowed", _allowed(side, field_of_view_rad), persistent=False)
 
     def forward(self, tokens: Tensor) -> tuple[Tensor, Tensor]:
-        """Features of each action `(B, 3, 2 * features)` and where it gazed `(B, 3, side * side)`.
+        """Return features of each action `(B, 3, 2 * features)` and its gaze `(B, 3, side * side)`.
 
         Args:
             tokens: `(B, side * side, features)`.
@@ -84,7 +89,7 @@ class ActionAttention(nn.Module):
 
 
 class Residual1d(nn.Module):
-    """Two convolutions over the columns of the view, added to what goes in."""
+    """Two convolutions over the columns of the view, added to their input."""
 
     def __init__(self, features: int) -> None:
         super().__init__()
@@ -95,21 +100,27 @@ class Residual1d(nn.Module):
         )
 
     def forward(self, columns: Tensor) -> Tensor:
-        """`(B, features, columns)` to the same."""
+        """Return the block's output `(B, features, columns)` for an input of the same shape."""
         return torch.relu(columns + self.convolutions(columns))
 
 
 class VisualActHead(nn.Module):
-    """From tokens to the clearance and kind of what is nearest in each action's direction, and to distances along rays.
+    """Head from tokens to the clearance and kind of the nearest obstacle per direction, and to distances along rays.
 
     Args:
-        features: of a token.
-        side: tokens to a side of the image.
-        field_of_view_rad: of the camera, which tells the columns of each direction.
+        features: features of a token.
+        side: tokens along a side of the image.
+        field_of_view_rad: of the camera; it determines the columns of each direction.
         width: features of a token inside the head.
         column_width: features of a column of the view inside the head.
-        heads: of the attention.
+        heads: number of attention heads besides the gaze.
     """
+
+    mean: Tensor
+    scale: Tensor
+    spread: Tensor
+    clearance_temperature: Tensor
+    rays_temperature: Tensor
 
     def __init__(
         self,
@@ -126,28 +137,28 @@ class VisualActHead(nn.Module):
         self.project = nn.Linear(features, width)
         self.mix = nn.Conv2d(width, width, 3, padding=1)
         self.attention = ActionAttention(width, side, heads, field_of_view_rad)
-        # the action-specific networks O_a: clearance over the distance bins, and one more for "dynamic"
+        # the action-specific networks O_a: clearance over the distance bins, and one more output for "dynamic"
         self.action_networks = nn.ModuleList(
             nn.Sequential(nn.Linear(3 * width, width), nn.ReLU(), nn.Linear(width, BINS + 1)) for _ in range(ACTIONS)
         )
-        # a column keeps its width: its tokens, top to bottom, become its features
+        # the tokens of a column, from top to bottom, become the features of the column
         self.fold = nn.Linear(side * width, column_width)
         self.column_of_token = nn.Linear(column_width, width)
         self.register_buffer("spread", _spread(side, RAYS), persistent=False)
         self.context = nn.Linear(column_width, column_width)
         self.columns = nn.Sequential(Residual1d(column_width), Residual1d(column_width))
         self.ray_bins = nn.Conv1d(column_width, BINS, 1)
-        # by which logits are divided where the head is used; `training.calibration` fits them when it has learned
+        # divisors of the logits in use; `training.calibration` fits them after the training
         self.register_buffer("clearance_temperature", torch.ones(()))
         self.register_buffer("rays_temperature", torch.ones(()))
 
     def normalise_to(self, mean: np.ndarray, deviation: np.ndarray) -> None:
-        """Sets the mean and standard deviation `(features,)` of the tokens that the head is to expect."""
+        """Set the mean and standard deviation `(features,)` with which tokens are normalised."""
         self.mean.copy_(torch.from_numpy(mean))
         self.scale.copy_(1 / torch.from_numpy(np.maximum(deviation, 1e-6)))
 
     def forward(self, tokens: Tensor) -> HeadOutput:
-        """What is to be read from tokens `(B, side, side, features)`."""
+        """Return the output of the head for tokens `(B, side, side, features)`."""
         batch, side = tokens.shape[:2]
         x = torch.relu(self.project((tokens - self.mean) * self.scale))
         x = torch.relu(x + self.mix(x.permute(0, 3, 1, 2)).permute(0, 2, 3, 1))
@@ -155,22 +166,22 @@ class VisualActHead(nn.Module):
         columns = torch.relu(columns + self.context(columns.mean(1, keepdim=True)))
         flat = (x + self.column_of_token(columns)[:, None]).reshape(batch, side * side, -1)
         mixed, weights = self.attention(flat)
-        looked = torch.cat([mixed, flat.mean(1, keepdim=True).expand(-1, ACTIONS, -1)], -1)
-        actions = torch.stack([network(looked[:, a]) for a, network in enumerate(self.action_networks)], 1)
+        attended = torch.cat([mixed, flat.mean(1, keepdim=True).expand(-1, ACTIONS, -1)], -1)
+        actions = torch.stack([network(attended[:, a]) for a, network in enumerate(self.action_networks)], 1)
         columns = self.columns((self.spread @ columns).transpose(1, 2))
         rays = self.ray_bins(columns).transpose(1, 2)
         return HeadOutput(actions[..., :BINS], actions[..., BINS], rays, weights)
 
 
 class Probabilities(nn.Module):
-    """The head, or the student, as it is used: calibrated probabilities instead of logits."""
+    """Head or student with calibrated probabilities as outputs instead of logits."""
 
-    def __init__(self, network: nn.Module) -> None:
+    def __init__(self, network: "VisualActHead | Student") -> None:
         super().__init__()
         self.network = network
 
     def forward(self, tokens: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Probabilities of clearance, dynamic and rays, in the shapes of `HeadOutput`."""
+        """Return probabilities of clearance, dynamic and rays, in the shapes of `HeadOutput`."""
         clearance, dynamic, rays, _ = self.network(tokens)
         return (
             (clearance / self.network.clearance_temperature).softmax(-1),
@@ -180,7 +191,7 @@ class Probabilities(nn.Module):
 
 
 def _allowed(side: int, field_of_view_rad: float) -> Tensor:
-    """`(3, side * side)` bool, the tokens each action may look at."""
+    """Return the tokens that each action may attend to, `(3, side * side)` bool."""
     edge = np.tan(SECTOR_HALF_RAD) / np.tan(field_of_view_rad / 2)
     column = np.arange(side)
     left_of, right_of = (1 - edge) / 2 * side, (1 + edge) / 2 * side  # of the middle sector's borders, in columns
@@ -195,6 +206,6 @@ def _allowed(side: int, field_of_view_rad: float) -> Tensor:
 
 
 def _spread(side: int, rays: int) -> Tensor:
-    """`(rays, side)` weights that carry features of token columns to ray columns, linear between their centres."""
+    """Return weights `(rays, side)` that interpolate token columns at ray columns, linear between their centres."""
     position = np.clip((np.arange(rays) + 0.5) * side / rays - 0.5, 0, side - 1)
     return torch.from_numpy(np.clip(1 - np.abs(position[:, None] - np.arange(side)), 0, None).astype(np.float32))

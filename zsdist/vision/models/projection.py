@@ -1,4 +1,4 @@
-"""From the tokens of an encoder to the space that pictures share with words; torch."""
+"""Projection of an encoder's tokens to the space that pictures share with words; torch."""
 
 import numpy as np
 import torch
@@ -9,15 +9,18 @@ WIDTH = 128  # features of a token inside the projection
 
 
 class Projection(nn.Module):
-    """Projects each token to the space of words, with a look at its neighbours; texts stay where their tower put them.
+    """Projection of each token, with its neighbours, to the space of words; embeddings of texts keep their place.
 
-    A trained map of texts beside it was tried: it took words of training a little nearer to their pictures and words
-    never seen no nearer.
+    A trained map of texts was tried beside it: words of the training came a little nearer to their pictures, unseen
+    words did not.
 
     Args:
-        features: of a token.
-        text_width: D, of the text tower's embeddings and of the common space.
+        features: features of a token.
+        text_width: D, width of the text tower's embeddings and of the common space.
     """
+
+    mean: Tensor
+    scale: Tensor
 
     def __init__(self, features: int, text_width: int) -> None:
         super().__init__()
@@ -29,42 +32,42 @@ class Projection(nn.Module):
         self.leave = nn.Linear(WIDTH, text_width)
 
     def normalise_to(self, mean: np.ndarray, deviation: np.ndarray) -> None:
-        """Sets the mean and standard deviation `(features,)` of the tokens that are to be expected."""
+        """Set the mean and standard deviation `(features,)` with which tokens are normalised."""
         self.mean.copy_(torch.from_numpy(mean))
         self.scale.copy_(1 / torch.from_numpy(np.maximum(deviation, 1e-6)))
 
     def hidden(self, tokens: Tensor) -> Tensor:
-        """What `forward` maps linearly: `(B, side, side, WIDTH)` of tokens `(B, side, side, features)`."""
+        """Return the input of the last linear map, `(B, side, side, WIDTH)`, for tokens `(B, side, side, features)`."""
         x = torch.relu(self.enter((tokens - self.mean) * self.scale))
         x = x + self.around(x.permute(0, 3, 1, 2)).permute(0, 2, 3, 1)
         return torch.relu(x + self.mix(torch.relu(x)))
 
     def forward(self, tokens: Tensor) -> Tensor:
-        """Tokens `(B, side, side, features)` in the space of words, `(B, side, side, D)`; their lengths tell weight."""
+        """Return tokens `(B, side, side, features)` in the space of words, `(B, side, side, D)`; length is weight."""
         return self.leave(self.hidden(tokens))
 
     def texts(self, embeddings: Tensor) -> Tensor:
-        """Embeddings `(N, D)` of a text tower in the common space, `(N, D)` of unit length."""
+        """Return embeddings `(N, D)` of a text tower in the common space, `(N, D)` of unit length."""
         return functional.normalize(embeddings, dim=-1)
 
 
 def image_embedding(projected: Tensor) -> Tensor:
-    """I_0 `(B, D)` of unit length, the f(I) of Eq. (1): the mean of projected tokens `(B, side, side, D)`."""
+    """Return I_0 `(B, D)` of unit length, the f(I) of Eq. (1): the mean of projected tokens `(B, side, side, D)`."""
     return functional.normalize(projected.mean((1, 2)), dim=-1)
 
 
 def attended_embeddings(projected: Tensor, attention: Tensor) -> Tensor:
-    """I_1 to I_3 `(B, 3, D)` of unit length: means of the projected tokens, weighted by where each action looked.
+    """Return I_1 to I_3 `(B, 3, D)` of unit length: means of the projected tokens, weighted by each action's attention.
 
     Args:
         projected: `(B, side, side, D)`.
-        attention: `(B, 3, side * side)`, as in `Reading`.
+        attention: `(B, 3, side * side)`, as in `HeadOutput`.
     """
     return functional.normalize(attention @ projected.flatten(1, 2), dim=-1)
 
 
 def projection_of(weights: dict[str, Tensor]) -> Projection:
-    """The projection with these weights, which also tell its sizes."""
+    """Return the projection with these weights; its sizes are those of the weights."""
     projection = Projection(weights["enter.weight"].shape[1], weights["leave.weight"].shape[0])
     projection.load_state_dict(weights)
     return projection.eval()

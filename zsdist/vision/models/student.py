@@ -1,4 +1,4 @@
-"""A small network that reads a picture by itself, without an encoder: what the head says, at a tenth of the cost."""
+"""Small network that reads pictures without an encoder: the outputs of the head at a tenth of the cost."""
 
 import numpy as np
 import torch
@@ -10,20 +10,24 @@ from zsdist.vision.models.head import ACTIONS, HeadOutput, Residual1d, attention
 from zsdist.vision.rays import BINS, RAYS, ray_angles_rad
 
 LEVELS = 64.0  # of 255, the spread of a usual picture
-MARGIN_COLUMNS = 3  # of the neighbouring directions that an action may also look at
+MARGIN_COLUMNS = 3  # of the neighbouring directions that an action may also attend to
 
 
 class Student(nn.Module):
-    """From pictures to what `VisualActHead` tells from tokens.
+    """Network from pictures to the outputs that `VisualActHead` gives for tokens.
 
-    Four convolutions halve the picture to as many columns as there are rays, and twice more its height alone, so that
-    a column keeps its width; what is left of the height becomes the features of a column.
+    Four convolutions reduce the picture to one column per ray: all four halve the height, only the first two halve the
+    width. The remaining height becomes the features of a column.
 
     Args:
-        field_of_view_rad: of the camera, which tells the columns of each direction.
+        field_of_view_rad: of the camera; it determines the columns of each direction.
         channels: of the four convolutions.
         column_width: features of a column.
     """
+
+    allowed: Tensor
+    clearance_temperature: Tensor
+    rays_temperature: Tensor
 
     def __init__(
         self,
@@ -32,7 +36,8 @@ class Student(nn.Module):
         column_width: int = 96,
     ) -> None:
         super().__init__()
-        strides, layers, before = ((2, 2), (2, 2), (2, 1), (2, 1)), [], 3
+        layers: list[nn.Module] = []
+        strides, before = ((2, 2), (2, 2), (2, 1), (2, 1)), 3
         for width, stride in zip(channels, strides, strict=True):
             layers += [nn.Conv2d(before, width, 3, stride, padding=1, bias=False), nn.BatchNorm2d(width), nn.ReLU()]
             before = width
@@ -47,26 +52,26 @@ class Student(nn.Module):
             nn.Sequential(nn.Linear(2 * column_width, column_width), nn.ReLU(), nn.Linear(column_width, BINS + 1))
             for _ in range(ACTIONS)
         )
-        # by which logits are divided where the student is used; `training.calibration` fits them when it has learned
+        # divisors of the logits in use; `training.calibration` fits them after the training
         self.register_buffer("clearance_temperature", torch.ones(()))
         self.register_buffer("rays_temperature", torch.ones(()))
         self.register_buffer("allowed", _allowed(field_of_view_rad), persistent=False)
 
     def forward(self, images: Tensor) -> HeadOutput:
-        """What is to be read from pictures `(B, 128, 128, 3)`, 0 to 255; the attention `(B, 3, RAYS)` is of columns."""
+        """Return the output for pictures `(B, 128, 128, 3)`, 0 to 255; the attention `(B, 3, RAYS)` is over columns."""
         x = self.trunk((images.permute(0, 3, 1, 2).float() - 127) / LEVELS)
         columns = self.fold(x.flatten(1, 2))
         columns = torch.relu(columns + self.context(columns.mean(2))[..., None])
         columns = self.columns(columns)
         each = columns.transpose(1, 2)
-        looked, weights = attention(self.queries, self.keys(each), each, self.allowed)
-        looked = torch.cat([looked, each.mean(1, keepdim=True).expand(-1, ACTIONS, -1)], -1)
-        actions = torch.stack([network(looked[:, a]) for a, network in enumerate(self.action_networks)], 1)
+        attended, weights = attention(self.queries, self.keys(each), each, self.allowed)
+        attended = torch.cat([attended, each.mean(1, keepdim=True).expand(-1, ACTIONS, -1)], -1)
+        actions = torch.stack([network(attended[:, a]) for a, network in enumerate(self.action_networks)], 1)
         return HeadOutput(actions[..., :BINS], actions[..., BINS], self.ray_bins(columns).transpose(1, 2), weights)
 
 
 def _allowed(field_of_view_rad: float) -> Tensor:
-    """`(3, RAYS)` bool, the columns each action may look at."""
+    """Return the columns that each action may attend to, `(3, RAYS)` bool."""
     own = sectors(ray_angles_rad(RAYS, field_of_view_rad))
     near = np.abs(np.arange(RAYS)[:, None] - np.arange(RAYS)) <= MARGIN_COLUMNS
     return torch.from_numpy((own[:, None] & near).any(-1))

@@ -1,1 +1,1 @@
-"""How the networks of the visual-act model are trained (Algorithm 1); torch."""
+"""Training of the networks of the visual-act model (Algorithm 1); torch."""

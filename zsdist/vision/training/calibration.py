@@ -1,4 +1,4 @@
-"""Calibration of a trained network: one temperature makes its distributions of distance as wide as its errors are."""
+"""Calibration of a trained network: one temperature fits the width of its distributions of distance to its errors."""
 
 import numpy as np
 import torch
@@ -9,21 +9,21 @@ from zsdist.vision.rays import RANGE_M, quantile_m
 from zsdist.vision.scores import calibration
 from zsdist.vision.training.examples import Examples
 
-SHARE = 0.1  # of the quantile under which the truth is to lie as often
-TEMPERATURES = np.geomspace(0.125, 8.0, 61)  # allowed, 7% apart
+SHARE = 0.1  # of the quantile that is calibrated: the truth should lie below it as often
+TEMPERATURES = np.geomspace(0.125, 8.0, 61)  # candidates, 7% apart
 _BATCH = 64
 
 
 def fit(logits: Tensor, true_m: np.ndarray) -> float:
-    """The temperature by which logits are to be divided so that the truth lies under the low quantile as it should.
+    """Return the divisor of the logits with which the truth lies below the low quantile as often as it should.
 
-    Of `TEMPERATURES` the one whose share of truths under the quantile `SHARE` is the nearest to `SHARE`, counted where
-    that quantile is short of the range: where it is free, nothing can lie under it. The most likely temperature is
-    another one: it looks at the whole distribution, and labels that are wider than their bin, and the middle of the
-    distribution, count for more than its near end, which is what the map is built of.
+    It is the one of `TEMPERATURES` whose share of truths below the quantile `SHARE` is nearest to `SHARE`. Only rays
+    whose quantile is below the range count: nothing can lie below a quantile that is free. The temperature of maximum
+    likelihood differs: it fits the whole distribution, in which the middle, and labels wider than their bin, weigh more
+    than the near end, of which the map is built.
 
     Args:
-        logits: `(..., BINS)`, before any temperature, of pictures on which the network was not trained.
+        logits: `(..., BINS)`, before any temperature, of pictures that were not trained on.
         true_m: `(...)` true distances in metres.
 
     Raises:
@@ -32,7 +32,7 @@ def fit(logits: Tensor, true_m: np.ndarray) -> float:
     if tuple(logits.shape[:-1]) != np.shape(true_m) or not np.size(true_m):
         raise ValueError(
             f"logits are {tuple(logits.shape)} and distances {np.shape(true_m)}; "
-            "allowed are (..., BINS) and (...), and not empty"
+            "allowed are (..., BINS) and (...), not empty"
         )
     logits, capped_m = logits.detach(), np.minimum(true_m, RANGE_M)
 

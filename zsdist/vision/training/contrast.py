@@ -1,6 +1,6 @@
-"""The contrast of Algorithm 1, lines 10 to 18: masked pictures, and the rewards that change by what is hidden.
+"""Contrast of Algorithm 1, lines 10 to 18: masked pictures, and the rewards that change with the hidden object.
 
-Beside it stands the attention error: hiding also tells where in the picture each action should look.
+The attention error is computed beside it: masks also show where in the picture each action should look.
 """
 
 import numpy as np
@@ -8,27 +8,30 @@ import torch
 from torch import nn
 
 from zsdist.vision.labels import progress, random_goals
-from zsdist.vision.masks import BACKGROUND_WEIGHT, MaskedExamples, changed, rewards
+from zsdist.vision.masks import BACKGROUND_WEIGHT, MaskedExamples, labels_changed, rewards
 from zsdist.vision.models.head import ACTIONS, VisualActHead
 from zsdist.vision.models.projection import attended_embeddings
 from zsdist.vision.training.examples import Examples
 from zsdist.vision.training.losses import Form, attention_error, contrastive_loss
 
-BATCH = 32  # originals a step, each with all its masked pictures
+BATCH = 32  # originals per step, each with all its masked pictures
 ATTENTION_WEIGHT = 5.0  # of the attention error beside L_c
-_SKY_SHARE = 0.3  # of the uppermost row that a background must cover to be the sky
-_UNTOUCHED, _TOUCHED = 0.27, 0.93  # of the greatest change of a token: not hidden, and hidden
+_SKY_SHARE = 0.3  # of the uppermost row that a background must cover to count as sky
+_UNTOUCHED, _TOUCHED = (
+    0.27,
+    0.93,
+)  # shares of a token's greatest change: coverage is 0 below the first, 1 above the second
 _AT_ONCE = 256  # pictures projected at a time
 
 
 class Contrast:
-    """Originals and their masked pictures under a frozen projection; gives the loss of a random batch of them.
+    """Contrastive loss of random batches of originals and their masked pictures under a frozen projection.
 
     Args:
-        projection: of each token to text space, ours or an encoder's own; it is not trained.
-        originals: the pictures as they are, with their truth.
+        projection: maps each token to text space, ours or that of the encoder; it is not trained.
+        originals: the unmasked pictures, with their truth.
         masked: their masked versions.
-        form: of the samples of `losses.contrastive_loss`.
+        form: form of the samples in `losses.contrastive_loss`.
         batch: originals in a batch.
     """
 
@@ -44,34 +47,34 @@ class Contrast:
         self._form, self._batch = form, batch
         self._whole = self._embed(originals.tokens)
         self._parts = self._embed(masked.tokens)
-        self._covers = covers(originals.tokens, masked)
+        self._coverage = mask_coverage(originals.tokens, masked)
         self._with_masks, counts = np.unique(masked.image, return_counts=True)
-        # row k: the masked pictures of the k-th original that has some, filled up with -1
+        # row k: the masked pictures of the k-th original that has any, padded with -1
         self._rows = np.full((len(counts), counts.max(initial=0)), -1)
         order, first = np.argsort(masked.image, kind="stable"), np.cumsum(counts) - counts
         for row, start, count in zip(self._rows, first, counts, strict=True):
             row[:count] = order[start : start + count]
 
     def loss(self, head: VisualActHead, rng: np.random.Generator) -> torch.Tensor:
-        """L_c plus the weighted attention error, a scalar, of originals with new goals, a half of them mirrored."""
+        """Return L_c plus the weighted attention error, a scalar; goals are new and half of the originals mirrored."""
         chosen = rng.choice(len(self._rows), min(self._batch, len(self._rows)), replace=False)
         images, rows = self._with_masks[chosen], self._rows[chosen]
-        positive, present = self.samples(images, rows, *random_goals(len(images), rng))
-        tokens = self._originals.tokens[images].astype(np.float32)
+        is_positive, present = self.samples(images, rows, *random_goals(len(images), rng))
+        original_tokens = self._originals.tokens[images].astype(np.float32)
         mirrored = rng.random(len(images)) < 0.5
-        tokens[mirrored] = tokens[mirrored][:, :, ::-1]
-        positive[mirrored] = positive[mirrored][:, [0, 2, 1]]
-        tokens, positive = torch.from_numpy(tokens), torch.from_numpy(positive)
+        original_tokens[mirrored] = original_tokens[mirrored][:, :, ::-1]
+        is_positive[mirrored] = is_positive[mirrored][:, [0, 2, 1]]
+        tokens, positive = torch.from_numpy(original_tokens), torch.from_numpy(is_positive)
         with torch.no_grad():
             projected = self._projection(tokens)
         attention = head(tokens).attention
         anchors = attended_embeddings(projected, attention)
         negative = ~positive & torch.from_numpy(present)[:, None]
         weight = np.where(self._masked.background[rows], BACKGROUND_WEIGHT, 1.0).astype(np.float32)
-        cover = self._covers[rows].astype(np.float32) * present[..., None]
+        cover = self._coverage[rows].astype(np.float32) * present[..., None]
         cover = cover.reshape(*cover.shape[:2], *tokens.shape[1:3])
         cover[mirrored] = cover[mirrored][..., ::-1]
-        wanted, unwanted = where_to_look(cover, positive.numpy(), self._masked.background[rows] & present)
+        wanted, unwanted = attention_targets(cover, is_positive, self._masked.background[rows] & present)
         error = attention_error(attention, torch.from_numpy(wanted), torch.from_numpy(unwanted))
         return ATTENTION_WEIGHT * error + contrastive_loss(
             anchors,
@@ -86,13 +89,16 @@ class Contrast:
     def samples(
         self, images: np.ndarray, rows: np.ndarray, bearing_rad: np.ndarray, goal_distance_m: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """For which actions each masked picture is a positive sample `(B, 3, M)`, and which are there `(B, M)`.
+        """Return the actions for which each masked picture is a positive sample, and which masked pictures exist.
 
         Args:
             images: `(B,)` originals.
-            rows: `(B, M)` their masked pictures, -1 where there is none.
+            rows: `(B, M)` their masked pictures, -1 for none.
             bearing_rad: `(B,)` of a goal for each original, the same for its masked pictures.
             goal_distance_m: `(B,)`.
+
+        Returns:
+            `(B, 3, M)` bool, and `(B, M)` bool.
         """
         count = rows.shape[1]
         gain = progress(bearing_rad, goal_distance_m)
@@ -108,10 +114,10 @@ class Contrast:
             goal_distance_m.repeat(count),
         ).reshape(-1, count, ACTIONS)
         present = rows >= 0
-        return (changed(parts, whole[:, None]) & present[..., None]).transpose(0, 2, 1), present
+        return (labels_changed(parts, whole[:, None]) & present[..., None]).transpose(0, 2, 1), present
 
     def _embed(self, tokens: np.ndarray) -> torch.Tensor:
-        """Means of the projected tokens, `(N, D)`, not normalised."""
+        """Return means of the projected tokens, `(N, D)`, not normalised."""
         parts = []
         with torch.no_grad():
             for start in range(0, len(tokens), _AT_ONCE):
@@ -120,12 +126,12 @@ class Contrast:
         return torch.cat(parts)
 
 
-def covers(tokens: np.ndarray, masked: MaskedExamples) -> np.ndarray:
-    """How far each token shows what a mask hides, `(M, side * side)` float16 in 0 to 1: by how much hiding changes it.
+def mask_coverage(tokens: np.ndarray, masked: MaskedExamples) -> np.ndarray:
+    """Return the coverage of each token by a mask, `(M, side * side)` float16, 0 to 1: its change relative to the most.
 
     Args:
         tokens: `(N, side, side, F)` of the originals.
-        masked: of them.
+        masked: masked pictures of these originals.
     """
     scale = 1 / np.maximum(np.asarray(tokens[:256], np.float32).std((0, 1, 2)), 1e-6)
     found = np.empty((len(masked.tokens), tokens.shape[1] * tokens.shape[2]), np.float16)
@@ -139,26 +145,26 @@ def covers(tokens: np.ndarray, masked: MaskedExamples) -> np.ndarray:
     return found
 
 
-def where_to_look(cover: np.ndarray, positive: np.ndarray, background: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where each action should look, `(B, 3, T)`, and where none should, `(B, T)`, both 0 to 1.
+def attention_targets(cover: np.ndarray, positive: np.ndarray, background: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return tokens that each action should attend to, `(B, 3, T)`, and that none should, `(B, T)`, both 0 to 1.
 
-    An action looks at what changes its reward; where nothing does, at the sky, which is like no obstacle and no ground.
-    None looks at ground with nothing on it.
+    An action should attend to objects that change its reward; if there are none, to the sky, which resembles neither
+    obstacles nor ground. No action should attend to empty ground.
 
     Args:
-        cover: `(B, M, side, side)` of each mask.
-        positive: `(B, 3, M)`, for which actions a mask is a positive sample.
-        background: `(B, M)`.
+        cover: `(B, M, side, side)` coverage of each mask.
+        positive: `(B, 3, M)` bool, actions for which a mask is a positive sample.
+        background: `(B, M)` bool.
     """
     sky = background & (cover[:, :, 0].mean(-1) > _SKY_SHARE)
     below = np.arange(cover.shape[2]) >= cover.shape[2] // 2
     flat = cover.reshape(*cover.shape[:2], -1)
 
-    def together(chosen: np.ndarray) -> np.ndarray:
+    def union(chosen: np.ndarray) -> np.ndarray:
         return (flat * chosen[..., None]).max(-2, initial=0.0)
 
-    objects = together(~background)
-    ground = np.clip(together(background & ~sky) - objects, 0, 1) * below.repeat(cover.shape[3])
-    things = np.stack([together(positive[:, action]) for action in range(ACTIONS)], 1)
+    objects = union(~background)
+    ground = np.clip(union(background & ~sky) - objects, 0, 1) * below.repeat(cover.shape[3])
+    relevant = np.stack([union(positive[:, action]) for action in range(ACTIONS)], 1)
     nothing = ~positive.any(-1, keepdims=True)
-    return np.where(nothing, np.clip(together(sky) - objects, 0, 1)[:, None], things), ground
+    return np.where(nothing, np.clip(union(sky) - objects, 0, 1)[:, None], relevant), ground

@@ -1,4 +1,4 @@
-"""Encoded pictures with what is true of them, and batches of them with labels."""
+"""Encoded pictures with their truth, and batches of them with labels."""
 
 from dataclasses import dataclass
 
@@ -11,14 +11,14 @@ from zsdist.vision.rays import RANGE_M, soft_labels
 
 @dataclass(frozen=True)
 class Examples:
-    """Views with what is true of them.
+    """Encoded views with their truth.
 
     Attributes:
         tokens: `(N, side, side, features)` float16.
         ray_distance_m: `(N, R)` float32, capped at the camera's range.
-        ray_dynamic: `(N, R)` bool, whether the ray meets something of a kind that moves.
+        ray_dynamic: `(N, R)` bool, whether the ray meets an object of a kind that moves.
         ray_angles_rad: `(R,)` float32.
-        images: `(N, 128, 128, 3)` uint8, the views themselves, resampled for the student network; None: not kept.
+        images: `(N, 128, 128, 3)` uint8, the pictures resampled for the student network; None: not kept.
     """
 
     tokens: np.ndarray
@@ -32,10 +32,10 @@ class Examples:
 
 
 def token_spread(tokens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation of each feature, both `(features,)` float32, over about 500 pictures of many.
+    """Return mean and standard deviation of each feature, both `(features,)` float32, over about 500 of the pictures.
 
     Args:
-        tokens: `(N, side, side, features)`, which may lie on the disk.
+        tokens: `(N, side, side, features)`; may be mapped from disk.
     """
     some = tokens[:: max(1, len(tokens) // 500)].astype(np.float32)
     return some.mean((0, 1, 2)), some.std((0, 1, 2))
@@ -43,7 +43,7 @@ def token_spread(tokens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class Targets:
-    """A batch with its labels, as tensors; shapes as in `VisualActHead.forward`."""
+    """Batch with its labels, as tensors; shapes as in `VisualActHead.forward`."""
 
     tokens: torch.Tensor
     rays: torch.Tensor
@@ -56,7 +56,7 @@ class Targets:
 
 
 def targets(examples: Examples, index: np.ndarray, mirrored: np.ndarray, rng: np.random.Generator) -> Targets:
-    """The views `index` with labels and random goals; where `mirrored` `(B,)` is true, left and right change places.
+    """Return the views `index` with labels and random goals; where `mirrored` `(B,)` is true, left and right swap.
 
     The tokens of a mirrored image are nearly the mirrored tokens, so no image needs to be encoded twice.
     """

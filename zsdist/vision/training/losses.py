@@ -1,4 +1,4 @@
-"""Losses of Algorithm 1: of the actions' rewards, of distances as distributions over bins, and the contrast."""
+"""Losses of Algorithm 1: rewards of actions, distances as distributions over bins, and the contrast."""
 
 from typing import Literal
 
@@ -12,9 +12,9 @@ Form = Literal["difference", "literal"]
 
 
 def action_losses(predicted: Tensor, labels: Tensor) -> Tensor:
-    """L_a of Algorithm 1, line 17, the norm of `R_p - R` over a batch for each action, `(3,)`.
+    """Return L_a of Algorithm 1, line 17, the norm of `R_p - R` over a batch for each action, `(3,)`.
 
-    Divided by the root of the batch size, so that it does not grow with it.
+    The norm is divided by the root of the batch size, so that it does not grow with the batch.
 
     Args:
         predicted: `(B, 3)`, R_p.
@@ -24,10 +24,10 @@ def action_losses(predicted: Tensor, labels: Tensor) -> Tensor:
 
 
 def distance_loss(logits: Tensor, labels: Tensor) -> Tensor:
-    """Cross-entropy with soft labels plus a weighted ranked probability score, a scalar.
+    """Return the cross-entropy with soft labels plus a weighted ranked probability score, a scalar.
 
-    The cross-entropy does not know that bins are in order; the ranked probability score, the squared difference of
-    the cumulated distributions, does.
+    The cross-entropy ignores the order of the bins; the ranked probability score, which is the squared difference of
+    the cumulative distributions, respects it.
 
     Args:
         logits: `(..., K)`.
@@ -39,11 +39,11 @@ def distance_loss(logits: Tensor, labels: Tensor) -> Tensor:
 
 
 def kind_loss(logits: Tensor, dynamic: Tensor, present: Tensor) -> Tensor:
-    """Cross-entropy of dynamic or static, over the directions in which there is an obstacle; a scalar.
+    """Return the cross-entropy of dynamic or static over the directions with an obstacle, a scalar.
 
     Args:
         logits: `(B, 3)`.
-        dynamic: `(B, 3)`, 1 where the obstacle is of a kind that moves.
+        dynamic: `(B, 3)`, 1 if the kind of the obstacle moves.
         present: `(B, 3)` bool.
     """
     each = torch.nn.functional.binary_cross_entropy_with_logits(logits, dynamic, reduction="none")
@@ -51,7 +51,7 @@ def kind_loss(logits: Tensor, dynamic: Tensor, present: Tensor) -> Tensor:
 
 
 def total_loss(of_actions: Tensor, contrast: Tensor, contrast_weight: float) -> Tensor:
-    """Eq. (5), `L_total = sum_a L_a + lambda L_c`, a scalar.
+    """Return Eq. (5), `L_total = sum_a L_a + lambda L_c`, a scalar.
 
     Args:
         of_actions: `(3,)`, each L_a.
@@ -71,25 +71,25 @@ def contrastive_loss(
     form: Form = "difference",
     temperature: float = TEMPERATURE,
 ) -> Tensor:
-    """Eq. (6): `L_c = -log exp(s+ / tau) / (exp(s+ / tau) + sum over x- of exp(s- / tau))`, a scalar.
+    """Return Eq. (6): `L_c = -log exp(s+ / tau) / (exp(s+ / tau) + sum over x- of exp(s- / tau))`, a scalar.
 
     `s` is the cosine of an anchor I_a and a sample. The mean is over the anchors that have samples of both kinds and
-    over the positive samples of each; other anchors are skipped, and where there are none the loss is 0.
+    over the positive samples of each. Other anchors are skipped; if none is left, the loss is 0.
 
     Deviation: a sample is by default the difference `E - E_i` of the embeddings of the picture and of the masked
-    picture, which is what the hidden thing gave to the picture. The literal sample is `E_i` itself: it pulls I_a
-    towards a picture in which the thing that matters to the action is hidden, and so away from the thing. Both are
-    here to be compared: of two heads of one seed in wild pictures, I_a was nearest to the object in direction a in 0.75
-    to 0.93 of them by kind with the difference, in 0.45 to 0.77 with the literal form.
+    picture, which is the contribution of the hidden object. The literal sample is `E_i` itself: it pulls I_a towards a
+    picture in which the object that matters to the action is hidden, and so away from the object. Both forms are kept
+    for comparison: of two heads of one seed in wild pictures, I_a was nearest to the object in direction a in 0.75 to
+    0.93 of them by kind with the difference, in 0.45 to 0.77 with the literal form.
 
     Args:
         anchors: `(B, 3, D)`, I_1 to I_3.
-        original: `(B, D)`, E, the mean of the projected tokens (in the difference form it must not be normalised).
+        original: `(B, D)`, E, the mean of the projected tokens (not normalised in the difference form).
         masked: `(B, M, D)`, E_i likewise.
-        positive: `(B, 3, M)` bool, for which actions the masked picture's label has changed.
-        negative: `(B, 3, M)` bool, for which it has not; a place that holds no masked picture is neither.
+        positive: `(B, 3, M)` bool, actions for which the label of the masked picture has changed.
+        negative: `(B, 3, M)` bool, actions for which it has not; padding is neither.
         weight: `(B, M)`, of each sample among the negative ones; less than 1 for the background.
-        form: which sample.
+        form: form of the samples.
         temperature: tau.
     """
     samples = original[:, None] - masked if form == "difference" else masked
@@ -103,19 +103,20 @@ def contrastive_loss(
 
 
 def attention_error(attention: Tensor, wanted: Tensor, unwanted: Tensor) -> Tensor:
-    """How far the attention is from what masks say it should be on, a scalar: the "attention matrix error" of Sec. 3.2.
+    """Return the distance of the attention from its targets, a scalar: the "attention matrix error" of Sec. 3.2.
 
-    The mean of `-log` of the attention on what is wanted, over the actions for which anything is, and of `-log` of the
-    attention that is not on what is unwanted. It stands beside L_c, which compares embeddings and alone leaves much of
-    the attention on the ground: of ten settings of L_c none brought the likeness of I_1 to I_3 to the ground's word
-    below that of I_0 in more than 0.77 of wild pictures; with this beside it, it was 0.84 to 0.86 on the same pictures.
+    It is the mean of `-log` of the attention on wanted tokens, over the actions that have any, plus the mean of `-log`
+    of the attention outside unwanted tokens. It is used beside L_c, which compares embeddings and alone leaves much of
+    the attention on the ground: among ten settings of L_c none brought the similarity of I_1 to I_3 to the ground's
+    word below that of I_0 in more than 0.77 of wild pictures; with this error added it was 0.84 to 0.86 of the same
+    pictures.
 
     Args:
         attention: `(B, 3, T)`, each sums to 1.
-        wanted: `(B, 3, T)`, 0 to 1, where each action should look.
-        unwanted: `(B, T)`, 0 to 1, where none should.
+        wanted: `(B, 3, T)`, 0 to 1, tokens that each action should attend to.
+        unwanted: `(B, T)`, 0 to 1, tokens that no action should attend to.
     """
-    told = wanted.amax(-1) > 0.5
+    has_target = wanted.amax(-1) > 0.5
     missed = -(attention * wanted).sum(-1).clamp(min=1e-4).log()
     strayed = -(1 - (attention * unwanted[:, None]).sum(-1)).clamp(min=1e-4).log()
-    return (missed * told).sum() / told.sum().clamp(min=1) + strayed.mean()
+    return (missed * has_target).sum() / has_target.sum().clamp(min=1) + strayed.mean()

@@ -1,12 +1,12 @@
-"""Training of the projection to the space of words, on described pictures whose tokens are computed once; torch.
+"""Training of the projection to the space of words, on captioned pictures whose tokens are computed once; torch.
 
-Three losses, all of them cross-entropies of cosines over a temperature:
+There are three losses, all cross-entropies of cosines over a temperature:
 
-* captions: of a batch, each picture finds its own caption and each caption its own picture, as CLIP learns;
-* kinds: a picture finds the kind that dominates it among words drawn anew for each batch, one for each concept;
-* cells: so does each of some cells of the picture, by what it shows.
+* captions: within a batch, each picture is matched to its caption and each caption to its picture, as in CLIP;
+* kinds: a picture is matched to its dominant kind, among words drawn anew for each batch, one per concept;
+* cells: some cells of a picture are matched to the concepts that they show, in the same way.
 
-That a word is drawn, and some noise on it, makes the direction of a concept be learned rather than that of a word.
+Words are drawn at random and with noise, so that the direction of a concept is learned and not that of a single word.
 """
 
 import math
@@ -23,19 +23,19 @@ from zsdist.vision.training.examples import token_spread
 from zsdist.vision.training.trainer import Losses, Recipe, Trainer
 from zsdist.vision.words.vocabulary import CONCEPTS, KIND_WORDS, WORDS, Vocabulary
 
-CELLS_A_PICTURE = 24  # drawn, so that what is seldom seen is drawn as often as sky and ground
+CELLS_A_PICTURE = 24  # cells drawn per picture; rare concepts are drawn as often as sky and ground
 
 
 @dataclass(frozen=True)
 class WordExamples:
-    """Encoded pictures with what they show; `side` is that of the encoder's tokens.
+    """Encoded pictures with their contents; `side` is that of the encoder's tokens.
 
     Attributes:
         tokens: `(N, side, side, features)` float16.
-        cells: `(N, 14, 14, C)` float16, shares of `vocabulary.CONCEPTS` in each cell, `DescribedView.cells`.
+        cells: `(N, 14, 14, C)` float16, shares of `vocabulary.CONCEPTS` in each cell, `CaptionedView.cells`.
         captions: `(N, D)` float16, `Encoder.embed_texts` of the captions.
-        dominant: `(N,)` int64, index of the kind the picture is of; -1: of none.
-        ground: `(N,)` int64, index of the concept that the ground is.
+        dominant: `(N,)` int64, index of the dominant kind; -1: none.
+        ground: `(N,)` int64, index of the concept of the ground.
     """
 
     tokens: np.ndarray
@@ -47,8 +47,8 @@ class WordExamples:
     def __len__(self) -> int:
         return len(self.tokens)
 
-    def without(self, kinds: tuple[str, ...]) -> "WordExamples":
-        """The pictures in which none of these kinds is to be seen in any cell."""
+    def excluding(self, kinds: tuple[str, ...]) -> "WordExamples":
+        """Return the pictures that show none of these kinds in any cell."""
         columns = [CONCEPTS.index(kind) for kind in kinds]
         keep = ~(self.cells[..., columns] > 0).any((1, 2, 3))
         return WordExamples(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
@@ -56,14 +56,14 @@ class WordExamples:
 
 @dataclass(frozen=True)
 class WordRecipe(Recipe):
-    """How to train a projection.
+    """Settings of the training of a projection.
 
     Attributes:
         temperature: of the cosines.
         captions, kinds, cells: weights of the three losses.
         word_noise: length of the noise on a drawn word, whose own length is 1.
-        exclude_kinds: kinds of which nothing is learned, neither from pictures nor as words: to measure how much of
-            the understanding of words is for the kinds that were trained.
+        exclude_kinds: kinds that are excluded from the training, both pictures and words; used to measure how well
+            words of untrained kinds are understood.
     """
 
     epochs: int = 10
@@ -78,7 +78,7 @@ class WordRecipe(Recipe):
 
 
 def new_projection(examples: WordExamples, seed: int) -> Projection:
-    """A projection with random weights that expects tokens of the mean and spread of `examples`."""
+    """Return a projection with random weights; it normalises tokens with the mean and spread of `examples`."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         projection = Projection(examples.tokens.shape[-1], examples.captions.shape[-1])
@@ -95,20 +95,20 @@ def train(
     rng: np.random.Generator,
     time_used: Callable[[], float],
 ) -> Trainer:
-    """Trains `projection` in place, an epoch each `next`; ends with the weights of the best epoch on `validation`.
+    """Return a trainer of `projection`: each `next` is an epoch, and the end loads the best weights on `validation`.
 
-    Half of the pictures come mirrored in each epoch; their captions then stand aside, as they tell left from right.
+    In each epoch half of the pictures are mirrored; their captions are left out, since they name left and right.
 
     Args:
-        projection: from `new_projection`.
-        examples: to learn from.
+        projection: from `new_projection`; trained in place.
+        examples: training pictures.
         validation: pictures of scenes that are not among `examples`.
         vocabulary: with all training words.
-        recipe: how.
+        recipe: settings of the training.
         rng: decides orders, mirrors, words and cells.
-        time_used: share of the time allowed that is gone.
+        time_used: returns the used share of the time budget.
     """
-    examples, validation = examples.without(recipe.exclude_kinds), validation.without(recipe.exclude_kinds)
+    examples, validation = examples.excluding(recipe.exclude_kinds), validation.excluding(recipe.exclude_kinds)
     words = _Words(vocabulary, recipe)
 
     def losses(rng: np.random.Generator) -> Losses:
@@ -118,7 +118,8 @@ def train(
 
     def validate() -> dict[str, float]:
         projection.eval()
-        fixed, sums = np.random.default_rng(0), {}
+        fixed = np.random.default_rng(0)
+        sums: dict[str, float] = {}
         with torch.no_grad():
             for start in range(0, len(validation), recipe.batch):
                 index = np.arange(start, min(start + recipe.batch, len(validation)))
@@ -131,7 +132,7 @@ def train(
 
 
 class _Words:
-    """Draws a training word for each concept, with noise."""
+    """Random training words, one for each concept, with noise."""
 
     def __init__(self, vocabulary: Vocabulary, recipe: WordRecipe) -> None:
         self._embeddings = [
@@ -141,7 +142,7 @@ class _Words:
         self.columns = [i for i, name in enumerate(CONCEPTS) if name not in recipe.exclude_kinds]
 
     def draw(self, rng: np.random.Generator) -> Tensor:
-        """`(concepts learned, D)`."""
+        """Return one embedding for each learned concept, `(concepts, D)`."""
         chosen = np.stack([rows[int(rng.integers(len(rows)))] for rows in self._embeddings])
         noise = rng.standard_normal(chosen.shape) * self._noise / chosen.shape[1] ** 0.5
         return torch.from_numpy((chosen + noise).astype(np.float32))
@@ -156,15 +157,15 @@ def _loss(
     rng: np.random.Generator,
     mirror: bool,
 ) -> tuple[Tensor, dict[str, float]]:
-    """The loss of the pictures `index`, and its parts."""
+    """Return the loss of the pictures `index`, and its parts."""
     mirrored = rng.random(len(index)) < 0.5 if mirror else np.zeros(len(index), bool)
-    tokens = _as_seen(examples.tokens[index], mirrored)
+    tokens = _mirror(examples.tokens[index], mirrored)
     side = tokens.shape[1]
-    cells = _at_side(_as_seen(examples.cells[index][..., words.columns], mirrored), side)
+    cells = _at_side(_mirror(examples.cells[index][..., words.columns], mirrored), side)
     hidden = projection.hidden(tokens)
     image = image_embedding(projection.leave(hidden.mean((1, 2), keepdim=True)))  # the last map is linear
     concepts = projection.texts(words.draw(rng))
-    parts = {}
+    parts: dict[str, Tensor] = {}
     plain = torch.from_numpy(np.flatnonzero(~mirrored))
     texts = projection.texts(torch.from_numpy(examples.captions[index].astype(np.float32)))[plain]
     logits = image[plain] @ texts.T / recipe.temperature
@@ -183,26 +184,27 @@ def _loss(
     projected = functional.normalize(projection.leave(hidden.flatten(0, 2)[chosen]), dim=-1)
     logits = projected @ concepts.T / recipe.temperature
     parts["cells"] = recipe.cells * functional.cross_entropy(logits, flat[chosen])
-    return sum(parts.values()), {name: float(part.detach()) for name, part in parts.items()}
+    total = sum(parts.values(), torch.zeros(()))
+    return total, {name: float(part.detach()) for name, part in parts.items()}
 
 
-def _as_seen(values: np.ndarray, mirrored: np.ndarray) -> Tensor:
-    """`(B, side, side, ...)` as float32, with left and right changed where `mirrored` `(B,)`."""
-    seen = values.astype(np.float32)
-    seen[mirrored] = seen[mirrored, :, ::-1]
-    return torch.from_numpy(seen)
+def _mirror(values: np.ndarray, mirrored: np.ndarray) -> Tensor:
+    """Return `(B, side, side, ...)` as float32, with left and right swapped where `mirrored` `(B,)` is true."""
+    result = values.astype(np.float32)
+    result[mirrored] = result[mirrored, :, ::-1]
+    return torch.from_numpy(result)
 
 
 def _at_side(cells: Tensor, side: int) -> Tensor:
-    """Shares `(B, 14, 14, C)` for `side` cells to a side."""
+    """Return shares `(B, 14, 14, C)` averaged to `side` x `side` cells."""
     if cells.shape[1] == side:
         return cells
     return functional.adaptive_avg_pool2d(cells.permute(0, 3, 1, 2), side).permute(0, 2, 3, 1)
 
 
 def _drawn_cells(shares: Tensor, count: int, rng: np.random.Generator) -> Tensor:
-    """Indices `(count,)` of cells `(cells, C)`, drawn so that each concept that is there is as likely as the others."""
-    most = shares.argmax(-1)
-    often = torch.bincount(most, minlength=shares.shape[1]).double()
-    weights = (1 / often)[most].numpy()
+    """Return indices `(count,)` of cells `(cells, C)`, drawn so that all concepts present are equally likely."""
+    concept = shares.argmax(-1)
+    counts = torch.bincount(concept, minlength=shares.shape[1]).double()
+    weights = (1 / counts)[concept].numpy()
     return torch.from_numpy(rng.choice(len(weights), count, p=weights / weights.sum()))

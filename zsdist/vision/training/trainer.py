@@ -1,4 +1,4 @@
-"""One training of a network, epoch by epoch, which can be saved between epochs and resumed."""
+"""Training of a network, epoch by epoch, that can be saved between epochs and resumed."""
 
 import json
 import math
@@ -14,41 +14,49 @@ from torch import Tensor, nn
 
 from zsdist.errors import RunError, WeightsError
 
-LARGEST_GRADIENT = 5.0  # norm to which longer gradients are cut
+LARGEST_GRADIENT = 5.0  # norm at which gradients are clipped
 
 Losses = Iterable[tuple[Tensor, dict[str, float]]]
-"""Of an epoch's batches: the loss to go down, and its parts to tell."""
+"""Of each batch of an epoch: the loss to minimise, and its parts to report."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """How to train: passes over the data, views a step, the one cycle's peak, weight decay, and when to stop."""
+    """Settings of a training.
+
+    Attributes:
+        epochs: greatest number of passes over the data.
+        batch: views in a step.
+        learning_rate: peak of the one cycle.
+        weight_decay: of AdamW.
+        patience: epochs without a better validation loss after which the training stops.
+    """
 
     epochs: int = 30
     batch: int = 64
     learning_rate: float = 3e-3
     weight_decay: float = 0.02
-    patience: int = 8  # epochs without a better validation loss
+    patience: int = 8
 
 
 class Trainer(Iterator[dict[str, float]]):
-    """Trains a network in place; each `next` is an epoch, and the end leaves the weights of the best one.
+    """Training of a network in place: each `next` is an epoch, and the end loads the weights of the best epoch.
 
-    AdamW with one cycle of the learning rate. It ends after `recipe.epochs`, when the time is used, or after
-    `recipe.patience` epochs in which the validation loss did not get better. Between epochs `state` is all that is
-    needed to go on in another process: weights, best weights, optimiser, counters and random numbers.
+    The optimiser is AdamW with one cycle of the learning rate. The training ends after `recipe.epochs`, when the time
+    is used, or after `recipe.patience` epochs without a better validation loss. Between epochs `state` holds all that
+    is needed to resume in another process: weights, best weights, optimiser, counters and random numbers.
 
     Args:
-        network: to train.
-        recipe: how.
+        network: network to train.
+        recipe: settings of the training.
         steps: batches of an epoch.
-        losses: gives the losses of one epoch's batches, computed when asked for, with the random numbers given.
-        validate: gives the parts of the validation loss, of which the sum is to be small.
-        rng: decides whatever is random.
-        time_used: share of the time allowed that is gone; the cycle hurries so as to end when it reaches 1.
+        losses: yields the losses of one epoch's batches, each computed when it is asked for, with the given generator.
+        validate: returns the parts of the validation loss, whose sum is minimised.
+        rng: source of all randomness.
+        time_used: returns the used share of the time budget; the cycle speeds up to end when it reaches 1.
 
     Raises:
-        RunError: a loss is not finite; the epoch is named, and the weights are those before the step.
+        RunError: a loss is not finite; the message names the epoch, and the weights are those before the step.
 
     Yields:
         `{"epoch", "learning_rate", "loss", "validation_loss"}`, with the parts as `loss_<part>` and
@@ -86,7 +94,7 @@ class Trainer(Iterator[dict[str, float]]):
             if self._best:
                 self._network.load_state_dict(self._best)
             raise StopIteration
-        with torch.random.fork_rng(devices=[]):  # so that dropout, too, follows from `rng`
+        with torch.random.fork_rng(devices=[]):  # dropout, too, follows from `rng`
             torch.manual_seed(int(self._rng.integers(2**63)))
             means, rate = self._train()
         parts = self._validate()
@@ -114,16 +122,17 @@ class Trainer(Iterator[dict[str, float]]):
 
     def _check(self, name: str, value: float, parts: dict[str, float]) -> None:
         if not math.isfinite(value):
-            said = ", ".join(f"{part} {number:g}" for part, number in parts.items())
+            numbers = ", ".join(f"{part} {number:g}" for part, number in parts.items())
             raise RunError(
-                f"{name} is {value:g} ({said}) in epoch {self.epoch + 1}; allowed is a finite one, to which another "
-                "seed or more pictures may lead"
+                f"{name} is {value:g} ({numbers}) in epoch {self.epoch + 1}; allowed is a finite one; try another "
+                "seed or more pictures"
             )
 
     def _train(self) -> tuple[dict[str, float], float]:
-        """An epoch; the means of the loss and its parts, and the last learning rate."""
+        """Train one epoch; return the means of the loss and its parts, and the last learning rate."""
         self._network.train()
-        step, total_steps, sums, rate = self.epoch * self._steps, self._recipe.epochs * self._steps, {}, 0.0
+        sums: dict[str, float] = {}
+        step, total_steps, rate = self.epoch * self._steps, self._recipe.epochs * self._steps, 0.0
         batches = 0
         for total, parts in self._losses(self._rng):
             self._check("loss", float(total.detach()), parts)
@@ -140,7 +149,7 @@ class Trainer(Iterator[dict[str, float]]):
         return {name: value / batches for name, value in sums.items()}, rate
 
     def state(self) -> bytes:
-        """Where the training stands after the last epoch, for `restore`; in the format of safetensors."""
+        """Return the state of the training after the last epoch, for `restore`, in the format of safetensors."""
         progress = {
             "epoch": self.epoch,
             "best_loss": self._best_loss,
@@ -155,7 +164,7 @@ class Trainer(Iterator[dict[str, float]]):
         return safetensors.torch.save({name: value.clone() for name, value in tensors.items()})
 
     def restore(self, content: bytes) -> None:
-        """Goes on from where another training with the same network and recipe stood.
+        """Resume from the state of another training with the same network and recipe.
 
         Raises:
             WeightsError: the content is damaged, or of another network.
@@ -184,5 +193,5 @@ class Trainer(Iterator[dict[str, float]]):
 
 
 def one_cycle(share: float) -> float:
-    """Learning rate over its peak at `share` of the training: up for the first fifth, then down to nothing."""
+    """Return learning rate over peak at `share` of the training: rising for the first fifth, then falling to zero."""
     return 0.05 + 0.95 * share / 0.2 if share < 0.2 else 0.5 * (1 + math.cos(math.pi * (share - 0.2) / 0.8))

@@ -1,1 +1,1 @@
-"""Words for what a camera sees: vocabulary, captions, and the space they share with pictures."""
+"""Words for the contents of pictures: vocabulary, captions, and measures in the space shared with pictures."""

@@ -1,4 +1,4 @@
-"""How well pictures are named: accuracy among six words, of which one is for what the picture is of."""
+"""Accuracy of naming pictures: choosing among six words, one of which is for the dominant kind."""
 
 from collections.abc import Mapping, Sequence
 
@@ -19,21 +19,21 @@ def naming_accuracy(
     rng: np.random.Generator,
     of_kinds: Sequence[str] | None = None,
 ) -> dict[str, float]:
-    """Share of right answers to "which of these six words is the picture nearest to?"; chance is 1/6.
+    """Return the share of pictures that are nearest to the right one of six words; chance is 1/6.
 
-    A picture is asked about once for each word of its kind. The other five are drawn: one word each of five other
-    kinds. That tests words never seen, with `words` of the vocabulary's test lists; words seen, with the training
-    lists; and kinds never seen, with `of_kinds` those that the projection was trained without.
+    A picture is tested once with each word of its kind. The other five words are drawn: one word each of five other
+    kinds. With `words` from the vocabulary's test lists this tests unseen words, with the training lists seen words,
+    and with `of_kinds` the kinds that the projection was trained without.
 
     Args:
         images: `(N, D)` embeddings I_0.
-        dominant: `(N,)` index in `CONCEPTS` of the kind each picture is of; of none (-1), it is not asked about.
-        words: of each of six kinds or more `(n, D)`, in the common space (`Projection.texts`).
+        dominant: `(N,)` index in `CONCEPTS` of the dominant kind of each picture; pictures with -1 are skipped.
+        words: embeddings `(n, D)` of the words of each of six kinds or more, in the common space (`Projection.texts`).
         rng: draws the other words.
-        of_kinds: kinds whose pictures are asked about; None: all of `words`.
+        of_kinds: kinds whose pictures are tested; None: all of `words`.
 
     Returns:
-        "accuracy" (NaN without a picture), "images", and the accuracy of each kind that has pictures.
+        "accuracy" (NaN without pictures), "images", and the accuracy of each kind that has pictures.
 
     Raises:
         ValueError: fewer than six kinds have words.
@@ -60,5 +60,5 @@ def naming_accuracy(
 
 
 def words_of_kinds(use: str) -> dict[str, tuple[str, ...]]:
-    """The words of each kind for a use: "training", "validation" or "test"."""
+    """Return the words of each kind for a use: "training", "validation" or "test"."""
     return {kind: getattr(words, use) for kind, words in KIND_WORDS.items()}

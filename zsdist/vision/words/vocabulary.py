@@ -1,8 +1,8 @@
-"""Words for what is to be seen: those trained on, those kept to choose by, those never used before the test.
+"""Words for the contents of pictures, in lists for training, validation and test.
 
 A concept is a kind of obstacle, a ground, the arena's wall or the sky. Each has three lists of words that share no
-noun but "sand". A projection learns from the first, choices are made by the second, and the third is for the final
-figures alone, which therefore tell how it takes to words that nobody trained or tuned it with.
+noun but "sand". A projection learns from the first list, settings are chosen with the second, and the third is only for
+the final figures, which therefore measure words that were used neither in training nor in tuning.
 """
 
 import json
@@ -18,7 +18,7 @@ from zsdist.errors import WeightsError
 
 
 class Words(NamedTuple):
-    """Of one concept, by use; each with its article, as it stands in a sentence."""
+    """Words of one concept by use, each with its article, as in a sentence."""
 
     training: tuple[str, ...]
     validation: tuple[str, ...]
@@ -99,10 +99,10 @@ SURROUNDINGS_WORDS: dict[str, Words] = {
 }
 WORDS: dict[str, Words] = KIND_WORDS | GROUND_WORDS | SURROUNDINGS_WORDS
 CONCEPTS = tuple(WORDS)
-"""Names of the concepts in the order of every array that has a column for each; the kinds come first."""
+"""Names of the concepts in the order of all arrays with a column per concept; the kinds come first."""
 
 TABLE3_WORDS = {"tree": "tree", "person": "people", "asphalt": "floor", "sand": "sand", "grass": "grass"}
-"""The objects of Table 3 of the paper as it names them, by the concept that is meant."""
+"""Words of the objects in Table 3 of the paper, by concept."""
 
 _SIDES = {
     "left": ("on the left", "at the left", "to the left"),
@@ -120,15 +120,15 @@ _EMPTY = ("nothing", "an empty place", "open ground", "free space")
 
 
 def caption(seen: Sequence[tuple[str, str]], ground: str, rng: np.random.Generator) -> str:
-    """A sentence for a whole picture, of training words alone.
+    """Return a sentence for a whole picture, of training words alone.
 
     Args:
         seen: kinds with the side of the picture where each is (one of `SIDES`), the most important first.
         ground: a key of `GROUND_WORDS`.
-        rng: chooses among the words that mean the same.
+        rng: chooses among synonyms.
     """
-    things = [f"{_choice(KIND_WORDS[kind].training, rng)} {_choice(_SIDES[side], rng)}" for kind, side in seen]
-    joined = f"{', '.join(things[:-1])} and {things[-1]}" if len(things) > 1 else (things or [_choice(_EMPTY, rng)])[0]
+    parts = [f"{_choice(KIND_WORDS[kind].training, rng)} {_choice(_SIDES[side], rng)}" for kind, side in seen]
+    joined = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else (parts or [_choice(_EMPTY, rng)])[0]
     return f"{_choice(_OPENINGS, rng)}{joined} {_choice(_PLACES[ground], rng)}"
 
 
@@ -138,12 +138,12 @@ def _choice(options: Sequence[str], rng: np.random.Generator) -> str:
 
 @dataclass(frozen=True)
 class Vocabulary:
-    """Words with their embeddings, as a text tower gave them, so that the tower need not be loaded.
+    """Words with their embeddings from a text tower, so that the tower need not be loaded.
 
     Attributes:
-        words: no two the same.
+        words: N different words.
         embeddings: `(N, D)` float32 of unit length.
-        text_sha256: of the weights of the tower.
+        text_sha256: SHA-256 of the weights of the text tower.
     """
 
     words: tuple[str, ...]
@@ -151,33 +151,35 @@ class Vocabulary:
     text_sha256: str
 
     def __getitem__(self, word: str) -> np.ndarray:
-        """Embedding `(D,)` of a word.
+        """Return the embedding `(D,)` of a word.
 
         Raises:
             WeightsError: it is not one of the words.
         """
         if word not in self.words:
-            raise WeightsError(f"word {word!r} is not in the vocabulary of {len(self.words)}: it needs the text tower")
+            raise WeightsError(
+                f"word {word!r} is not in the vocabulary of {len(self.words)} words; embed it with the text tower"
+            )
         return self.embeddings[self.words.index(word)]
 
     def rows(self, words: Sequence[str]) -> np.ndarray:
-        """Embeddings `(len(words), D)` of words; raises `WeightsError` where one is missing."""
+        """Return embeddings `(len(words), D)` of words; raise `WeightsError` if one is missing."""
         return np.stack([self[word] for word in words])
 
     def to_bytes(self) -> bytes:
-        """In the format of safetensors, the words in its metadata; the same bytes for the same content."""
+        """Return the bytes of a safetensors file with the words in its metadata; equal content gives equal bytes."""
         rows = np.ascontiguousarray(self.embeddings, "<f4")
         about = {
             "__metadata__": {"words": json.dumps(self.words), "text_sha256": self.text_sha256},
             "embeddings": {"dtype": "F32", "shape": rows.shape, "data_offsets": (0, rows.nbytes)},
         }
-        header = json.dumps(about, sort_keys=True).encode()  # safetensors' own writer has no order of its metadata
+        header = json.dumps(about, sort_keys=True).encode()  # the writer of safetensors does not sort its metadata
         header += b" " * (-len(header) % 8)
         return len(header).to_bytes(8, "little") + header + rows.tobytes()
 
     @classmethod
     def from_bytes(cls, content: bytes) -> "Vocabulary":
-        """What `to_bytes` gave.
+        """Return the vocabulary that `to_bytes` wrote.
 
         Raises:
             WeightsError: the content is damaged.
@@ -191,11 +193,11 @@ class Vocabulary:
             raise WeightsError(f"vocabulary is damaged: {' '.join(str(error).split())[:200]}") from error
         if embeddings.ndim != 2 or len(embeddings) != len(words):
             shape = embeddings.shape
-            raise WeightsError(f"vocabulary has {len(words)} words, and embeddings {shape}; allowed is one for each")
+            raise WeightsError(f"vocabulary has {len(words)} words and embeddings {shape}; allowed is one per word")
         return cls(words, embeddings, digest)
 
 
 def shipped_words() -> tuple[str, ...]:
-    """The words a folder of weights holds: those of training, and those of Table 3."""
+    """Return the words that a folder of weights holds: those of the training and those of Table 3."""
     words = [word for concept in WORDS.values() for word in concept.training] + list(TABLE3_WORDS.values())
     return tuple(dict.fromkeys(words))

@@ -6,7 +6,7 @@ from zsdist.vision.encoders import open_encoder
 from zsdist.vision.encoders.base import similarity, unit
 
 
-def test_eq02_similarity_is_the_cosine_whatever_the_lengths():
+def test_eq02_similarity_is_the_cosine_for_any_lengths():
     a = np.array([[3.0, 0.0], [1.0, 1.0]])
     b = np.array([[2.0, 0.0], [0.0, 5.0], [-1.0, -1.0]])
     half = np.sqrt(0.5)
@@ -34,6 +34,6 @@ def test_a_vector_without_direction_is_refused(vector):
         unit(np.array([[1.0, 0.0], vector]))
 
 
-def test_an_encoder_that_is_neither_known_nor_a_folder_is_named_with_what_is_allowed(tmp_path):
+def test_an_unknown_encoder_is_refused_with_the_allowed_values(tmp_path):
     with pytest.raises(WeightsError, match=r"'resnet'.*efficientnet-lite0.*CLIP"):
         open_encoder("resnet")

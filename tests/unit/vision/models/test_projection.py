@@ -17,7 +17,7 @@ def test_eq01_the_embedding_of_an_image_is_the_mean_of_its_projected_tokens_at_u
     assert image_embedding(projected)[0].tolist() == pytest.approx([0.6, 0.8, 0.0])
 
 
-def test_an_attended_embedding_is_of_the_tokens_looked_at_alone():
+def test_an_attended_embedding_depends_on_attended_tokens_alone():
     projected = torch.zeros(1, 2, 2, 3)
     projected[0, 0, 0, 0], projected[0, 1, 1, 1], projected[0, 0, 1, 2] = 6.0, 8.0, 1.0
     attention = torch.tensor([[[1.0, 0, 0, 0], [0, 0, 0, 1.0], [0.5, 0.5, 0, 0]]])
@@ -32,7 +32,7 @@ def test_even_attention_gives_the_embedding_of_the_whole_image(projection):
     assert torch.allclose(attended_embeddings(projected, even), image_embedding(projected)[:, None], atol=1e-5)
 
 
-def test_texts_keep_their_direction_and_come_at_unit_length(projection):
+def test_texts_keep_their_direction_at_unit_length(projection):
     texts = torch.nn.functional.normalize(torch.randn(4, 10), dim=-1)
     assert torch.allclose(projection.texts(3 * texts), texts, atol=1e-6)
 
@@ -47,7 +47,7 @@ def test_a_token_is_projected_with_its_neighbours_and_with_no_others(projection)
     assert differs[3, 3] and not (differs & ~expected).any()
 
 
-def test_the_mean_of_projected_tokens_is_the_projection_of_the_mean_of_what_is_hidden(projection):
+def test_the_mean_of_projected_tokens_is_the_projection_of_the_mean_of_hidden_features(projection):
     tokens = torch.randn(2, 4, 4, 6)
     assert torch.allclose(
         projection(tokens).mean((1, 2)), projection.leave(projection.hidden(tokens).mean((1, 2))), atol=1e-5
@@ -59,5 +59,5 @@ def test_a_projection_is_made_from_its_weights_alone(projection):
     assert torch.equal(again(tokens), projection(tokens))
 
 
-def test_of_the_default_sizes_it_is_smaller_than_three_megabytes():
+def test_the_default_projection_is_smaller_than_three_megabytes():
     assert sum(4 * value.numel() for value in Projection(112, 384).state_dict().values()) < 3e6

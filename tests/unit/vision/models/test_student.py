@@ -20,18 +20,18 @@ def pictures(count, seed=0):
     return torch.from_numpy(np.random.default_rng(seed).integers(0, 256, shape, np.uint8))
 
 
-def test_it_tells_what_the_head_tells_in_the_same_shapes():
+def test_outputs_have_the_shapes_of_the_heads_outputs():
     clearance, dynamic, rays, weights = student()(pictures(2))
     assert clearance.shape == (2, 3, BINS) and dynamic.shape == (2, 3) and rays.shape == (2, RAYS, BINS)
     np.testing.assert_allclose(weights.detach().sum(-1), 1, atol=1e-5)
 
 
-def test_bytes_and_numbers_of_a_picture_are_read_alike():
+def test_integer_and_float_pictures_give_the_same_outputs():
     for one, other in zip(student()(pictures(1)), student()(pictures(1).float()), strict=True):
         assert torch.equal(one, other)
 
 
-def test_a_column_keeps_its_width_so_that_a_ray_depends_most_on_its_own_column():
+def test_a_ray_depends_most_on_its_own_column():
     network, images = student(), pictures(1).float().requires_grad_()
     for ray in (4, 16, 27):
         (change,) = torch.autograd.grad(network(images).rays[0, ray].square().sum(), images)
@@ -39,11 +39,11 @@ def test_a_column_keeps_its_width_so_that_a_ray_depends_most_on_its_own_column()
         assert abs(int(by_ray.argmax()) - ray) <= 2
 
 
-def test_each_action_looks_at_the_columns_of_its_direction_and_no_farther_than_the_margin():
-    looked = student()(pictures(1)).attention[0].detach().numpy() > 0
+def test_each_action_attends_to_the_columns_of_its_direction_and_the_margin():
+    attended = student()(pictures(1)).attention[0].detach().numpy() > 0
     own = sectors(ray_angles_rad(RAYS, FIELD_OF_VIEW_RAD))
-    assert looked[own].all() and not looked[1, RAYS // 2 :].any() and not looked[2, : RAYS // 2].any()
+    assert attended[own].all() and not attended[1, RAYS // 2 :].any() and not attended[2, : RAYS // 2].any()
 
 
-def test_it_is_small_as_it_comes():
+def test_the_default_student_is_small():
     assert sum(value.numel() for value in Student(FIELD_OF_VIEW_RAD).parameters()) < 400_000

@@ -8,7 +8,7 @@ from zsdist.vision.training.calibration import fit
 
 
 def world(count, temperature, seed=0):
-    """Logits, and true distances drawn from the distributions that the logits over `temperature` stand for."""
+    """Logits, and true distances drawn from the distributions of the logits divided by `temperature`."""
     rng = np.random.default_rng(seed)
     logits = 2 * torch.from_numpy(rng.standard_normal((count, 4, BINS)).astype(np.float32))
     cumulated = (logits / temperature).softmax(-1).cumsum(-1).numpy()
@@ -22,7 +22,7 @@ def test_the_temperature_that_made_the_truth_is_found(temperature):
     assert fit(*world(3000, temperature)) == pytest.approx(temperature, rel=0.15)
 
 
-def test_a_fitted_temperature_brings_the_share_under_a_quantile_to_what_it_should_be():
+def test_a_fitted_temperature_brings_the_share_below_the_quantile_to_its_nominal_value():
     logits, true_m = world(3000, 0.4)
     unseen, unseen_m = world(3000, 0.4, seed=1)
 
@@ -33,14 +33,14 @@ def test_a_fitted_temperature_brings_the_share_under_a_quantile_to_what_it_shoul
     assert abs(share(fit(logits, true_m)) - 0.1) < 0.02 < abs(share(1.0) - 0.1)
 
 
-def test_pictures_on_which_all_is_free_for_certain_are_refused():
+def test_pictures_with_certainly_free_rays_alone_are_refused():
     free = torch.zeros(4, BINS)
     free[:, -1] = 1e3
     with pytest.raises(ValueError, match="every quantile is free"):
         fit(free, np.full(4, RANGE_M))
 
 
-def test_what_does_not_fit_is_refused():
+def test_logits_and_distances_of_different_shapes_are_refused():
     logits, true_m = world(5, 1.0)
     for distances in (true_m[:3], true_m[..., None]):
         with pytest.raises(ValueError, match="logits are"):

@@ -8,7 +8,7 @@ from zsdist.vision.models.head import VisualActHead
 from zsdist.vision.models.projection import Projection
 from zsdist.vision.rays import RANGE_M, RAYS, ray_angles_rad
 from zsdist.vision.training import contrast as module
-from zsdist.vision.training.contrast import Contrast, covers, where_to_look
+from zsdist.vision.training.contrast import Contrast, attention_targets, mask_coverage
 from zsdist.vision.training.examples import Examples
 
 SIDE, FEATURES = 8, 6
@@ -19,7 +19,7 @@ GOAL = np.array([0.0]), np.array([6.0])
 
 
 def world():
-    """Pictures with a thing at the left, ahead and at the right; hidden are all things in turn and the ground."""
+    """Pictures with objects at the left, ahead or at the right; masks hide each object and the ground in turn."""
     rng = np.random.default_rng(0)
     tokens, distance, masked, image, without, background = [], [], [], [], [], []
     for number in range(24):
@@ -57,7 +57,7 @@ def new_head():
 
 
 def share_on_things(head, originals):
-    """How much of each action's attention is on things, in the pictures where its direction has one, the mean."""
+    """The mean share of an action's attention that is on objects."""
     tokens = torch.from_numpy(originals.tokens.astype(np.float32))
     things = (tokens[..., THING] > 0.5).flatten(1)
     with torch.no_grad():
@@ -76,7 +76,7 @@ def trained_share(form):
     return before, share_on_things(head, originals)
 
 
-def test_the_difference_form_draws_attention_to_what_stands_in_the_way_and_the_literal_one_less(monkeypatch):
+def test_the_difference_form_draws_attention_to_obstacles_and_the_literal_form_less(monkeypatch):
     monkeypatch.setattr(module, "ATTENTION_WEIGHT", 0.0)
     before, after = trained_share("difference")
     assert after > 2 * before and after > 1.5 * trained_share("literal")[1]
@@ -89,7 +89,7 @@ def test_the_projection_is_not_trained():
     assert head.attention.gaze.grad.abs().sum() > 0
 
 
-def test_a_thing_is_a_positive_sample_for_its_direction_and_the_ground_for_none():
+def test_an_object_is_a_positive_sample_for_its_direction_and_the_ground_for_none():
     originals, masked = world()
     contrast = Contrast(torch.nn.Identity(), originals, masked)
     rows = np.flatnonzero(masked.image == 3)[None]
@@ -100,7 +100,7 @@ def test_a_thing_is_a_positive_sample_for_its_direction_and_the_ground_for_none(
     assert (positive[0].any(0) == np.append(gone, False)).all()
 
 
-def test_the_loss_follows_its_random_numbers():
+def test_the_loss_depends_on_its_random_numbers_alone():
     contrast, head = Contrast(Projection(FEATURES, 10), *world(), batch=8), new_head()
     first, again, other = (float(contrast.loss(head, np.random.default_rng(seed)).detach()) for seed in (0, 0, 1))
     assert first == again != other
@@ -108,14 +108,14 @@ def test_the_loss_follows_its_random_numbers():
 
 def test_a_token_is_covered_by_the_mask_that_changed_it():
     originals, masked = world()
-    found = covers(originals.tokens, masked).reshape(-1, SIDE, SIDE)
+    found = mask_coverage(originals.tokens, masked).reshape(-1, SIDE, SIDE)
     grounds = found[masked.background]
     assert grounds[:, 5:].min() > 0.2 and grounds[:, :5].max() == 0.0
     things = found[~masked.background]
     assert (things[:, :2] == 0).all() and (things[:, 5:] == 0).all() and (things.max((1, 2)) == 1.0).all()
 
 
-def test_actions_look_at_what_is_in_their_way_or_else_at_the_sky_and_never_at_bare_ground():
+def test_attention_targets_are_relevant_objects_or_else_the_sky_and_never_empty_ground():
     side = 4
     cover = np.zeros((1, 3, side, side), np.float32)
     cover[0, 0, 1:3, 1] = 1.0  # a thing that stands on the ground
@@ -123,7 +123,7 @@ def test_actions_look_at_what_is_in_their_way_or_else_at_the_sky_and_never_at_ba
     cover[0, 2, :2] = 1.0  # the sky
     positive = np.zeros((1, 3, 3), bool)
     positive[0, 1, 0] = True  # the thing is in the way of the second action
-    wanted, unwanted = where_to_look(cover, positive, np.array([[False, True, True]]))
+    wanted, unwanted = attention_targets(cover, positive, np.array([[False, True, True]]))
     wanted, unwanted = wanted.reshape(3, side, side), unwanted.reshape(side, side)
     assert (wanted[1] == cover[0, 0]).all()
     assert wanted[0, 0].all() and wanted[0, 1, 1] == 0.0 and (wanted[0] == wanted[2]).all()

@@ -25,7 +25,7 @@ def test_a_mirrored_view_has_mirrored_rays_and_its_left_and_right_exchanged():
     np.testing.assert_allclose(mirrored.clearance, plain.clearance[:, [0, 2, 1]], atol=1e-6)
 
 
-def test_making_targets_leaves_the_examples_as_they_are():
+def test_making_targets_leaves_the_examples_unchanged():
     data, again = examples(4, 5), examples(4, 5)
     targets(data, np.arange(4), np.ones(4, bool), np.random.default_rng(0))
     np.testing.assert_array_equal(data.tokens, again.tokens)

@@ -16,7 +16,7 @@ QUICK = Recipe(epochs=6, batch=16)
 
 
 def examples(count, seed):
-    """A made-up world: a column's first feature is its distance, the second whether what is there moves."""
+    """A synthetic world: the first feature of a column is its distance, the second whether its obstacle moves."""
     rng = np.random.default_rng(seed)
     distance = np.where(rng.random((count, SIDE)) < 0.4, RANGE_M, rng.uniform(0.3, RANGE_M, (count, SIDE)))
     moving = (rng.random((count, SIDE)) < 0.3) & (distance < RANGE_M)
@@ -62,33 +62,33 @@ def test_training_stops_when_its_time_is_used():
     assert len(history) < 4 and history[-1]["learning_rate"] < 1e-3
 
 
-def test_training_stops_when_nothing_gets_better():
+def test_training_stops_when_the_validation_loss_does_not_improve():
     _, history = fit(recipe=Recipe(epochs=20, learning_rate=1e-9, patience=1))
     assert len(history) < 20
 
 
-class LooksAt:
-    """A contrast that asks each action to look at one token."""
+class AttendTo:
+    """A contrast that pulls the attention of each action to one token."""
 
     def __init__(self, token):
         self.token, self.drawn = token, []
 
     def loss(self, head, rng):
         self.drawn.append(rng.random())
-        looks = head(torch.from_numpy(examples(4, 3).tokens.astype(np.float32))).attention
-        return -100 * (looks[..., self.token] + 1e-3).log().mean()
+        attention = head(torch.from_numpy(examples(4, 3).tokens.astype(np.float32))).attention
+        return -100 * (attention[..., self.token] + 1e-3).log().mean()
 
 
 def test_the_contrast_draws_the_attention_while_the_head_learns():
     token = 3 * SIDE + SIDE // 2
-    looked = {}
-    for contrast in (None, LooksAt(token)):
+    attended = {}
+    for contrast in (None, AttendTo(token)):
         head, data = new_head(examples(64, 0), math.pi / 2, 0), examples(64, 0)
         recipe = Recipe(epochs=3, batch=8, learning_rate=0.01)
         training = train(head, data, data, recipe, np.random.default_rng(0), lambda: 0.0, contrast)
         history = list(training)
-        looks = head(torch.from_numpy(data.tokens).float()).attention.detach()
-        looked[contrast is None] = float(looks[:, 0, token].mean())
-    assert looked[False] > 2 * looked[True]
+        attention = head(torch.from_numpy(data.tokens).float()).attention.detach()
+        attended[contrast is None] = float(attention[:, 0, token].mean())
+    assert attended[False] > 2 * attended[True]
     assert "loss_contrast" in history[0] and "validation_contrast" not in history[0]
     assert len(set(contrast.drawn)) == len(contrast.drawn) == 24

@@ -37,14 +37,14 @@ def test_the_right_distance_costs_least_and_a_far_one_more_than_a_near_one():
     assert right < near < far
 
 
-def test_order_counts_between_two_answers_that_are_equally_unlikely():
+def test_the_nearer_of_two_equally_unlikely_predictions_costs_less():
     label = torch.from_numpy(soft_labels(np.array([1.0])))
     near, far = torch.full((1, 25), -20.0), torch.full((1, 25), -20.0)
     near[0, 16], far[0, 22] = 20.0, 20.0
     assert distance_loss(near, label) < distance_loss(far, label)
 
 
-def test_the_kind_counts_only_where_there_is_an_obstacle():
+def test_the_kind_counts_only_in_directions_with_an_obstacle():
     logits, dynamic = torch.tensor([[9.0, -9.0, 9.0]]), torch.tensor([[1.0, 0.0, 0.0]])
     assert kind_loss(logits, dynamic, torch.tensor([[True, True, False]])) < 0.01
     assert kind_loss(logits, dynamic, torch.tensor([[True, True, True]])) > 1
@@ -79,7 +79,7 @@ def test_eq06_is_the_papers_formula_for_one_positive_and_several_negative_sample
     assert float(found) == pytest.approx(-math.log(right / (right + sum(wrong))), rel=1e-5)
 
 
-def test_eq06_the_difference_form_draws_an_action_to_what_is_hidden_and_the_literal_one_away():
+def test_eq06_the_difference_form_pulls_an_action_to_the_hidden_object_and_the_literal_form_away():
     thing, other = torch.tensor([1.0, 0.0, 0.0]), torch.tensor([0.0, 1.0, 0.0])
     whole = thing + other + torch.tensor([0.0, 0.0, 1.0])
     masked = torch.stack([whole - thing, whole - other])[None]
@@ -106,7 +106,7 @@ def test_a_sample_of_the_background_counts_less():
     assert weighed(0.0) == pytest.approx(0, abs=1e-4)
 
 
-def test_an_action_without_either_kind_of_sample_is_skipped():
+def test_an_action_without_positive_or_negative_samples_is_skipped():
     anchors = directions(20, 80, 140)[None].requires_grad_()
     samples, weight = directions(0, 90)[None], torch.ones(1, 2)
     positive, negative = marks([1, 0], [0, 0], [1, 1]), marks([0, 1], [1, 1], [0, 0])
@@ -118,7 +118,7 @@ def test_an_action_without_either_kind_of_sample_is_skipped():
     assert (torch.autograd.grad(nothing, anchors)[0] == 0).all()
 
 
-def test_the_attention_error_is_small_on_what_is_wanted_and_grows_with_what_is_on_the_unwanted():
+def test_the_attention_error_is_small_on_wanted_tokens_and_grows_on_unwanted_ones():
     wanted = torch.zeros(1, 3, 4)
     wanted[0, 0, 1] = 1.0  # the two other actions want nothing
     unwanted = torch.tensor([[0.0, 0.0, 0.0, 1.0]])

@@ -13,7 +13,7 @@ KINDS = len(KIND_WORDS)
 
 @pytest.fixture(scope="module")
 def vocabulary():
-    """Words of one concept lie together."""
+    """A vocabulary in which the words of one concept are close together."""
     rng, words = np.random.default_rng(3), shipped_words()
     centre = dict(zip(CONCEPTS, rng.standard_normal((len(CONCEPTS), WIDTH)), strict=True))
     rows = []
@@ -25,14 +25,14 @@ def vocabulary():
 
 
 def pictures(count, seed, vocabulary):
-    """Each is of one kind, which fills a part of it on ground; tokens tell what is where, with noise."""
+    """Pictures of one kind each, which fills a part of the ground; tokens encode the cells, with noise."""
     rng = np.random.default_rng(seed)
     dominant = rng.integers(KINDS, size=count)
-    what = np.full((count, 14, 14), CONCEPTS.index("grass"))
+    concepts = np.full((count, 14, 14), CONCEPTS.index("grass"))
     for i, kind in enumerate(dominant):
         row, column = rng.integers(0, 8, 2)
-        what[i, row : row + 6, column : column + 6] = kind
-    cells = np.eye(len(CONCEPTS))[what]
+        concepts[i, row : row + 6, column : column + 6] = kind
+    cells = np.eye(len(CONCEPTS))[concepts]
     code = np.random.default_rng(9).standard_normal((len(CONCEPTS), FEATURES))
     tokens = cells.reshape(count, SIDE, 2, SIDE, 2, -1).mean((2, 4)) @ code
     tokens += 0.2 * rng.standard_normal(tokens.shape)
@@ -64,7 +64,7 @@ def trained(data, vocabulary, **options):
     return projection.eval(), figures
 
 
-def test_training_brings_pictures_to_their_words(data, vocabulary):
+def test_training_moves_pictures_towards_their_words(data, vocabulary):
     projection, figures = trained(data, vocabulary)
     assert named(new_projection(data[0], 0).eval(), data[1], vocabulary) < 0.5
     assert named(projection, data[1], vocabulary) > 0.9
@@ -87,7 +87,7 @@ def test_tokens_that_show_a_kind_come_nearer_to_its_word_than_those_that_do_not(
 
 def test_pictures_and_words_of_excluded_kinds_are_not_trained_on(data, vocabulary):
     excluded = ("tree", "rock")
-    kept = data[0].without(excluded)
+    kept = data[0].excluding(excluded)
     columns = [CONCEPTS.index(kind) for kind in excluded]
     assert 0 < len(kept) < len(data[0]) and not np.isin(kept.dominant, columns).any()
     projection, _ = trained(data, vocabulary, exclude_kinds=excluded)

@@ -10,7 +10,14 @@ from zsdist.vision.rays import BIN_CENTRES_M, BINS, RANGE_M, RAYS, ray_angles_ra
 from zsdist.vision.training import student as training
 from zsdist.vision.training.examples import Examples, targets
 from zsdist.vision.training.head import new_head, validate
-from zsdist.vision.training.student import TrainingPass, disturbed, new_student, of_pictures, taught, teach
+from zsdist.vision.training.student import (
+    TeacherPredictions,
+    augment_images,
+    mix_labels,
+    new_student,
+    predict_with_teacher,
+    with_image_tokens,
+)
 from zsdist.vision.training.trainer import Recipe
 
 ANGLES = ray_angles_rad(RAYS, math.pi / 2)
@@ -18,7 +25,7 @@ QUICK = Recipe(epochs=3, batch=8)
 
 
 def examples(count, seed):
-    """A made-up world: the nearer what a column shows, the brighter the column."""
+    """A synthetic world in which a column is the brighter the nearer its obstacle is."""
     rng = np.random.default_rng(seed)
     distance = np.where(rng.random((count, 4)) < 0.4, RANGE_M, rng.uniform(0.3, RANGE_M, (count, 4)))
     distance = distance.repeat(RAYS // 4, 1).astype(np.float32)
@@ -34,22 +41,21 @@ def small():
         return Student(math.pi / 2, (4, 6, 8, 8), 16)
 
 
-def history(network, training_pass=None, recipe=QUICK):
+def history(network, teacher=None, recipe=QUICK):
     data = examples(48, 0)
-    return list(
-        training.train(network, data, examples(16, 1), recipe, np.random.default_rng(0), lambda: 0.0, training_pass)
-    )
+    return list(training.train(network, data, examples(16, 1), recipe, np.random.default_rng(0), lambda: 0.0, teacher))
 
 
 def oracle(data):
-    """A lesson that is true, and sure of it."""
-    sure = np.eye(BINS, dtype=np.float16)
+    """Predictions that put all probability on the true bin."""
+    one_hot = np.eye(BINS, dtype=np.float16)
     bins = np.abs(np.log(BIN_CENTRES_M) - np.log(data.ray_distance_m)[..., None]).argmin(-1)
-    return TrainingPass(sure[np.zeros((len(data), 3), int)], np.zeros((len(data), 3), np.float16), sure[bins])
+    clearance, dynamic = one_hot[np.zeros((len(data), 3), int)], np.zeros((len(data), 3), np.float16)
+    return TeacherPredictions(clearance, dynamic, one_hot[bins])
 
 
 def test_training_lowers_the_loss_on_pictures_it_has_not_seen():
-    network, unseen = small(), of_pictures(examples(16, 2))
+    network, unseen = small(), with_image_tokens(examples(16, 2))
     before = validate(network, unseen, 16)
     figures = history(network, recipe=Recipe(epochs=6, batch=8))
     after = validate(network, unseen, 16)
@@ -64,44 +70,44 @@ def test_training_repeats_exactly_with_its_seed():
         assert torch.equal(value, second.state_dict()[name])
 
 
-def test_the_head_teaches_its_answers_to_the_same_examples():
+def test_the_teacher_predicts_what_the_head_outputs_for_the_same_examples():
     data = examples(5, 3)
     head = new_head(data, math.pi / 2, 0)
-    training_pass = teach(head, data, batch=2)
+    teacher = predict_with_teacher(head, data, batch=2)
     rays = head(torch.from_numpy(data.tokens.astype(np.float32))).rays.softmax(-1)
-    np.testing.assert_allclose(training_pass.rays, rays.detach(), atol=1e-3)
-    assert training_pass.clearance.shape == (5, 3, BINS) and training_pass.dynamic.shape == (5, 3)
+    np.testing.assert_allclose(teacher.rays, rays.detach(), atol=1e-3)
+    assert teacher.clearance.shape == (5, 3, BINS) and teacher.dynamic.shape == (5, 3)
 
 
-def test_a_lesson_changes_what_is_learned():
-    alone, with_lesson = history(small()), history(small(), oracle(examples(48, 0)))
-    assert alone[-1]["validation_loss"] != with_lesson[-1]["validation_loss"]
+def test_predictions_of_the_teacher_change_the_result_of_the_training():
+    alone, with_teacher = history(small()), history(small(), oracle(examples(48, 0)))
+    assert alone[-1]["validation_loss"] != with_teacher[-1]["validation_loss"]
 
 
-def test_a_taught_label_lies_between_truth_and_answer_mirrored_with_its_picture():
-    data, index = of_pictures(examples(4, 3)), np.arange(4)
+def test_a_mixed_label_lies_between_truth_and_prediction_and_is_mirrored_with_its_picture():
+    data, index = with_image_tokens(examples(4, 3)), np.arange(4)
     shapes = ((4, 3, BINS), (4, 3), (4, RAYS, BINS))
-    training_pass = TrainingPass(*(np.random.default_rng(0).random(shape).astype(np.float16) for shape in shapes))
+    teacher = TeacherPredictions(*(np.random.default_rng(0).random(shape).astype(np.float16) for shape in shapes))
     for mirrored in (False, True):
         batch = targets(data, index, np.full(4, mirrored), np.random.default_rng(0))
-        mixed = taught(batch, training_pass, index, np.full(4, mirrored))
+        mixed = mix_labels(batch, teacher, index, np.full(4, mirrored))
         sides = [0, 2, 1] if mirrored else [0, 1, 2]
-        said = training_pass.rays[:, ::-1] if mirrored else training_pass.rays
-        share = training.TAUGHT_SHARE
-        np.testing.assert_allclose(mixed.rays, (1 - share) * batch.rays.numpy() + share * said, atol=1e-3)
+        predicted = teacher.rays[:, ::-1] if mirrored else teacher.rays
+        share = training.TEACHER_SHARE
+        np.testing.assert_allclose(mixed.rays, (1 - share) * batch.rays.numpy() + share * predicted, atol=1e-3)
         np.testing.assert_allclose(
             mixed.clearance,
-            (1 - share) * batch.clearance.numpy() + share * training_pass.clearance[:, sides],
+            (1 - share) * batch.clearance.numpy() + share * teacher.clearance[:, sides],
             atol=1e-3,
         )
         np.testing.assert_allclose(
-            mixed.dynamic, (1 - share) * batch.dynamic.numpy() + share * training_pass.dynamic[:, sides], atol=1e-3
+            mixed.dynamic, (1 - share) * batch.dynamic.numpy() + share * teacher.dynamic[:, sides], atol=1e-3
         )
         assert torch.equal(mixed.reward, batch.reward) and torch.equal(mixed.present, batch.present)
 
 
 def test_a_mirrored_picture_has_mirrored_labels():
-    data = of_pictures(examples(3, 4))
+    data = with_image_tokens(examples(3, 4))
     plain, mirrored = (
         targets(data, np.arange(3), np.full(3, flip), np.random.default_rng(0)) for flip in (False, True)
     )
@@ -109,11 +115,11 @@ def test_a_mirrored_picture_has_mirrored_labels():
     np.testing.assert_allclose(plain.rays, soft_labels(data.ray_distance_m))
 
 
-def test_each_picture_is_disturbed_in_its_own_way_within_what_a_picture_can_be():
+def test_each_picture_is_augmented_differently_and_stays_in_the_range_of_bytes():
     with torch.random.fork_rng():
         torch.manual_seed(0)
         images = torch.full((6, 32, 32, 3), 100.0)
-        changed = disturbed(images)
+        changed = augment_images(images)
     means, spreads = changed.mean((1, 2)), changed.std((1, 2)).mean(-1)
     assert means.std(0).min() > 3 and means.std(1).min() > 0.5 and len(set(spreads.tolist())) == 6
     assert changed.min() >= 0 and changed.max() <= 255 and torch.equal(images, torch.full_like(images, 100.0))
@@ -121,7 +127,7 @@ def test_each_picture_is_disturbed_in_its_own_way_within_what_a_picture_can_be()
 
 def test_examples_without_their_pictures_are_refused():
     bare = Examples(np.zeros((1, 2, 2, 3), np.float16), np.ones((1, RAYS)), np.zeros((1, RAYS), bool), ANGLES)
-    with pytest.raises(ValueError, match="without their pictures"):
+    with pytest.raises(ValueError, match="examples are without their pictures"):
         training.train(small(), bare, bare, QUICK, np.random.default_rng(0), lambda: 0.0)
 
 

@@ -13,7 +13,7 @@ BATCHES = 4
 
 
 def trainer(recipe, validation=None, seed=0, time_used=lambda: 0.0, width=5):
-    """A network with dropout that is to learn to add; `validation` replaces the validation losses it would have."""
+    """A network with dropout that learns to add, and its trainer; `validation` replaces the validation losses."""
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         network = nn.Sequential(nn.Linear(3, width), nn.Dropout(0.1), nn.ReLU(), nn.Linear(width, 1))
@@ -42,7 +42,7 @@ def same(one, other):
     return all(torch.equal(one[name], other[name]) for name in one)
 
 
-def test_each_epoch_tells_its_losses_and_their_parts():
+def test_each_epoch_reports_its_losses_and_their_parts():
     _, training = trainer(Recipe(epochs=20, learning_rate=0.03, patience=20))
     figures = list(training)
     assert [f["epoch"] for f in figures] == list(range(1, 21))
@@ -51,22 +51,22 @@ def test_each_epoch_tells_its_losses_and_their_parts():
         assert f["loss"] == pytest.approx(f["loss_error"]) and f["validation_loss"] == f["validation_error"]
 
 
-def test_it_ends_with_the_weights_of_the_best_epoch():
+def test_training_ends_with_the_weights_of_the_best_epoch():
     network, training = trainer(Recipe(epochs=4), iter([3.0, 1.0, 2.0, 4.0]))
     seen = [weights(network) for _ in training]
     assert same(weights(network), seen[1]) and not same(seen[1], seen[3])
 
 
-def test_it_stops_when_nothing_gets_better():
+def test_training_stops_when_the_validation_loss_does_not_improve():
     assert len(list(trainer(Recipe(epochs=20, patience=3), iter([2.0, 1.0] + [1.0] * 18))[1])) == 5
 
 
-def test_it_stops_when_its_time_is_used():
+def test_training_stops_when_its_time_is_used():
     figures = list(trainer(Recipe(epochs=50), time_used=itertools.count(0, 0.05).__next__)[1])
     assert 2 <= len(figures) < 7 and figures[-1]["learning_rate"] < 1e-3
 
 
-def test_a_training_resumed_from_its_state_goes_on_exactly_as_if_never_interrupted():
+def test_a_resumed_training_continues_exactly_as_an_uninterrupted_one():
     recipe = Recipe(epochs=6)
     whole, training = trainer(recipe, iter([6.0, 1.0, 5.0, 4.0, 3.0, 2.0]))
     expected = list(training)
@@ -125,7 +125,7 @@ def test_a_loss_that_is_not_finite_ends_the_training_in_one_line_with_its_epoch(
     assert torch.equal(network[3].weight, before["3.weight"])  # no step was taken
 
 
-def test_the_learning_rate_rises_once_and_falls_to_nothing():
+def test_the_learning_rate_rises_once_and_falls_to_zero():
     rates = [one_cycle(share) for share in np.linspace(0, 1, 101)]
     assert max(rates) == pytest.approx(1.0, abs=0.01) and rates[-1] == pytest.approx(0, abs=1e-9)
     assert np.argmax(rates) == 20 and (np.diff(rates)[21:] <= 0).all()

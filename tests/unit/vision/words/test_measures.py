@@ -15,7 +15,7 @@ def accuracy(images, dominant, **options):
     return naming_accuracy(images, np.array(dominant), WORDS, np.random.default_rng(0), **options)
 
 
-def test_pictures_at_their_kinds_words_are_all_named_rightly_and_at_anothers_nearly_never():
+def test_pictures_at_the_words_of_their_kind_are_named_right_and_at_those_of_another_wrong():
     dominant = np.arange(len(KINDS))
     assert accuracy(BASIS, dominant)["accuracy"] == 1.0
     assert accuracy(np.roll(BASIS, 1, 0), dominant)["accuracy"] <= 0.35  # its own wins a tie where the other is absent
@@ -27,7 +27,7 @@ def test_random_embeddings_are_named_by_chance():
     assert found["accuracy"] == pytest.approx(1 / 6, abs=0.04) and found["images"] == 1500
 
 
-def test_pictures_of_nothing_and_of_kinds_not_asked_for_do_not_count():
+def test_pictures_of_no_kind_and_of_kinds_not_tested_do_not_count():
     found = accuracy(BASIS[[0, 1, 2]], [0, -1, 0], of_kinds=[KINDS[0]])
     assert found["images"] == 2 and set(found) == {"accuracy", "images", KINDS[0]}
     assert math.isnan(accuracy(BASIS[:1], [-1])["accuracy"])

@@ -13,7 +13,7 @@ AXES = np.eye(3)
 
 
 def rays(*things):
-    """One picture's rays: `things` of (first ray, end, kind, distance)."""
+    """Rays of one picture with obstacles of (first ray, end, kind, distance)."""
     kind, distance = np.zeros((1, RAYS), np.uint8), np.full((1, RAYS), 5.0)
     for first, end, segment, metres in things:
         kind[0, first:end], distance[0, first:end] = segment, metres
@@ -21,35 +21,35 @@ def rays(*things):
 
 
 def looks(*along):
-    """Embeddings of one picture, I_0 to I_3, by how much of the word's axis each has."""
+    """Embeddings I_0 to I_3 of one picture with the given cosines to the axis of the word."""
     share = np.array(along)[:, None]
     return (share * AXES[0] + np.sqrt(1 - share**2) * AXES[1])[None]
 
 
-def test_a_thing_is_in_the_direction_whose_rays_it_stands_on():
+def test_an_object_is_in_the_direction_whose_rays_meet_it():
     for where, first in ((LEFT, 2), (AHEAD, 15), (RIGHT, 28)):
         assert only_direction(*directions_of(TREE, *rays((first, first + 3, TREE, 2.0)))).tolist() == [where]
 
 
-def test_a_thing_behind_a_nearer_one_is_not_what_matters_there():
+def test_an_object_behind_a_nearer_one_is_present_but_not_nearest():
     nearest, any_of_it = directions_of(TREE, *rays((0, 2, TREE, 3.0), (4, 6, ROCK, 1.0)))
     assert nearest.tolist() == [[False] * 3] and any_of_it.tolist() == [[False, True, False]]
     assert only_direction(nearest, any_of_it).tolist() == [-1]
 
 
-def test_a_kind_that_stands_in_two_directions_is_in_no_single_one():
+def test_a_kind_in_two_directions_has_no_single_direction():
     found = directions_of(TREE, *rays((0, 2, TREE, 3.0), (28, 30, TREE, 1.0)))
     assert only_direction(*found).tolist() == [-1]
 
 
-def test_an_object_counts_where_the_right_embedding_is_nearest():
+def test_an_object_counts_if_the_right_embedding_is_nearest():
     embeddings = np.concatenate([looks(0.9, 0.6, 0.2, 0.1), looks(0.1, 0.3, 0.4, 0.2), looks(0.1, 0.9, 0.1, 0.1)])
     assert object_share(embeddings, AXES[0], np.array([AHEAD, LEFT, RIGHT])) == pytest.approx(2 / 3)
     assert object_share(embeddings, AXES[0], np.array([AHEAD, -1, -1])) == 1.0
     assert math.isnan(object_share(embeddings, AXES[0], np.array([-1, -1, -1])))
 
 
-def test_a_background_must_be_less_in_every_direction():
+def test_a_background_counts_if_it_is_less_similar_in_every_direction():
     embeddings = np.concatenate([looks(0.5, 0.4, 0.3, 0.2), looks(0.5, 0.4, 0.6, 0.2)])
     assert background_share(embeddings, AXES[0], np.array([True, True])) == 0.5
     assert background_share(embeddings, AXES[0], np.array([True, False])) == 1.0

@@ -25,7 +25,7 @@ def nouns(use):
     return {part for words in WORDS.values() for text in getattr(words, use) for part in text.split()} - SMALL
 
 
-def test_words_kept_for_validation_and_test_share_no_noun_but_sand_with_those_of_training_or_each_other():
+def test_words_for_training_validation_and_test_share_no_noun_but_sand():
     for one, other in itertools.combinations(("training", "validation", "test"), 2):
         assert nouns(one) & nouns(other) <= {"sand"}
 
@@ -47,20 +47,20 @@ def test_captions_use_training_words_alone_and_say_where_and_on_what():
     assert caption([], "sand", np.random.default_rng(1)) == caption([], "sand", np.random.default_rng(1))
 
 
-def test_what_is_shipped_holds_the_words_of_training_and_of_table_3_and_none_of_the_test():
+def test_shipped_words_are_those_of_training_and_of_table_3_and_none_of_the_test():
     assert set(TABLE3_WORDS) <= set(CONCEPTS) and set(TABLE3_WORDS.values()) <= set(shipped_words())
     assert set(KIND_WORDS["tree"].training) <= set(shipped_words())
     assert not {text for words in WORDS.values() for text in words.test} & set(shipped_words())
 
 
-def test_a_vocabulary_survives_being_written():
+def test_a_written_vocabulary_reads_back():
     rows = np.eye(3, 5, dtype=np.float32)
     back = Vocabulary.from_bytes(Vocabulary(("a tree", "sand", "ä"), rows, "ab12").to_bytes())
     assert back.words == ("a tree", "sand", "ä") and back.text_sha256 == "ab12"
     assert (back["sand"] == rows[1]).all() and (back.rows(["ä", "a tree"]) == rows[[2, 0]]).all()
 
 
-def test_the_same_content_is_the_same_bytes_in_every_process():
+def test_equal_content_gives_equal_bytes_in_every_process():
     written = "Vocabulary(('a tree', 'sand'), np.eye(2, 3, dtype=np.float32), 'ab12').to_bytes()"
     code = (
         "import hashlib, numpy as np; from zsdist.vision.words.vocabulary import Vocabulary; "
@@ -77,7 +77,7 @@ def test_a_damaged_vocabulary_and_a_missing_word_are_refused_in_one_line():
     for damaged in (b"", content[:-3], content.replace(b"text_sha256", b"text_sha257")):
         with pytest.raises(WeightsError, match="vocabulary is damaged"):
             Vocabulary.from_bytes(damaged)
-    with pytest.raises(WeightsError, match="1 words, and embeddings"):
+    with pytest.raises(WeightsError, match="1 words and embeddings"):
         Vocabulary.from_bytes(Vocabulary(("a tree",), np.ones((2, 4), np.float32), "").to_bytes())
-    with pytest.raises(WeightsError, match="'an oak' is not in the vocabulary of 1"):
+    with pytest.raises(WeightsError, match="'an oak' is not in the vocabulary of 1 words"):
         Vocabulary.from_bytes(content)["an oak"]

@@ -1,8 +1,8 @@
-"""A folder of vision weights: which files it holds, of what they were made, and that they are whole.
+"""Folder of vision weights: its files, their origin and their integrity.
 
-`visual_act.json` says for which encoder and camera the weights are, how they were made, and the SHA-256 of each file
-beside it; a file that it does not name does not count. Only the files that are asked for are read. Every stage of the
-training appends its figures, one JSON object an epoch with "stage" and "epoch" among its keys, to `training.jsonl`.
+`visual_act.json` holds the encoder and camera that the weights are for, how they were made, and the SHA-256 of each
+file beside it; a file that it does not name does not count. Only files that are asked for are read. Each stage of the
+training appends its figures to `training.jsonl`: one JSON object per epoch, with the keys "stage", "epoch" and others.
 """
 
 import hashlib
@@ -26,37 +26,37 @@ HISTORY_FILE = "training.jsonl"
 VERSION = 2
 SHIPPED = Path(__file__).parent / "weights"
 CAMERA_KEYS = ("field_of_view_deg", "range_m", "height_m")
-"""Settings of the camera that weights are trained for and that they cannot do without."""
+"""Camera settings that must be equal in training and in use."""
 
 
 @dataclass(frozen=True)
-class Folder:
-    """A folder of weights whose metadata was read. Use `read` or `write`.
+class WeightsFolder:
+    """Folder of weights whose metadata is loaded. Use `read` or `write` to make one.
 
     Attributes:
-        path: of the folder.
-        metadata: "version", "encoder" (name, sha256, and text_sha256 where words were learned), "camera"
-            (`CAMERA_KEYS`), "files" (SHA-256 of each), and whatever tells how they were made.
+        path: path of the folder.
+        metadata: "version", "encoder" (name, sha256, and text_sha256 if words were learned), "camera"
+            (`CAMERA_KEYS`), "files" (SHA-256 of each), and further entries on how the weights were made.
     """
 
     path: Path
     metadata: dict[str, Any]
 
     def has(self, file: str) -> bool:
-        """Whether `file` is one of the files of the folder."""
+        """Return whether the metadata names `file`."""
         return file in self.metadata["files"]
 
     def sha256(self, file: str) -> str:
-        """SHA-256 that `file` must have, hexadecimal; raises `WeightsError` where the folder has no such file."""
+        """Return the SHA-256 that `file` must have, in hexadecimal; raise `WeightsError` if there is no such file."""
         if not self.has(file):
             raise WeightsError(
                 f"weights {self.path} hold no {file}, only {', '.join(self.metadata['files']) or 'nothing'}; "
-                "`python -m zsdist.pretrain` makes all of them"
+                "`python -m zsdist.pretrain` makes all files"
             )
         return self.metadata["files"][file]
 
     def content(self, file: str) -> bytes:
-        """The bytes of `file`; raises `WeightsError` where it is missing or other than the metadata says."""
+        """Return the bytes of `file`; raise `WeightsError` if it is missing or its hash is not that of the metadata."""
         allowed, path = self.sha256(file), self.path / file
         try:
             content = path.read_bytes()
@@ -65,13 +65,13 @@ class Folder:
         found = hashlib.sha256(content).hexdigest()
         if found != allowed:
             raise WeightsError(
-                f"weights {path} are damaged: {len(content)} bytes of SHA-256 {found[:16]}..., "
-                f"allowed is {allowed[:16]}... of {METADATA_FILE}"
+                f"weights {path} are damaged: {len(content)} bytes of SHA-256 {found[:16]}...; "
+                f"allowed is {allowed[:16]}... from {METADATA_FILE}"
             )
         return content
 
     def history(self) -> list[dict[str, Any]]:
-        """Figures of each epoch of each stage, in order; raises `WeightsError` where they cannot be read."""
+        """Return the figures of each epoch of each stage, in order; raise `WeightsError` if they cannot be read."""
         path = self.path / HISTORY_FILE
         try:
             return [json.loads(line) for line in path.read_text().splitlines() if line]
@@ -81,16 +81,16 @@ class Folder:
             raise WeightsError(f"history {path} is damaged: {error}") from error
 
     def check_camera(self, camera: CameraConfig) -> None:
-        """Raises `WeightsError` unless the weights are for such a camera."""
+        """Raise `WeightsError` unless the weights were trained for such a camera."""
         for key in CAMERA_KEYS:
             if self.metadata["camera"][key] != getattr(camera, key):
                 raise WeightsError(
                     f"camera.{key} is {getattr(camera, key)}; weights {self.path} allow "
-                    f"{self.metadata['camera'][key]}, others are made by `python -m zsdist.pretrain`"
+                    f"{self.metadata['camera'][key]}; `python -m zsdist.pretrain` makes weights for another value"
                 )
 
     def check_encoder(self, encoder: Encoder) -> None:
-        """Raises `WeightsError` unless the weights are for this encoder, by name and by hash."""
+        """Raise `WeightsError` unless the weights were trained on this encoder, by name and by hash."""
         for key, found in (("name", encoder.name), ("sha256", encoder.sha256)):
             if self.metadata["encoder"][key] != found:
                 raise WeightsError(
@@ -100,15 +100,15 @@ class Folder:
 
 
 def locate(weights: str) -> Path:
-    """The folder that the setting `vision.weights` means: "pretrained", which is shipped, or a path."""
+    """Return the folder that `vision.weights` names: "pretrained" is the shipped one, anything else is a path."""
     return SHIPPED if weights == "pretrained" else Path(weights)
 
 
-def read(path: Path) -> Folder:
-    """The folder at `path`; its files are read when they are asked for.
+def read(path: Path) -> WeightsFolder:
+    """Return the folder at `path`; its files are read when they are asked for.
 
     Raises:
-        WeightsError: the metadata is missing, damaged, says too little or is of another version.
+        WeightsError: the metadata is missing, damaged, incomplete or of another version.
     """
     file = path / METADATA_FILE
     try:
@@ -116,7 +116,7 @@ def read(path: Path) -> Folder:
     except OSError as error:
         raise WeightsError(
             f"weights {file} cannot be read: {error.strerror or error}; allowed are 'pretrained' and a folder "
-            "made by `python -m zsdist.pretrain`"
+            "that `python -m zsdist.pretrain` made"
         ) from error
     except ValueError as error:
         raise WeightsError(f"weights {file} is damaged: {error}") from error
@@ -130,19 +130,19 @@ def read(path: Path) -> Folder:
             raise TypeError("'files', each with its SHA-256")
     except (KeyError, TypeError, ValueError) as error:
         raise WeightsError(f"weights {file} is damaged: no usable entry {error}") from error
-    return Folder(path, metadata)
+    return WeightsFolder(path, metadata)
 
 
-def write(path: Path, modules: Mapping[str, bytes], metadata: Mapping[str, Any]) -> Folder:
-    """Makes a folder of weights, or replaces what it held; its history is left as it is.
+def write(path: Path, modules: Mapping[str, bytes], metadata: Mapping[str, Any]) -> WeightsFolder:
+    """Write a folder of weights, or replace the files of an existing one; its history stays.
 
-    Each file takes its place in one go and the metadata comes last, so that a break leaves a folder that is either
-    whole or refused.
+    Each file is replaced atomically and the metadata is written last, so that an interruption leaves a folder that is
+    either whole or refused.
 
     Args:
-        path: of the folder; made if it is not there.
+        path: path of the folder; created if it does not exist.
         modules: content of each file by its name.
-        metadata: as of `Folder`, without "version" and "files".
+        metadata: as in `WeightsFolder`, without "version" and "files".
 
     Raises:
         WeightsError: the folder cannot be written.
@@ -156,4 +156,4 @@ def write(path: Path, modules: Mapping[str, bytes], metadata: Mapping[str, Any])
             atomic_files.replace(path / name, content)
     except OSError as error:
         raise WeightsError(f"weights {path} cannot be written: {error.strerror or error}") from error
-    return Folder(path, full)
+    return WeightsFolder(path, full)

@@ -1,4 +1,4 @@
-"""Where the head looked on a picture and what it found there, in the space of words; torch."""
+"""Attention of the head on a picture, and embeddings of the attended parts in the space of words; torch."""
 
 import torch
 from torch import Tensor, nn
@@ -8,11 +8,11 @@ from zsdist.vision.models.projection import attended_embeddings, image_embedding
 
 
 class AttentionReader(nn.Module):
-    """Head and projection together.
+    """Head and projection as one network.
 
     Args:
-        head: tells where each action looks.
-        projection: carries tokens `(B, side, side, features)` to the space of words, `(B, side, side, D)`.
+        head: provides the attention of each action.
+        projection: maps tokens `(B, side, side, features)` to the space of words, `(B, side, side, D)`.
     """
 
     def __init__(self, head: VisualActHead, projection: nn.Module) -> None:
@@ -21,7 +21,7 @@ class AttentionReader(nn.Module):
         self.projection = projection
 
     def forward(self, tokens: Tensor) -> tuple[Tensor, Tensor]:
-        """The attention of each action `(B, 3, side * side)` and I_0 to I_3, `(B, 4, D)` of unit length."""
+        """Return the attention of each action `(B, 3, side * side)` and I_0 to I_3, `(B, 4, D)` of unit length."""
         weights, projected = self.head(tokens).attention, self.projection(tokens)
         whole = image_embedding(projected)[:, None]
         return weights, torch.cat([whole, attended_embeddings(projected, weights)], 1)

@@ -4,8 +4,8 @@ import pytest
 
 from zsdist.config import CameraConfig
 from zsdist.errors import WeightsError
-from zsdist.vision import folder
-from zsdist.vision.folder import HEAD_FILE, HISTORY_FILE, METADATA_FILE, STUDENT_FILE, VERSION
+from zsdist.vision import weights_folder
+from zsdist.vision.weights_folder import HEAD_FILE, HISTORY_FILE, METADATA_FILE, STUDENT_FILE, VERSION
 
 METADATA = {
     "encoder": {"name": "eye", "sha256": "ab"},
@@ -21,7 +21,7 @@ class Eye:
 
 @pytest.fixture
 def made(tmp_path):
-    return folder.write(tmp_path / "weights", {HEAD_FILE: b"head", STUDENT_FILE: b"student"}, METADATA)
+    return weights_folder.write(tmp_path / "weights", {HEAD_FILE: b"head", STUDENT_FILE: b"student"}, METADATA)
 
 
 def rewrite(made, change):
@@ -31,32 +31,35 @@ def rewrite(made, change):
     path.write_text(json.dumps(metadata))
 
 
-def test_what_is_written_is_read(made):
-    found = folder.read(made.path)
+def test_a_written_folder_reads_back(made):
+    found = weights_folder.read(made.path)
     assert found == made and found.content(HEAD_FILE) == b"head" and found.content(STUDENT_FILE) == b"student"
     assert found.metadata["seed"] == 3 and found.metadata["version"] == VERSION
 
 
-def test_a_second_writing_replaces_the_first_and_leaves_the_history(made):
+def test_a_second_write_replaces_the_first_and_leaves_the_history(made):
     (made.path / HISTORY_FILE).write_text('{"stage": "head", "epoch": 1}\n')
-    again = folder.write(made.path, {HEAD_FILE: b"other"}, METADATA)
-    assert again.content(HEAD_FILE) == b"other" and not folder.read(made.path).has(STUDENT_FILE)
+    again = weights_folder.write(made.path, {HEAD_FILE: b"other"}, METADATA)
+    assert again.content(HEAD_FILE) == b"other" and not weights_folder.read(made.path).has(STUDENT_FILE)
     assert again.history() == [{"stage": "head", "epoch": 1}]
 
 
-def test_the_settings_name_the_shipped_folder_or_a_path(tmp_path):
-    assert folder.locate("pretrained") == folder.SHIPPED and folder.locate(str(tmp_path)) == tmp_path
-    assert folder.read(folder.SHIPPED).content(HEAD_FILE)
+def test_the_setting_names_the_shipped_folder_or_a_path(tmp_path):
+    assert (
+        weights_folder.locate("pretrained") == weights_folder.SHIPPED
+        and weights_folder.locate(str(tmp_path)) == tmp_path
+    )
+    assert weights_folder.read(weights_folder.SHIPPED).content(HEAD_FILE)
 
 
 def test_a_file_that_the_folder_lacks_is_named_with_those_it_has(made):
     with pytest.raises(WeightsError, match=r"hold no projection\.safetensors, only head\.safetensors, student"):
-        made.content(folder.PROJECTION_FILE)
+        made.content(weights_folder.PROJECTION_FILE)
 
 
 def test_only_the_file_that_is_asked_for_is_read(made):
     (made.path / STUDENT_FILE).unlink()
-    found = folder.read(made.path)
+    found = weights_folder.read(made.path)
     assert found.content(HEAD_FILE) == b"head"
     with pytest.raises(WeightsError, match=r"student\.safetensors cannot be read"):
         found.content(STUDENT_FILE)
@@ -83,28 +86,28 @@ def test_a_truncated_and_a_foreign_file_are_refused(made):
         lambda metadata: metadata.update(files=3),
     ],
 )
-def test_metadata_that_says_too_little_is_refused(made, change):
+def test_incomplete_metadata_is_refused(made, change):
     rewrite(made, change)
     with pytest.raises(WeightsError, match=f"{METADATA_FILE} is damaged: no usable entry"):
-        folder.read(made.path)
+        weights_folder.read(made.path)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "3", '{"sha256": "0"}', '{"version": 1}', "\xff"])
-def test_metadata_that_is_none_of_this_version_is_refused(made, text):
+def test_metadata_of_another_version_is_refused(made, text):
     (made.path / METADATA_FILE).write_bytes(text.encode("latin-1"))
     with pytest.raises(WeightsError, match=rf"{METADATA_FILE} is (damaged|of version .*allowed is {VERSION})"):
-        folder.read(made.path)
+        weights_folder.read(made.path)
 
 
 def test_a_missing_folder_is_named(tmp_path):
     with pytest.raises(WeightsError, match=r"nowhere.*No such file.*'pretrained'"):
-        folder.read(tmp_path / "nowhere")
+        weights_folder.read(tmp_path / "nowhere")
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(WeightsError, match="file cannot be written"):
-        folder.write(tmp_path / "file", {HEAD_FILE: b"head"}, METADATA)
+        weights_folder.write(tmp_path / "file", {HEAD_FILE: b"head"}, METADATA)
 
 
 def test_a_damaged_history_is_named(made):
@@ -119,10 +122,12 @@ def test_another_encoder_is_refused_by_name_and_by_hash(made):
     made.check_encoder(Eye())
     for key, other in (("name", "resnet"), ("sha256", "cd")):
         with pytest.raises(WeightsError, match=rf"encoder of {key} '{other}'; the one here has '{getattr(Eye, key)}'"):
-            folder.Folder(made.path, {**METADATA, "encoder": {**METADATA["encoder"], key: other}}).check_encoder(Eye())
+            weights_folder.WeightsFolder(
+                made.path, {**METADATA, "encoder": {**METADATA["encoder"], key: other}}
+            ).check_encoder(Eye())
 
 
-def test_a_camera_that_differs_in_what_matters_is_refused_and_another_resolution_is_not(made):
+def test_a_camera_with_another_relevant_setting_is_refused_and_another_resolution_is_not(made):
     made.check_camera(CameraConfig(size_px=128, forward_m=0.5))
     for key, value in (("field_of_view_deg", 60.0), ("range_m", 8.0), ("height_m", 0.5)):
         with pytest.raises(WeightsError, match=rf"camera\.{key} is {value}; weights .* allow"):
