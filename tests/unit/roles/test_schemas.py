@@ -66,23 +66,23 @@ def test_a_frame_of_records_holds_only_those_of_its_actor_and_stream():
     def frame(stream, *records):
         return Records(stream, "actor-0", 1, 0, len(records), False, records)
 
-    assert len(schemas.drives(frame(EPISODES, EPISODE, EPISODE))) == 2
-    assert len(schemas.drives(frame(EVALUATION, RESULT))) == 1
+    assert len(schemas.check_records(frame(EPISODES, EPISODE, EPISODE))) == 2
+    assert len(schemas.check_records(frame(EVALUATION, RESULT))) == 1
     for stream, record, reason in (
         (EPISODES, RESULT, "content"),
         (EVALUATION, EPISODE, "content"),
         (EPISODES, EPISODE | {"actor": "actor-1"}, "actor"),
     ):
         with pytest.raises(DecodeError) as refused:
-            schemas.drives(frame(stream, record))
+            schemas.check_records(frame(stream, record))
         assert refused.value.reason == reason
 
 
 def test_a_state_without_books_or_versions_is_refused():
     level_replay = {"open": 0, "books": {"produced": 1}, "more": []}
     learner = {"version": 1, "updates": 1, "merge": 0, "sha256": "0" * 64}
-    assert len(schemas.parts(State("replay", {"low": level_replay, "high": level_replay}, {}))) == 2
-    assert schemas.parts(State("learner-low", learner, {}))
+    assert len(schemas.check_state(State("replay", {"low": level_replay, "high": level_replay}, {}))) == 2
+    assert schemas.check_state(State("learner-low", learner, {}))
     for state in (State("replay", {"low": {}}, {}), State("learner-low", learner | {"sha256": 1}, {})):
         with pytest.raises(DecodeError):
-            schemas.parts(state)
+            schemas.check_state(state)

@@ -7,8 +7,8 @@ from zsdist.config import parse
 from zsdist.errors import RunError
 from zsdist.replay import journal
 from zsdist.roles.base import Context
-from zsdist.roles.replay.level_replay import Shape
 from zsdist.roles.replay.role import Replay
+from zsdist.roles.shapes import Shape
 from zsdist.transport.base import Mailbox
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import NO_GUIDE, Level, Trajectory
