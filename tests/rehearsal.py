@@ -8,7 +8,8 @@ from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist import config
 from zsdist.run import directory, inline, program
-from zsdist.run.program import ActorParts, RunSpec, SceneSchedule
+from zsdist.run.program import ActorParts, RunSpec
+from zsdist.run.scene_schedule import SceneSchedule
 from zsdist.transport.base import Mailbox
 from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.wire import codec

@@ -15,7 +15,7 @@ from zsdist.common import cli
 from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
 from zsdist.reporting import final_evaluation
-from zsdist.run import directory, program
+from zsdist.run import directory, preflight, program
 from zsdist.run.program import RunSpec
 from zsdist.telemetry.display import Display
 from zsdist.vision.fingerprint import VisionIdentity
@@ -99,7 +99,7 @@ def _resume(options: argparse.Namespace, console: Console) -> RunSpec:
                 f"--{name.replace('_', '-')} cannot go with --resume: the run in {options.resume} has its own"
             )
     settings, states = directory.reopen(options.resume, _overrides(options))
-    program.check_shards(settings, states)
+    preflight.check_shards(settings, states)
     finished = len(states["scheduler"].meta["finished"])
     # All episodes may be finished, and what follows them not: the last merge, the evaluation.
     over = settings.run.episodes == finished and directory.ended(options.resume) == "complete"
@@ -119,10 +119,10 @@ def _resume(options: argparse.Namespace, console: Console) -> RunSpec:
 
 def _check_parts(settings: Config, console: Console) -> VisionIdentity:
     """Finds out before anything is written or started whether scenes, weights, memory and certificates are there."""
-    program.check_memory(settings)
-    program.check_certificates(settings)
+    preflight.check_memory(settings)
+    preflight.check_certificates(settings)
     console.print("preparing; the first time, this takes about 15 s for what is compiled then", highlight=False)
-    return program.warm_up(settings)
+    return preflight.warm_up(settings)
 
 
 def _train(spec: RunSpec, interruption: "Interruption", console: Console, *, prefer_lines: bool) -> dict:

@@ -2,7 +2,7 @@ import pytest
 from rehearsal import Tap, episodes, rehearse, resume, start
 
 from zsdist.errors import ConfigError
-from zsdist.run import directory, program
+from zsdist.run import directory, preflight
 from zsdist.types import Level
 from zsdist.wire.messages import Push
 
@@ -92,4 +92,4 @@ def test_a_run_is_gone_on_with_a_shard_more_but_not_with_one_less(tmp_path):
     assert len(list((tmp_path / "run").glob("checkpoints/00000008/replay*.state"))) == 2
     settings, states = directory.reopen(tmp_path / "run", ("replay.shards=1",))
     with pytest.raises(ConfigError, match=r"replay\.shards is 1 and the checkpoint holds 2; allowed are 2 or more"):
-        program.check_shards(settings, states)
+        preflight.check_shards(settings, states)

@@ -94,7 +94,7 @@ def test_a_run_is_gone_on_with_unless_it_had_all_its_episodes_and_what_follows_t
     directory.RunDirectory(folder, seen).checkpoint(2, {"scheduler": state})
     if ended:
         (folder / "summary.json").write_text(json.dumps({"ended": ended}))
-    monkeypatch.setattr(launch.program, "check_shards", lambda settings, states: None)
+    monkeypatch.setattr(launch.preflight, "check_shards", lambda settings, states: None)
     monkeypatch.setattr(launch, "_check_parts", lambda settings, console: seen)
 
     def resumed(episodes):

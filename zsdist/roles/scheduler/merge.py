@@ -78,7 +78,8 @@ class Merge:
         self._drop_losers()
         if not self.outstanding():
             # On a tie the first candidate wins: the recent networks, where they are among the best.
-            self.chosen, self.phase = max(self._alive(), key=self._rank), Phase.PROMOTE
+            winner = max(self._alive(), key=self._rank)
+            self.chosen, self.phase = winner, Phase.PROMOTE
 
     def promoted(self) -> None:
         """End the merge: both learners have taken over the winner."""
