@@ -264,7 +264,8 @@ class _Supervisor:
         if stays_here(role_spec, self.spec.config):
             here = ray.get_runtime_context().get_node_id()
             options["scheduling_strategy"] = NodeAffinitySchedulingStrategy(here, soft=False)
-        return ray.remote(**options)(RoleHost).remote(self.spec)
+        host_class: Any = ray.remote(**options)(RoleHost)  # Ray's types cover classes only without options
+        return host_class.remote(self.spec)
 
     def _leave(self) -> None:
         """Wait a while for the other roles to end by themselves."""
