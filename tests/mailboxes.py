@@ -1,4 +1,4 @@
-"""One role at a time, with everybody else played by a test at the other end of a memory transport."""
+"""A single role; the test plays all others at the other end of a memory transport."""
 
 import json
 import threading
@@ -25,45 +25,45 @@ PARAMETERS = network.initial_parameters(LOW.state_size, LOW.actions, (4,), seed=
 REPLAY = {"epochs": {"actor-0": 7}, "buffer_size": 2000, "batch_size": 16, "stop": False}
 
 
-class NoLedger:
-    """Of a scheduler whose run directory is of no interest."""
+class NoRunLog:
+    """Accepts all that a scheduler writes, and keeps nothing."""
 
     def __getattr__(self, name):
         return lambda *arguments: 0.0
 
 
 class Bench:
-    """One role, and everybody else at the other end of a memory transport."""
+    """One role at a memory transport, with the other end for the test."""
 
     def __init__(self, role, folder):
         broker, self.now = MemoryBroker(), 0.0
-        self.others, self.said, self.answers = MemoryTransport(broker), Mailbox(2**20), Mailbox(2**26)
-        self.others.subscribe(keys.stats(RUN, keys.ANY, keys.ANY), self.said)
+        self.others, self.stats, self.answers = MemoryTransport(broker), Mailbox(2**20), Mailbox(2**26)
+        self.others.subscribe(keys.stats(RUN, keys.ANY, keys.ANY), self.stats)
         kind, _, identifier = role.partition("-")
         context = Context(CONFIG, RUN, kind, identifier, 9, MemoryTransport(broker), threading.Event())
         match kind:
             case "replay":
                 self.role = Replay(context, SHAPES, folder)
             case "scheduler":
-                self.role = Scheduler(context, NoLedger())
+                self.role = Scheduler(context, NoRunLog())
             case "learner":
                 self.role = Learner(context, Level.LOW, DqnLearner(LOW.state_size, LOW.actions, CONFIG.low, seed=0))
             case "actor":
-                self.role = Actor(context, [], Blind(), None)
+                self.role = Actor(context, [], NoPerception(), None)
 
     def send(self, key, payload):
         self.others.publish(key, payload if isinstance(payload, bytes) else codec.encode(payload))
 
     def refused(self):
-        """By reason, as a watcher hears it after one step."""
+        """Counts of refused messages by reason, as published after one step."""
         self.now += 1.0
         assert self.role.step(self.now) is not None
-        told = json.loads(self.said.drain()[-1].payload)
-        return {name.removeprefix("rejected_"): count for name, count in told.items() if name.startswith("rejected_")}
+        fields = json.loads(self.stats.drain()[-1].payload)
+        return {name.removeprefix("rejected_"): count for name, count in fields.items() if name.startswith("rejected_")}
 
 
-class Blind:
-    """In the place of an actor's eyes: there are no cars."""
+class NoPerception:
+    """Perception of an actor without cars."""
 
     visual_act = FakeVisualAct()
 

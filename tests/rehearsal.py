@@ -38,7 +38,7 @@ def kinematic(settings):
 
 
 class Tap:
-    """Listens to everything a run says."""
+    """Records all messages of a run."""
 
     def __init__(self):
         self.box = Mailbox(2**30)

@@ -166,7 +166,7 @@ def test_a_checkpoint_replaces_one_of_the_same_count(folder, run_log):
 
 
 @pytest.mark.parametrize(("summary", "ended"), [('{"ended": "complete"}', "complete"), (None, None)])
-def test_how_a_run_ended_is_in_its_summary(folder, summary, ended):
+def test_the_end_of_a_run_is_read_from_its_summary(folder, summary, ended):
     if summary:
         (folder / "summary.json").write_text(summary)
     assert directory.ended(folder) == ended
@@ -195,6 +195,6 @@ def test_a_policy_without_weights_is_refused(folder, run_log):
 
 
 @pytest.mark.parametrize(("name", "key"), [("plain-1.2", "plain-1.2"), ("with space/ä", "-")])
-def test_every_folder_has_a_name_that_a_key_can_hold(tmp_path, name, key):
+def test_every_folder_gets_a_name_that_is_valid_in_keys(tmp_path, name, key):
     (tmp_path / name).mkdir(parents=True)
     assert directory.key_name(tmp_path / name) == key

@@ -175,7 +175,7 @@ class LevelReplay:
         if capacity != self.buffer.capacity:
             self.buffer.resize(capacity)
 
-    def books(self) -> dict[str, int]:
+    def counts(self) -> dict[str, int]:
         """Return the counts of transitions; `produced = stored + rejected` once all epochs are closed."""
         return {
             "produced": self.inbox.produced,
@@ -266,7 +266,7 @@ class LevelReplay:
             "rejected": self.rejected,
             "sampled": self.sampled,
             "rng": json.dumps(self.rng.bit_generator.state),  # as text: its integers have 128 bits
-            "books": self.books(),
+            "books": self.counts(),
             "epochs": self._epochs,
             "closed": [list(stream) for stream in sorted(self._closed)],
             "open": len(self.inbox.open_streams()),

@@ -101,7 +101,7 @@ class Replay(Role):
         }
         for level, level_replay in self.level_replays.items():
             buffer = level_replay.buffer
-            counts = {f"{level}_{name}": count for name, count in level_replay.books().items()}
+            counts = {f"{level}_{name}": count for name, count in level_replay.counts().items()}
             fields |= counts | {
                 f"{level}_size": len(buffer),
                 f"{level}_capacity": buffer.capacity,

@@ -25,7 +25,7 @@ def test_the_candidate_that_drives_best_is_chosen(good):
     assert merge.chosen == good
 
 
-def test_nothing_is_driven_until_both_levels_have_offered_every_candidate():
+def test_no_drive_is_wanted_until_both_levels_have_offered_every_candidate():
     merge = Merge(1, 100, ("recent", "distilled"), 6, 2)
     merge.offered([{"recent", "distilled"}, {"recent"}])
     assert merge.phase is Phase.COLLECT
@@ -122,6 +122,6 @@ def test_a_drive_stays_with_its_actor_while_others_finish():
         assert drives == [drive for drive in before[actor] if drive in outstanding[5:]]
 
 
-def test_actors_without_drives_are_told_so():
+def test_actors_without_drives_get_an_empty_list():
     assert deal_drives([], CANDIDATES, ["a", "b"]) == {"a": [], "b": []}
     assert deal_drives([], (), []) == {}
