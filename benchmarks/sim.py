@@ -1,12 +1,12 @@
-"""RL steps a CPU-second of one core, from physics alone to a whole actor; and the arithmetic of the floor.
+"""RL steps per CPU-second of one core, from physics alone to a whole actor, and the cost of each part.
 
 `python benchmarks/sim.py [--quick]` prints a table, then one JSON line. Every design drives the same car through the
-same scenes with the same actions, and the designs take turns, so that what else the machine does meets all of them
-alike. All times are CPU time of the process, resets aside. The obvious design is PyBullet's renderer at 512 px with the
-trunk run eagerly by torch at each step. `warm` is the default vision in training where all that is seen is remembered.
-None of these designs has an agent. `actor_...` are whole steps of an actor, agent included: cold without its memory of
-readings; learning with what that memory holds after the episodes driven before; warm when the same episodes are driven
-again, so that all of it is remembered. The student is left out where the weights hold none.
+same scenes with the same actions, and the designs take turns, so that other load on the machine affects all of them
+alike. All times are CPU time of the process without resets. The obvious design is PyBullet's renderer at 512 px with
+the trunk run eagerly by torch at each step. `warm` is the default vision in training with every reading in the cache.
+None of these designs has an agent. `actor_...` are whole steps of an actor with its agent: cold without a reading
+cache; learning with the cache filled by the episodes before; warm when the same episodes are driven again, so that
+every reading is in the cache. The student is left out if the weights contain none.
 """
 
 import argparse
@@ -17,7 +17,7 @@ import time
 import uuid
 from collections.abc import Callable
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # one core, as a role has it; before numpy and torch read it
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # one core, as each role has; before numpy and torch read it
 
 import numpy as np
 import torch
@@ -42,13 +42,13 @@ from zsdist.vision.visual_act import VisualAct
 
 CARS = (1, 4, 16, 32)
 ENCODER_PX = 224
-EPSILON = 0.5  # of the actor's episodes: the middle of a run's decay
+EPSILON = 0.5  # exploration of the actor's episodes: the middle of a run's decay
 
 Read = Callable[[np.ndarray], object]
 
 
 class Onlooker:
-    """What `Perception` asks of a car in a training episode, of one that has no agent."""
+    """Car without an agent, with the attributes that `Perception` reads in a training episode."""
 
     trains = True
 
@@ -59,22 +59,26 @@ class Onlooker:
 
     @property
     def pose(self) -> Pose:
-        """The true pose."""
+        """True pose of the car."""
         return self._world.pose
 
     def goal_from_here(self) -> tuple[float, float]:
-        """Bearing and distance of the goal."""
+        """Return bearing and distance of the goal."""
         return self.pose.towards(*self._world.scene.goal)
 
 
 @dataclasses.dataclass
 class Design:
-    """A car, perhaps with a camera, perhaps with a network that reads its pictures `(1, px, px, 3)`.
+    """A simulated car with or without a camera and a network.
 
     Attributes:
-        perception: in place of both: the camera and the network with a memory of readings.
+        name: name in the table.
+        env: environment of the car.
+        camera: whether a picture is drawn after each action.
+        read: network that reads the pictures `(1, px, px, 3)`; None: no network.
+        perception: camera and network with a reading cache, in the place of `camera` and `read`.
         parts_ms: CPU time of each action's physics, camera and network.
-        rates: RL steps a CPU-second, one a round.
+        rates: RL steps per CPU-second, one for each round.
     """
 
     name: str
@@ -86,7 +90,7 @@ class Design:
     rates: list[float] = dataclasses.field(default_factory=list)
 
     def drive(self, scene: object, seed: int, actions: int) -> None:
-        """One round: random actions that hit nothing on the true map; a new episode where there is none left."""
+        """Drive one round of random actions without collision on the true map; restart finished episodes."""
         rng, grid = np.random.default_rng(seed), self.env.grid
         blocked = FootprintTable(grid).blocked(scene.occupancy(grid))
         onlooker = Onlooker(self.env, scene.hash())
@@ -113,25 +117,25 @@ class Design:
         self.rates.append(actions / spent_s)
 
     def rehearse(self, scene: object, seed: int, actions: int) -> None:
-        """The same round, not counted."""
+        """Drive the same round without recording it."""
         dataclasses.replace(self, parts_ms=[], rates=[]).drive(scene, seed, actions)
 
     def _begin(self, scene: object) -> None:
         self.env.reset(options={"scene": scene})
         if self.camera:
-            self.env.picture()  # what a new scene costs once is not an action's
+            self.env.picture()  # prepares the scene: a cost of the reset, not of an action
 
 
 def main() -> None:
     """Measure, print the tables and the JSON line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer rounds; ends within 50 s on two cores")
-    parser.add_argument("--weights", default="pretrained", help="as vision.weights (default: pretrained)")
+    parser.add_argument("--weights", default="pretrained", help="weights, as vision.weights (default: pretrained)")
     options = parser.parse_args()
     rounds, actions, warm_episodes, measured = (3, 10, 10, 200) if options.quick else (8, 25, 100, 1000)
     torch.set_num_threads(1)
     designs, head = _designs(options.weights)
-    for index in range(-1, rounds):  # the first does not count
+    for index in range(-1, rounds):  # the first round warms up
         for design in designs:
             scene = draw("singleton", "train", max(index, 0))
             if design.perception is not None:
@@ -156,7 +160,7 @@ def main() -> None:
 
 
 def _designs(weights: str) -> tuple[list[Design], Read]:
-    """All designs, and the head alone, which reads any tokens in the same time."""
+    """Return all designs, and the head alone, whose time does not depend on its tokens."""
 
     def env(size_px: int = ENCODER_PX, back_end: str = "caster") -> CarNavigation:
         camera = CameraConfig(size_px=size_px, back_end=back_end)
@@ -188,7 +192,7 @@ def _designs(weights: str) -> tuple[list[Design], Read]:
 
 
 def _memory() -> ReadingCache:
-    """Empty at first: nobody else sees by a name like this."""
+    """Return an empty reading cache: its name is unique."""
     return ReadingCache(Config().vision.cache_bytes, f"benchmark {uuid.uuid4().hex}")
 
 
@@ -200,19 +204,19 @@ def _figures(designs: list[Design], actions: int) -> dict[str, float]:
         rate = statistics.median(design.rates[1:])
         print(f"{design.name:26}{parts[0]:9.3f}{parts[1]:9.3f}{parts[2]:9.3f}{1e3 / rate:9.3f}{rate:13.0f}")
         figures[f"{design.name}_steps_per_cpu_s"] = rate
-        for part, value, there in zip(
+        for part, value, present in zip(
             ("physics", "camera", "network"),
             parts,
             (True, design.camera, design.read is not None or design.perception is not None),
             strict=True,
         ):
-            if there:
+            if present:
                 figures[f"{design.name}_{part}_ms"] = float(value)
     return figures
 
 
 def _floor(figures: dict[str, float], head: Callable[[], object]) -> dict[str, float]:
-    """What an action's parts cost each by itself, their sum, and the same measured as a whole."""
+    """Return the cost of each part of an action alone, their sum, and the same measured together."""
     times = []
     for _ in range(60):
         began = time.process_time()
@@ -236,7 +240,7 @@ def _floor(figures: dict[str, float], head: Callable[[], object]) -> dict[str, f
 
 
 def _actors(weights: str, warm_episodes: int, measured: int) -> dict[str, float]:
-    """Steps of whole actors in default training episodes: cold with few and with many cars, learning, and warm."""
+    """Return the cost of steps of whole actors in default training episodes: cold, learning and warm."""
     config = Config(vision=VisionConfig(weights=weights))
     parts, q = (
         program.simulation(config),
@@ -246,7 +250,7 @@ def _actors(weights: str, warm_episodes: int, measured: int) -> dict[str, float]
     rays = config.vision.rays
     crews = {cars: _Crew(config, parts, cars, Perception(parts.visual_act, grid, rays, None), q) for cars in CARS}
     times = {cars: [] for cars in CARS}
-    for _ in range(6):  # the first, with what is done once, does not count
+    for _ in range(6):  # the first round warms up
         for cars, crew in crews.items():
             times[cars].append(crew.drive(max(cars, measured // 10)))
     for cars in CARS:
@@ -264,7 +268,7 @@ def _actors(weights: str, warm_episodes: int, measured: int) -> dict[str, float]
 
 
 def _remembering(name: str, crew: "_Crew", perception: Perception, steps: int, episodes: int) -> dict[str, float]:
-    """Cost of a step with a memory of readings, and the share of readings that came from it."""
+    """Return the cost of a step with a reading cache, and the share of readings from the cache."""
     before = np.array([perception.hits, perception.misses, perception.bypasses])
     ms = crew.drive(steps)
     hits, *others = np.array([perception.hits, perception.misses, perception.bypasses]) - before
@@ -279,7 +283,7 @@ def _remembering(name: str, crew: "_Crew", perception: Perception, steps: int, e
 
 
 class _Crew:
-    """An actor's cars without its messages: training episodes by the untrained agent, one after another."""
+    """Cars of an actor without its messages, with an untrained agent in training episodes."""
 
     def __init__(self, config: Config, parts: program.ActorParts, cars: int, perception: Perception, q: dict) -> None:
         self.episodes = 0
@@ -287,7 +291,7 @@ class _Crew:
         self._cars = [ActorCar(parts.make_env(), config) for _ in range(cars)]
 
     def drive(self, steps: int) -> float:
-        """At least so many steps; returns the CPU milliseconds of one, resets aside."""
+        """Drive at least `steps` steps; return the CPU milliseconds of one, without resets."""
         driven, spent_s = 0, 0.0
         while driven < steps:
             for car in self._cars:

@@ -11,7 +11,7 @@ import numpy as np
 from zsdist.evaluate import find_policy
 from zsdist.evaluation.episodes import Moment
 from zsdist.evaluation.records import EpisodeRecord
-from zsdist.evaluation.workers import make_examiner
+from zsdist.evaluation.workers import make_runner
 from zsdist.sim.scenes import families
 from zsdist.types import Action
 
@@ -25,8 +25,8 @@ def show(moment: Moment) -> None:
 
 def main(family: str = "ood-layout", index: str = "0") -> EpisodeRecord:
     """Drive test scene `index` of `family` greedily and return the episode."""
-    contender, _ = find_policy("pretrained")
-    runner = make_examiner(contender)
+    contender = find_policy("pretrained").contender
+    runner = make_runner(contender)
     scene = families.draw(family, "test", int(index))
     record = runner.drive(scene, np.random.default_rng(0), show)
     print(f"{record.scene}: {record.outcome.value} after {record.steps} actions and {record.path_m:.1f} m")

@@ -17,7 +17,7 @@ def main(scenes: str = "configs/scenes", run: str = "runs/example", episodes: st
     """Train for some episodes and return their outcomes."""
     options = ["--single-process", "--plain", "--episodes", episodes, "--run-dir", run]
     options += ["--set", f"scenes.train={json.dumps([scenes])}", "--set", "run.final_evaluation_episodes=0"]
-    launch.main(launch.parser().parse_args(options))
+    launch.main(launch.make_parser().parse_args(options))
     outcomes = []
     for line in (Path(run) / "episodes.jsonl").read_text().splitlines():
         episode = json.loads(line)

@@ -246,7 +246,7 @@ class Mailboxes:
             self.bench.now += 0.5
             if self.bench.role.step(self.bench.now) is None:
                 self._rounds = ROUNDS_A_ROLE
-            self.bench.statistics.drain()
+            self.bench.stats.drain()
             self.bench.answers.drain()
         except Exception:
             return sent

@@ -1,4 +1,4 @@
-"""One role under test, with a test at the other end of a memory transport in place of all others."""
+"""A single role; the test plays all others at the other end of a memory transport."""
 
 import json
 import threading
@@ -25,44 +25,44 @@ PARAMETERS = network.initial_parameters(LOW.state_size, LOW.actions, (4,), seed=
 REPLAY = {"epochs": {"actor-0": 7}, "buffer_size": 2000, "batch_size": 16, "stop": False}
 
 
-class NoLedger:
-    """Ledger of a scheduler that writes nothing."""
+class NoRunLog:
+    """Accepts all that a scheduler writes, and keeps nothing."""
 
     def __getattr__(self, name):
         return lambda *arguments: 0.0
 
 
 class Bench:
-    """One role, and a transport and mailboxes that stand for all others."""
+    """One role at a memory transport, with the other end for the test."""
 
     def __init__(self, role, folder):
         broker, self.now = MemoryBroker(), 0.0
-        self.others, self.statistics, self.answers = MemoryTransport(broker), Mailbox(2**20), Mailbox(2**26)
-        self.others.subscribe(keys.stats(RUN, keys.ANY, keys.ANY), self.statistics)
+        self.others, self.stats, self.answers = MemoryTransport(broker), Mailbox(2**20), Mailbox(2**26)
+        self.others.subscribe(keys.stats(RUN, keys.ANY, keys.ANY), self.stats)
         kind, _, identifier = role.partition("-")
         context = Context(CONFIG, RUN, kind, identifier, 9, MemoryTransport(broker), threading.Event())
         match kind:
             case "replay":
                 self.role = Replay(context, SHAPES, folder)
             case "scheduler":
-                self.role = Scheduler(context, NoLedger())
+                self.role = Scheduler(context, NoRunLog())
             case "learner":
                 self.role = Learner(context, Level.LOW, DqnLearner(LOW.state_size, LOW.actions, CONFIG.low, seed=0))
             case "actor":
-                self.role = Actor(context, [], Blind(), None)
+                self.role = Actor(context, [], NoPerception(), None)
 
     def send(self, key, payload):
         self.others.publish(key, payload if isinstance(payload, bytes) else codec.encode(payload))
 
     def refused(self):
-        """Counts of refused messages by reason, as the role publishes them after a step."""
+        """Counts of refused messages by reason, as published after one step."""
         self.now += 1.0
         assert self.role.step(self.now) is not None
-        fields = json.loads(self.statistics.drain()[-1].payload)
+        fields = json.loads(self.stats.drain()[-1].payload)
         return {name.removeprefix("rejected_"): count for name, count in fields.items() if name.startswith("rejected_")}
 
 
-class Blind:
+class NoPerception:
     """Perception of an actor without cars."""
 
     visual_act = FakeVisualAct()

@@ -8,7 +8,8 @@ from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist import config
 from zsdist.run import directory, inline, program
-from zsdist.run.program import ActorParts, RunSpec, SceneSchedule
+from zsdist.run.program import ActorParts, RunSpec
+from zsdist.run.scene_schedule import SceneSchedule
 from zsdist.transport.base import Mailbox
 from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.wire import codec
@@ -37,7 +38,7 @@ def kinematic(settings):
 
 
 class Tap:
-    """Listens to everything a run says."""
+    """Records all messages of a run."""
 
     def __init__(self):
         self.box = Mailbox(2**30)

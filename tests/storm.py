@@ -219,5 +219,5 @@ class Storm:
             assert driver.confirmed <= len(mine) <= driver.outbox.produced, "acknowledged transitions are not stored"
         books = Counter()
         for level_replay in level_replays:
-            books.update(level_replay.books())
+            books.update(level_replay.counts())
         assert books["produced"] == books["stored"] == len(held) and books["rejected"] == 0

@@ -35,7 +35,7 @@ from rehearsal import SEEN, kinematic
 from zsdist import config
 from zsdist.replay import journal
 from zsdist.roles.replay.level_replay import Entry
-from zsdist.run import directory, program, ray
+from zsdist.run import directory, program, ray, restarts
 from zsdist.run.program import RunSpec
 from zsdist.transport.base import Mailbox, Transport
 from zsdist.wire import codec, keys
@@ -274,9 +274,9 @@ def ride(role: str, kills: int) -> dict:
 def main() -> None:
     """Add runs to the results until there are enough kills, and print a summary."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--role", choices=ray.RESTARTED, required=True)
+    parser.add_argument("--role", choices=restarts.RESTARTED, required=True)
     parser.add_argument("--kills", type=int, default=100)
-    parser.add_argument("--per-run", type=int, default=ray.RESTARTS_ALLOWED)
+    parser.add_argument("--per-run", type=int, default=restarts.RESTARTS_ALLOWED)
     parser.add_argument("--results", type=Path, default=Path("runs/kills.jsonl"), help="appended to")
     options = parser.parse_args()
     options.results.parent.mkdir(parents=True, exist_ok=True)

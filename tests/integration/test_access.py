@@ -1,7 +1,6 @@
-"""What each certificate may and may not do at a hub that asks for them: bare zenoh sessions over real sockets.
+"""Permissions of each certificate at a hub with TLS, tested by plain zenoh sessions over real sockets.
 
-That something was kept from its receivers is seen without waiting: what is let through is sent after it on the same
-connection, and arrives alone.
+A blocked message is noticed without waiting: an allowed one is sent after it on the same connection, and arrives alone.
 """
 
 import itertools
@@ -24,7 +23,7 @@ pytestmark = pytest.mark.integration
 ACTORS, HOST = 2, "127.0.0.1"
 RUN = "zsdist/demo"
 NUMBERS = itertools.count()
-OTHERS = ("actor-7", "stranger")  # of the right authority, but on no list
+OTHERS = ("actor-7", "stranger")  # certified by the authority, but not on the access list
 OF_ACTOR_0 = ("push/low/actor-0/3", "push/high/actor-0/3", "episodes/actor-0/3", "evaluation/actor-0", "stats/actor/0")
 NOT_OF_ACTOR_0 = (
     "weights/low",
@@ -50,7 +49,7 @@ NOT_TO_MONITOR = ("push/low/actor-0/3", "ack/actor-0", "control/actor", "candida
 
 
 class Client:
-    """A program that knows zenoh and nothing of ours, with a certificate."""
+    """A plain zenoh session with a certificate."""
 
     def __init__(self, endpoint: str, identity: Identity | None) -> None:
         settings = {"mode": "client", "connect/endpoints": [endpoint], "connect/timeout_ms": 500}
@@ -78,7 +77,7 @@ class Client:
         return box
 
     def ask(self, key: str) -> list[bytes]:
-        """All answers; none where the question is refused."""
+        """All answers; none where the request is refused."""
         replies = self.session.get(f"{RUN}/{key}", payload=b"?", timeout=0.5)
         return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
 
@@ -97,11 +96,11 @@ def _keep(box: Inbox, sample: zenoh.Sample) -> None:
 
 
 def heard(box: Inbox, send: Client, key: str) -> set[str]:
-    """What comes into `box` until a message arrives that `send` may send under `key`, from now on."""
+    """Keys of the messages that arrive in `box` before one that `send` may send under `key`."""
     last, tries = b"last %d" % next(NUMBERS), 0
     box.seen.clear()
     while not any(message.payload == last for message in box.seen):
-        send.put(key, last)  # again and again: a subscription takes a while to get about
+        send.put(key, last)  # repeatedly: a subscription takes a while to spread
         tries += 1
         assert tries < 50 * PATIENCE_S, f"nothing came under {key}"
         box.wait(len(box.seen) + 1, 0.02)
@@ -123,7 +122,7 @@ def hub(folder):
 
 @pytest.fixture
 def connect(hub, folder):
-    """A function that gives a client under a name."""
+    """A function that connects a client with the certificate of a name."""
     opened = []
 
     def make(name: str) -> Client:
@@ -149,7 +148,7 @@ def test_an_actor_publishes_under_its_own_name_and_nothing_else(connect):
     assert len([message for message in box.seen if not message.payload]) == len(OF_ACTOR_0)
 
 
-def test_an_actor_hears_what_is_meant_for_it_and_nothing_else(connect):
+def test_an_actor_receives_its_own_messages_and_no_others(connect):
     trusted, actor = connect(permissions.TRUSTED), connect("actor-0")
     for key in TO_ACTOR_0:
         assert heard(actor.hear(key), trusted, key) == {key}
@@ -160,7 +159,7 @@ def test_an_actor_hears_what_is_meant_for_it_and_nothing_else(connect):
     assert heard(box, trusted, TO_ACTOR_0[0]) == {TO_ACTOR_0[0]}
 
 
-def test_an_actor_asks_for_no_batch_and_no_state_and_answers_nobody(connect):
+def test_an_actor_can_neither_request_batches_or_states_nor_serve_them(connect):
     trusted, learner = connect(permissions.TRUSTED), connect(permissions.TRUSTED)
     actor, forger = connect("actor-0"), connect("actor-1")
     for key in ("sample/low", "control/replay", "control/learner-low"):
@@ -172,7 +171,7 @@ def test_an_actor_asks_for_no_batch_and_no_state_and_answers_nobody(connect):
     assert learner.ask("weights/low") == []
 
 
-def test_an_actor_holds_its_own_token_and_no_other(connect):
+def test_an_actor_can_declare_its_own_token_and_no_other(connect):
     actor, watcher = connect("actor-0"), connect(permissions.MONITOR)
     tokens = [actor.session.liveliness().declare_token(f"{RUN}/alive/{who}") for who in ("learner/low", "actor/1")]
     tokens.append(actor.session.liveliness().declare_token(f"@retained/{RUN}/weights/low"))
@@ -184,7 +183,7 @@ def test_an_actor_holds_its_own_token_and_no_other(connect):
     assert [reply for reply in replies if reply.ok] == []
 
 
-def test_a_monitor_hears_statistics_events_weights_and_who_lives_and_nothing_else(connect):
+def test_a_monitor_receives_statistics_events_weights_and_tokens_and_nothing_else(connect):
     trusted, monitor = connect(permissions.TRUSTED), connect(permissions.MONITOR)
     for key in TO_MONITOR:
         assert heard(monitor.hear(key), trusted, key) == {key}
@@ -201,7 +200,7 @@ def test_a_monitor_hears_statistics_events_weights_and_who_lives_and_nothing_els
 
 
 @pytest.mark.parametrize("name", [permissions.MONITOR, permissions.HUB, *OTHERS])
-def test_whoever_is_neither_actor_nor_trusted_changes_nothing(connect, name):
+def test_other_clients_can_change_nothing(connect, name):
     trusted, client = connect(permissions.TRUSTED), connect(name)
     box = trusted.hear("**")
     heard(box, connect(permissions.TRUSTED), "events")
@@ -210,7 +209,7 @@ def test_whoever_is_neither_actor_nor_trusted_changes_nothing(connect, name):
     for key in (*OF_ACTOR_0, *NOT_OF_ACTOR_0[:-1], "events" if name != permissions.HUB else "sample/low"):
         client.put(key, b"forged")
     token = client.session.liveliness().declare_token(f"{RUN}/alive/learner/low")
-    assert client.ask("control/replay") == []  # and by now the hub has seen all that came before
+    assert client.ask("control/replay") == []  # by now the hub has handled all earlier messages
     assert trusted.ask("sample/low") == []
     assert trusted.alive() == set()
     assert heard(box, connect(permissions.TRUSTED), "events") == {"events"}
@@ -218,7 +217,7 @@ def test_whoever_is_neither_actor_nor_trusted_changes_nothing(connect, name):
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_a_name_on_no_list_hears_nothing(connect, name):
+def test_an_unlisted_name_receives_nothing(connect, name):
     trusted, client = connect(permissions.TRUSTED), connect(name)
     control, box = connect(permissions.MONITOR).hear("stats/actor/0"), client.hear("**", *TO_ACTOR_0, *TO_MONITOR)
     assert client.ask("weights/low") == []
@@ -229,7 +228,7 @@ def test_a_name_on_no_list_hears_nothing(connect, name):
     assert box.seen == box.drain() == []
 
 
-def test_without_a_certificate_of_the_authority_nobody_connects(hub, folder, tmp_path):
+def test_no_client_connects_without_a_certificate_of_the_authority(hub, folder, tmp_path):
     certificates.make(tmp_path, permissions.HUB, [permissions.TRUSTED], [HOST], days=1)
     for endpoint, identity in (
         (hub.endpoint, None),
@@ -243,7 +242,7 @@ def test_without_a_certificate_of_the_authority_nobody_connects(hub, folder, tmp
 
 
 @pytest.mark.parametrize("pretender", ["actor-0", "elsewhere", "other authority"])
-def test_a_hub_that_cannot_prove_to_be_the_hub_of_its_host_gets_no_client(folder, tmp_path, pretender):
+def test_no_client_connects_to_a_hub_with_a_wrong_certificate(folder, tmp_path, pretender):
     mine = Identity.load(folder, permissions.TRUSTED)
     if pretender == "actor-0":
         shown = Identity.load(folder, pretender)

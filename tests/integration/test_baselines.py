@@ -1,4 +1,4 @@
-"""Every configuration that a learned baseline is trained by goes through a run."""
+"""Every configuration of a learned baseline completes a short run."""
 
 import json
 from pathlib import Path

@@ -14,7 +14,7 @@ from zsdist.sim.scenes import families
 pytestmark = pytest.mark.integration
 
 
-def test_several_processes_drive_what_one_drives():
+def test_several_processes_and_one_drive_the_same_trajectories():
     contender, heard = Contender(Config(), baseline="random"), []
     scenes = [families.draw("singleton", "test", index) for index in range(3)]
     alone = drive_all(contender, scenes, seed=4, workers=1, on_record=lambda index, record: None)

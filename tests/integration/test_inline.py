@@ -26,23 +26,25 @@ def test_two_runs_with_one_seed_end_in_equal_weights(run, tmp_path):
     assert other["weights"]["sha256"] != summary["weights"]["sha256"]
 
 
-def test_what_the_cache_holds_changes_how_often_actors_look_and_nothing_else(run, tmp_path, monkeypatch):
-    _, summary, said = run
+def test_the_size_of_the_cache_changes_how_often_the_model_runs_and_nothing_else(run, tmp_path, monkeypatch):
+    _, summary, messages = run
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     tap = Tap()
     small = rehearse(start(tmp_path / "small", f"vision.cache_bytes={SET_BYTES}"), watch=tap)
     assert small["weights"]["sha256"] == summary["weights"]["sha256"]
-    last, last_of_small = (
-        {one["id"]: one for one in every["stats"] if one["role"] == "actor"} for every in (said, tap.by_kind())
+    last, last_small = (
+        {one["id"]: one for one in every["stats"] if one["role"] == "actor"} for every in (messages, tap.by_kind())
     )
     for identifier, fields in last.items():
-        looks = fields["cache_hits"] + fields["cache_misses"]
-        assert looks == fields["env_steps"] + fields["started_episodes"]  # one more, of each episode's last state
+        readings = fields["cache_hits"] + fields["cache_misses"]
+        assert (
+            readings == fields["env_steps"] + fields["started_episodes"]
+        )  # one more for the last state of each episode
         assert fields["cache_bypasses"] == 0  # these cars stand on the lattice
-        assert fields["cache_hits"] > last_of_small[identifier]["cache_hits"] >= 0
+        assert fields["cache_hits"] > last_small[identifier]["cache_hits"] >= 0
 
 
-def test_a_run_where_another_has_been_looks_at_nothing_anew_and_learns_the_same(run, tmp_path):
+def test_a_second_run_finds_all_readings_in_the_cache_and_learns_the_same(run, tmp_path):
     _, summary, _ = run
     tap = Tap()
     again = rehearse(start(tmp_path / "again"), watch=tap)
@@ -51,11 +53,11 @@ def test_a_run_where_another_has_been_looks_at_nothing_anew_and_learns_the_same(
     assert all(fields["cache_hits"] > fields["cache_misses"] == 0 for fields in actors.values())
 
 
-def test_the_books_balance_and_every_lease_is_finished_once(run):
+def test_the_counts_balance_and_every_lease_is_finished_once(run):
     spec, summary, _ = run
-    for books in summary["transitions"].values():
-        assert books["produced"] == books["stored"] + books["rejected"] > 0
-        assert books["abandoned_at_most"] == 0
+    for counts in summary["transitions"].values():
+        assert counts["produced"] == counts["stored"] + counts["rejected"] > 0
+        assert counts["abandoned_at_most"] == 0
     assert sorted(record["episode"] for record in episodes(spec.folder)) == list(range(1, 9))
     assert sum(summary["outcomes"].values()) == summary["episodes"] == 8
     assert summary["env_steps"] == sum(record["steps"] for record in episodes(spec.folder))
@@ -63,8 +65,8 @@ def test_the_books_balance_and_every_lease_is_finished_once(run):
 
 
 def test_transitions_flow_from_every_actor_to_the_replay(run):
-    _, summary, said = run
-    pushes = [message for message in said["push"] if isinstance(message, Push)]
+    _, summary, messages = run
+    pushes = [message for message in messages["push"] if isinstance(message, Push)]
     assert {push.actor for push in pushes} == {"actor-0", "actor-1"}
     assert {push.stream for push in pushes} == set(Level)
     for level in Level:
@@ -73,8 +75,8 @@ def test_transitions_flow_from_every_actor_to_the_replay(run):
 
 
 def test_the_replay_acknowledges_and_grants_credit_to_every_stream(run):
-    _, _, said = run
-    acks = [ack for ack in said["ack"] if isinstance(ack, Ack)]
+    _, _, messages = run
+    acks = [ack for ack in messages["ack"] if isinstance(ack, Ack)]
     for actor in ("actor-0", "actor-1"):
         for stream in ("high", "low", "episodes", "evaluation"):
             assert max(ack.received for ack in acks if (ack.actor, ack.stream) == (actor, stream)) > 0
@@ -86,75 +88,75 @@ def test_the_replay_acknowledges_and_grants_credit_to_every_stream(run):
 
 
 def test_actors_act_with_the_weights_that_the_learners_broadcast(run):
-    spec, summary, said = run
+    spec, summary, messages = run
     for level in Level:
-        broadcast = [message for message in said["weights"] if message.weights.level is level]
+        broadcast = [message for message in messages["weights"] if message.weights.level is level]
         assert all(isinstance(message, WeightsMessage) for message in broadcast)
         versions = {message.weights.version for message in broadcast}
         acted = [record[f"{level}_version"] for record in episodes(spec.folder)]
         assert set(acted) <= versions
         assert max(acted) > min(acted)  # later episodes were driven with newer weights
         assert broadcast[-1].sha256 == summary["weights"]["sha256"][level]
-        assert max(one.get(f"{level}_weight_version", 0) for one in said["stats"] if one["role"] == "actor") > 0
+        assert max(one.get(f"{level}_weight_version", 0) for one in messages["stats"] if one["role"] == "actor") > 0
 
 
-def test_both_learners_are_fed_by_the_replay_at_the_configured_pace(run):
+def test_both_learners_update_at_the_configured_pace(run):
     spec, summary, _ = run
     for level, settings in ((Level.HIGH, spec.config.high), (Level.LOW, spec.config.low)):
-        books = summary["transitions"][level]
+        counts = summary["transitions"][level]
         updates = summary["learner_updates"][level]
-        assert 0 < updates <= books["stored"] * settings.updates_per_insert
-        assert updates > 0.6 * books["stored"] * settings.updates_per_insert  # the run ends before the last ones
-        assert books["sampled"] > 0
+        assert 0 < updates <= counts["stored"] * settings.updates_per_insert
+        assert updates > 0.6 * counts["stored"] * settings.updates_per_insert  # the run ends before the last ones
+        assert counts["sampled"] > 0
 
 
-def test_the_scheduler_leases_episodes_and_hears_how_each_ended(run):
-    _, _, said = run
-    orders = [message for message in said["control"] if isinstance(message, Orders) and message.role == "actor"]
+def test_the_scheduler_leases_episodes_and_receives_the_result_of_each(run):
+    _, _, messages = run
+    orders = [message for message in messages["control"] if isinstance(message, Orders) and message.role == "actor"]
     leased = {number for message in orders for numbers in message.content["leases"].values() for number in numbers}
     assert leased == set(range(1, 9))
-    reports = [message for message in said["episodes"] if isinstance(message, Records)]
+    reports = [message for message in messages["episodes"] if isinstance(message, Records)]
     assert {record["episode"] for report in reports for record in report.records} == set(range(1, 9))
 
 
 def test_each_merge_drives_candidates_on_equal_scenes_and_promotes_the_best(run):
-    _, summary, said = run
+    _, summary, messages = run
     assert [merge["episode"] for merge in summary["merges"]] == [4, 8]
     assert summary["merges"][0]["candidates"] == ["recent", "distilled"]
     assert summary["merges"][1]["candidates"] == ["recent", "distilled", "best"]
-    offered = {(one.level, one.merge, one.name) for one in said["candidate"] if isinstance(one, Candidate)}
+    offered = {(one.level, one.merge, one.name) for one in messages["candidate"] if isinstance(one, Candidate)}
     assert len(offered) == 2 * (2 + 3)
-    jobs = {tuple(drive) for one in said["evaluation"] if isinstance(one, Jobs) for drive in one.content["drives"]}
+    jobs = {tuple(drive) for one in messages["evaluation"] if isinstance(one, Jobs) for drive in one.content["drives"]}
     assert jobs == {(name, scene) for name in ("recent", "distilled", "best") for scene in (0, 1)}
-    results = [record for one in said["evaluation"] if isinstance(one, Records) for record in one.records]
+    results = [record for one in messages["evaluation"] if isinstance(one, Records) for record in one.records]
     for merge in summary["merges"]:
         assert merge["scores"][merge["chosen"]] == max(merge["scores"].values())
     for index in (1, 2):
         scenes = {record["scene_index"]: record["scene"] for record in results if record["merge"] == index}
         assert all(record["scene"] == scenes[record["scene_index"]] for record in results if record["merge"] == index)
-    merged = [message.merge for message in said["weights"]]
+    merged = [message.merge for message in messages["weights"]]
     assert max(merged) == 2
 
 
-def test_evaluation_drives_count_in_no_training_total(run):
-    _, summary, said = run
-    results = [record for one in said["evaluation"] if isinstance(one, Records) for record in one.records]
+def test_drives_of_candidates_do_not_count_as_training(run):
+    _, summary, messages = run
+    results = [record for one in messages["evaluation"] if isinstance(one, Records) for record in one.records]
     assert results
     assert all(record["epsilon"] == 0 and "episode" not in record for record in results)
     assert sum(summary["outcomes"].values()) == 8
 
 
-def test_every_role_tells_its_statistics_and_that_it_lives(run):
-    _, _, said = run
+def test_every_role_publishes_its_statistics_and_a_token(run):
+    _, _, messages = run
     roles = {("scheduler", "0"), ("replay", "0"), ("actor", "0"), ("actor", "1")}
     roles |= {("learner", "high"), ("learner", "low")}
-    assert {(one["role"], one["id"]) for one in said["stats"]} == roles
-    assert all({"time_s", "host", "pid", "epoch"} <= set(one) for one in said["stats"])
-    came = {key.split("/", 3)[3] for key, payload in said["alive"] if payload == b"1"}
+    assert {(one["role"], one["id"]) for one in messages["stats"]} == roles
+    assert all({"time_s", "host", "pid", "epoch"} <= set(one) for one in messages["stats"])
+    came = {key.split("/", 3)[3] for key, payload in messages["alive"] if payload == b"1"}
     assert came == {f"{role}/{one}" for role, one in roles}
 
 
-def test_a_run_is_gone_on_with_and_its_files_are_appended_to(tmp_path):
+def test_a_resumed_run_continues_and_appends_to_its_files(tmp_path):
     first = rehearse(start(tmp_path / "run", "run.episodes=4"))
     second = rehearse(resume(tmp_path / "run", "run.episodes=7"))
     assert (first["episodes"], second["episodes"]) == (4, 7)
@@ -162,9 +164,9 @@ def test_a_run_is_gone_on_with_and_its_files_are_appended_to(tmp_path):
     for level in Level:
         assert second["learner_updates"][level] > first["learner_updates"][level]
         assert second["weights"]["version"][level] > first["weights"]["version"][level]
-        books = second["transitions"][level]
-        assert books["stored"] > first["transitions"][level]["stored"]
-        assert books["produced"] == books["stored"] + books["rejected"]
+        counts = second["transitions"][level]
+        assert counts["stored"] > first["transitions"][level]["stored"]
+        assert counts["produced"] == counts["stored"] + counts["rejected"]
     assert [merge["episode"] for merge in second["merges"]] == [4, 7]
     assert second["wall_s"] > first["wall_s"]
 
@@ -174,15 +176,15 @@ def test_an_interruption_saves_everything_and_counts_no_cut_episode(tmp_path):
     summary = rehearse(start(tmp_path / "run", "run.episodes=100"), interrupted=lambda: next(rounds) > 6)
     assert summary["ended"] == "interrupted"
     assert summary["episodes"] == len(episodes(tmp_path / "run")) < 100
-    for books in summary["transitions"].values():
-        assert books["produced"] == books["stored"] + books["rejected"] > 0
+    for counts in summary["transitions"].values():
+        assert counts["produced"] == counts["stored"] + counts["rejected"] > 0
     finished = rehearse(resume(tmp_path / "run", f"run.episodes={summary['episodes'] + 2}"))
     assert finished["ended"] == "complete"
     numbers = [record["episode"] for record in episodes(tmp_path / "run")]
     assert len(numbers) == len(set(numbers)) == summary["episodes"] + 2
 
 
-def test_a_run_that_was_interrupted_in_its_last_merge_is_gone_on_with_and_has_it(tmp_path):
+def test_a_run_interrupted_in_its_last_merge_repeats_it_when_resumed(tmp_path):
     tap = Tap()
 
     def merging():
@@ -198,7 +200,7 @@ def test_a_run_that_was_interrupted_in_its_last_merge_is_gone_on_with_and_has_it
     assert episodes(tmp_path / "run") == before
 
 
-def test_a_run_ends_with_the_policy_that_the_last_merge_chose_although_updates_are_owed(tmp_path):
+def test_a_run_ends_with_the_policy_of_the_last_merge_even_when_updates_are_due(tmp_path):
     tap, pace = Tap(), 30
     paces = (f"low.updates_per_insert={pace}", f"high.updates_per_insert={pace}")
     spec = start(tmp_path / "run", "merge.every_episodes=8", *paces)
@@ -220,9 +222,9 @@ def test_a_checkpoint_holds_the_policy_that_was_broadcast_last(run):
         assert network.sha256(policy.parameters[level]) == summary["weights"]["sha256"][level]
 
 
-def test_credit_suffices_where_an_episode_ends_on_the_first_step_of_an_option(tmp_path):
+def test_credit_suffices_when_an_episode_ends_on_the_first_step_of_an_option(tmp_path):
     overrides = ("agent.option_max_steps=4", "sim.max_steps=5", "low.min_size=16", "run.episodes=24")
     summary = rehearse(start(tmp_path / "run", *overrides, "merge.every_episodes=100"))
     assert summary["outcomes"]["timeout"] > 0
-    for books in summary["transitions"].values():
-        assert books["produced"] == books["stored"] == summary["env_steps"]
+    for counts in summary["transitions"].values():
+        assert counts["produced"] == counts["stored"] == summary["env_steps"]

@@ -1,4 +1,4 @@
-"""The real thing: Ray actors, PyBullet cars, zenoh; watched by a client that is not ours."""
+"""Whole runs with Ray actors, PyBullet cars and zenoh, watched by a plain zenoh client."""
 
 import json
 import os
@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.integration, pytest.mark.slow]
 LAUNCH = [sys.executable, "-m", "zsdist.launch", "--actors", "2", "--plain"]
 QUICK = ["--set", "run.final_evaluation_episodes=0", "--set", "scenes.train=[singleton]", "--set", "sim.max_steps=60"]
 PATIENCE_S = 100.0
-RUBBISHED = (
+GARBAGE_KEYS = (
     "push/low/actor-0/0",
     "episodes/actor-0/0",
     "ack/actor-0",
@@ -35,8 +35,8 @@ RUBBISHED = (
 ROLES = {"hub/0", "scheduler/0", "replay/0", "learner/high", "learner/low", "actor/0", "actor/1"}
 
 
-class Stranger:
-    """A plain zenoh client that knows the documented keys and nothing else."""
+class PlainClient:
+    """A zenoh client that knows only the documented keys."""
 
     def __init__(self, endpoint, run):
         settings = zenoh.Config()
@@ -45,17 +45,17 @@ class Stranger:
         settings.insert_json5("scouting/multicast/enabled", "false")
         self.session = zenoh.open(settings)
         self.run = run
-        self.said = {}
+        self.statistics = {}
         self.encodings = set()
-        self.subscriber = self.session.declare_subscriber(f"zsdist/{run}/stats/**", self._hear)
+        self.subscriber = self.session.declare_subscriber(f"zsdist/{run}/stats/**", self._keep)
 
-    def _hear(self, sample):
-        self.said[str(sample.key_expr).split("/stats/")[1]] = json.loads(sample.payload.to_string())
+    def _keep(self, sample):
+        self.statistics[str(sample.key_expr).split("/stats/")[1]] = json.loads(sample.payload.to_string())
         self.encodings.add(str(sample.encoding))
 
-    def rubbish(self):
-        """Bytes that are no message of ours, wherever one is expected."""
-        for key in RUBBISHED:
+    def publish_garbage(self):
+        """Publishes invalid bytes under every key."""
+        for key in GARBAGE_KEYS:
             for payload in (b"", b"\x00" * 64, os.urandom(500), b'{"role": 1}'):
                 self.session.put(f"zsdist/{self.run}/{key}", payload)
         for key in ("sample/low", "control/replay"):
@@ -93,21 +93,21 @@ def summary_of(folder):
     return json.loads((folder / "summary.json").read_text())
 
 
-def test_a_stranger_sees_every_role_and_a_killed_actor_hub_and_replay_are_replaced(tmp_path):
+def test_another_client_sees_every_role_and_a_killed_actor_hub_and_replay_are_replaced(tmp_path):
     folder = tmp_path / "watched"
     process = begin(folder, "--episodes", "20")
-    stranger = Stranger((folder / "endpoint").read_text(), "watched")
+    client = PlainClient((folder / "endpoint").read_text(), "watched")
     try:
-        until(lambda: set(stranger.said) >= ROLES, process, "every role has spoken")
-        assert stranger.alive() >= ROLES
-        assert stranger.encodings == {"application/json"}
-        for name, fields in stranger.said.items():
+        until(lambda: set(client.statistics) >= ROLES, process, "every role has published statistics")
+        assert client.alive() >= ROLES
+        assert client.encodings == {"application/json"}
+        for name, fields in client.statistics.items():
             assert f"{fields['role']}/{fields['id']}" == name
             assert {"time_s", "host", "pid"} <= set(fields)
-        assert len({fields["pid"] for name, fields in stranger.said.items() if name in ROLES}) == len(ROLES)
+        assert len({fields["pid"] for name, fields in client.statistics.items() if name in ROLES}) == len(ROLES)
 
-        stranger.rubbish()
-        until(lambda: stranger.said["replay/0"].get("rejected_magic", 0) > 0, process, "the rubbish is counted")
+        client.publish_garbage()
+        until(lambda: client.statistics["replay/0"].get("rejected_magic", 0) > 0, process, "the garbage is counted")
 
         seen = subprocess.run(
             [sys.executable, "-m", "zsdist.monitor", "--once", "--json", "--runs", str(tmp_path)],
@@ -117,24 +117,24 @@ def test_a_stranger_sees_every_role_and_a_killed_actor_hub_and_replay_are_replac
         assert seen.returncode == 0, seen.stderr
         assert set(json.loads(seen.stdout)["alive"]) >= ROLES
 
-        until(lambda: stranger.said["actor/1"].get("env_steps", 0) > 20, process, "the second actor drives")
-        victim = stranger.said["actor/1"]["pid"]
+        until(lambda: client.statistics["actor/1"].get("env_steps", 0) > 20, process, "the second actor drives")
+        victim = client.statistics["actor/1"]["pid"]
         os.kill(victim, signal.SIGKILL)
-        until(lambda: stranger.said["actor/1"]["pid"] != victim, process, "the actor is back")
-        victim = stranger.said["hub/0"]["pid"]
+        until(lambda: client.statistics["actor/1"]["pid"] != victim, process, "the actor is back")
+        victim = client.statistics["hub/0"]["pid"]
         os.kill(victim, signal.SIGKILL)
-        until(lambda: stranger.said["hub/0"]["pid"] != victim, process, "the hub is back")
-        assert stranger.said["hub/0"]["endpoint"] == (folder / "endpoint").read_text()
-        until(lambda: stranger.alive() >= ROLES, process, "every role is back at the hub")
-        before = stranger.said["replay/0"]
+        until(lambda: client.statistics["hub/0"]["pid"] != victim, process, "the hub is back")
+        assert client.statistics["hub/0"]["endpoint"] == (folder / "endpoint").read_text()
+        until(lambda: client.alive() >= ROLES, process, "every role is back at the hub")
+        before = client.statistics["replay/0"]
         os.kill(before["pid"], signal.SIGKILL)
-        until(lambda: stranger.said["replay/0"]["pid"] != before["pid"], process, "the replay is back")
-        assert stranger.said["replay/0"]["recovered_frames"] > 0
-        assert stranger.said["replay/0"]["low_stored"] >= before["low_stored"]
+        until(lambda: client.statistics["replay/0"]["pid"] != before["pid"], process, "the replay is back")
+        assert client.statistics["replay/0"]["recovered_frames"] > 0
+        assert client.statistics["replay/0"]["low_stored"] >= before["low_stored"]
         family = psutil.Process(process.pid).children(recursive=True)
         output, _ = process.communicate(timeout=PATIENCE_S)
     finally:
-        stranger.close()
+        client.close()
         process.kill()
     assert process.returncode == 0, output
     assert not [child for child in family if child.is_running() and child.status() != psutil.STATUS_ZOMBIE]
@@ -146,7 +146,7 @@ def test_a_stranger_sees_every_role_and_a_killed_actor_hub_and_replay_are_replac
     assert (folder / "figures" / "fig09-rewards.png").stat().st_size > 0
 
 
-def test_ctrl_c_saves_and_says_how_to_go_on_and_resume_does(tmp_path):
+def test_ctrl_c_saves_and_names_the_command_that_resumes(tmp_path):
     folder = tmp_path / "interrupted"
     process = begin(folder, "--episodes", "500", "--set", "replay.shards=2")
     try:

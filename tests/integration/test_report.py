@@ -1,4 +1,4 @@
-"""A real run, in one process with physics and camera, as a report and as a film."""
+"""A report and a film of a run with physics and camera in one process."""
 
 import subprocess
 import sys

@@ -7,7 +7,7 @@ without a gap, so the counts agree even if the actor has died.
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from zsdist.protocol.frames import Frame
 from zsdist.types import Ack, Level
@@ -17,9 +17,11 @@ ACK_EVERY_FRAMES = 8
 ACK_AFTER_S = 0.02
 HEARTBEAT_S = 0.25
 
+AnyFrame = TypeVar("AnyFrame", bound=Frame)
+
 
 @dataclass
-class _Stream:
+class _Stream(Generic[AnyFrame]):
     """State of the current epoch of an actor.
 
     Attributes:
@@ -41,13 +43,13 @@ class _Stream:
     declared: int = 0
     granted: int | None = 0
     state: str = "open"
-    held: dict[int, Frame] = field(default_factory=dict)
+    held: dict[int, AnyFrame] = field(default_factory=dict)
     unacknowledged: int = 0
     receipt_s: float | None = None
     heartbeat_s: float | None = None
 
 
-class Inbox:
+class Inbox(Generic[AnyFrame]):
     """Receiver of one stream from any number of actors.
 
     Attributes:
@@ -76,7 +78,7 @@ class Inbox:
         self.abandoned_at_most = 0
         self.abandoned_unlimited = 0
         self._hold_frames = hold_frames
-        self._streams: dict[str, _Stream] = {}
+        self._streams: dict[str, _Stream[AnyFrame]] = {}
         self._produced_before = 0  # in epochs no longer current
 
     @property
@@ -109,7 +111,7 @@ class Inbox:
         if current is not None and current.epoch == epoch:
             self._abandon(current)
 
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
+    def receive(self, frame: AnyFrame, now: float) -> list[AnyFrame]:
         """Accept a frame and return the frames that can be delivered now, in order and each exactly once."""
         stream = self._streams.get(frame.actor)
         if frame.stream != self.stream:
@@ -167,7 +169,7 @@ class Inbox:
         for name in _TOTALS:
             setattr(self, name, state[name])
 
-    def _deliver(self, stream: _Stream) -> list[Frame]:
+    def _deliver(self, stream: _Stream[AnyFrame]) -> list[AnyFrame]:
         delivered = []
         while (frame := stream.held.pop(stream.received, None)) is not None:
             if frame.produced != stream.produced + frame.count:
@@ -182,7 +184,7 @@ class Inbox:
         stream.declared = max([stream.declared, stream.produced, *(held.produced for held in stream.held.values())])
         return delivered
 
-    def _abandon(self, stream: _Stream) -> None:
+    def _abandon(self, stream: _Stream[AnyFrame]) -> None:
         if stream.state != "open":
             return
         stream.state = "abandoned"
@@ -191,7 +193,7 @@ class Inbox:
             self.abandoned_unlimited += 1
         self.abandoned_at_most += max(stream.granted or 0, stream.declared) - stream.produced
 
-    def _refuse(self, reason: str) -> list[Frame]:
+    def _refuse(self, reason: str) -> list[AnyFrame]:
         self.refused[reason] += 1
         return []
 
@@ -201,7 +203,7 @@ _KEPT = ("epoch", "received", "produced", "declared", "granted", "state")
 _TOTALS = ("duplicates", "abandoned_at_most", "abandoned_unlimited", "_produced_before")
 
 
-def _due(stream: _Stream, now: float) -> float:
+def _due(stream: _Stream[Any], now: float) -> float:
     """Return the time at which an acknowledgement of a stream is due."""
     if stream.unacknowledged >= ACK_EVERY_FRAMES:
         return now

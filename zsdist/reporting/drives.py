@@ -1,7 +1,8 @@
-"""The few drives that figures need: greedy episodes of a run's policy, and the shortest way beside them."""
+"""Greedy episodes of a run's policy for the figures, with the shortest path for comparison."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -22,52 +23,61 @@ SHORTEST = "astar"
 
 @dataclass(frozen=True)
 class Driven:
-    """What the figures are drawn from: guidance at home and away, and paths in unseen scenes."""
+    """Material of the figures.
+
+    Attributes:
+        guidance: in a training scene and in an unseen scene.
+        paths: in each unseen scene, the shortest one and the policy's.
+    """
 
     guidance: Sequence[Drive]
     paths: Sequence[tuple[Scene, Sequence[DrivenPath]]]
 
 
 def home_scene(policy: Policy) -> Scene:
-    """The first of the scenes that a policy was trained on."""
+    """Return the first of the scenes that a policy was trained on."""
     return select("train", policy.config, 1, policy.config.seed)[0]
 
 
 def unseen_scenes(policy: Policy) -> list[Scene]:
-    """Scenes of the test families, which no policy is trained on, the families in turn."""
+    """Return scenes of the test families in turn, which no policy is trained on."""
     return select("test", policy.config, UNSEEN_SHOWN, 0)
 
 
 def drive(policy: Policy, label: str, on_scene: Callable[[str], None], simulation: Simulation | None = None) -> Driven:
-    """Drives a training scene and the unseen ones.
+    """Drive the training scene and the unseen ones.
 
     Args:
         policy: drives greedily.
-        label: what paths call it.
-        on_scene: told the name of each scene before it is driven.
-        simulation: in which; None: physics and the camera.
+        label: of its paths.
+        on_scene: called with the name of each scene before it is driven.
+        simulation: in which to drive; None: physics and the camera.
     """
     simulation = simulation or Simulation()
     runner = make_runner(Contender(policy.config, policy.parameters), simulation)
     planner = make_runner(Contender(policy.config, baseline=SHORTEST), simulation)
-    visual_act, env = simulation.load_vision(policy.config), simulation.make_env(policy.config)
+    visual_act = simulation.load_vision(policy.config)
+    env: Any = simulation.make_env(policy.config)  # beyond a gymnasium environment, it has `picture`
     home, unseen = home_scene(policy), unseen_scenes(policy)
     guidance, paths = [], []
     for index, scene in enumerate((home, *unseen)):
         on_scene(scene.name)
         moments: list[Moment] = []
-        track = _track(runner.drive(scene, np.random.default_rng([0, index]), moments.append), label)
+        path = _path(runner.drive(scene, np.random.default_rng([0, index]), moments.append), label)
         if index <= 1:
-            known = moments[-1].thought.situation
+            thought = moments[-1].thought
+            assert thought is not None, "a learned policy records its thoughts"
             env.reset(options={"scene": scene})
-            values = guidance_of(policy.config, policy.parameters[Level.HIGH], known, env.picture, visual_act)
-            guidance.append(Drive(scene, track, values))
+            values = guidance_of(
+                policy.config, policy.parameters[Level.HIGH], thought.situation, env.picture, visual_act
+            )
+            guidance.append(Drive(scene, path, values))
         if index:
-            shortest = _track(planner.drive(scene, np.random.default_rng(0)), "A*, whole map", reference=True)
-            paths.append((scene, (shortest, track)))
+            shortest = _path(planner.drive(scene, np.random.default_rng(0)), "A*, whole map", reference=True)
+            paths.append((scene, (shortest, path)))
     env.close()
     return Driven(guidance, paths)
 
 
-def _track(record: EpisodeRecord, label: str, reference: bool = False) -> DrivenPath:
+def _path(record: EpisodeRecord, label: str, reference: bool = False) -> DrivenPath:
     return DrivenPath(np.array(record.poses)[:, :2], record.outcome, label, reference)

@@ -1,4 +1,4 @@
-"""What a finished run is closed with: figures of its training, and the trained policy held against others."""
+"""End of a finished run: figures of its training, and a comparison of the trained policy with others."""
 
 import json
 import os
@@ -20,14 +20,22 @@ from zsdist.run.checkpoint import Policy, check_vision, load_policy
 from zsdist.sim.scenes.families import SINGLETON_SCENES
 
 PATHS_SHOWN = 6
-EPISODES_A_DRIVE = 5  # training episodes for each final drive of a policy, so that the end is in proportion
-UNSEEN = "iid"  # family of the scenes that training on others has not met
+TRAINING_EPISODES_A_DRIVE = 5  # for each final drive of a policy, so that the evaluation is in proportion
+UNSEEN = "iid"  # family of unseen scenes, for a policy that was trained on the singleton family
 SINGLETON = "singleton"
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One line of the comparison: who drives where."""
+    """One line of the comparison: a policy and the scenes that it drives.
+
+    Attributes:
+        name: of the policy, in the table.
+        contender: the policy.
+        sha256: of its networks; None for a baseline.
+        scenes: name of a family or a split.
+        episodes: number of scenes.
+    """
 
     name: str
     contender: Contender
@@ -37,24 +45,24 @@ class Trial:
 
 
 def draw_training(folder: Path) -> None:
-    """Rewards and outcomes over training episodes, into `figures/`."""
+    """Draw rewards and outcomes over training episodes into `figures/`."""
     run = runs.read_run(folder)
     if run.episodes:
-        alone = [runs.Method(run.method, [run], ())]
-        curves.draw_rewards(alone, folder / "figures")
-        curves.draw_outcomes(alone, folder / "figures")
+        methods = [runs.Method(run.method, [run], ())]
+        curves.draw_rewards(methods, folder / "figures")
+        curves.draw_outcomes(methods, folder / "figures")
 
 
 def compare(folder: Path, settings: Config, console: Console) -> None:
-    """Drives the trained policy beside others greedily; a table, `evaluation.json` and a picture of the paths."""
-    episodes = min(settings.run.final_evaluation_episodes, settings.run.episodes // EPISODES_A_DRIVE)
+    """Drive the trained policy and others greedily; print a table, write `evaluation.json` and figures of paths."""
+    episodes = min(settings.run.final_evaluation_episodes, settings.run.episodes // TRAINING_EPISODES_A_DRIVE)
     if not episodes:
         console.print("no evaluation: the run was too short, or run.final_evaluation_episodes is 0")
         return
     trained = load_policy(folder)
     if note := check_vision(trained):
         console.print(note, highlight=False, soft_wrap=True)
-    reports = [(trial, _drive(trial, settings.seed)) for trial in _trials(trained, settings, episodes)]
+    reports = [(trial, _drive(trial, settings.seed)) for trial in trials(trained, settings, episodes)]
     (folder / "evaluation.json").write_text(json.dumps([report.result for _, report in reports], indent=1) + "\n")
     for trial, report in reports:
         if trial.name == "trained":
@@ -65,20 +73,29 @@ def compare(folder: Path, settings: Config, console: Console) -> None:
             ]
             draw_paths(panels, settings.grid.arena_m, folder / "figures", f"paths-{trial.scenes}")
     console.print(_table(reports, settings))
-    told = f"figures: {folder / 'figures'}; those of the paper: python -m zsdist.report {folder}"
-    console.print(told, highlight=False, soft_wrap=True)
+    note = f"figures: {folder / 'figures'}; those of the paper: python -m zsdist.report {folder}"
+    console.print(note, highlight=False, soft_wrap=True)
 
 
-def _trials(trained: Policy, settings: Config, episodes: int) -> Iterator[Trial]:
-    """The trained networks beside the same networks before training, then beside baselines where nobody has been."""
-    home = settings.scenes.train[0]
-    at_home = min(episodes, SINGLETON_SCENES) if home == SINGLETON else episodes
+def trials(trained: Policy, settings: Config, episodes: int) -> Iterator[Trial]:
+    """Yield the lines of the comparison.
+
+    On scenes of the training family the trained policy is compared with its networks before training, on unseen scenes
+    with baselines.
+
+    Args:
+        trained: the policy.
+        settings: of its run.
+        episodes: drives of each line, where there are as many scenes.
+    """
+    seen = settings.scenes.train[0]
+    on_seen = min(episodes, SINGLETON_SCENES) if seen == SINGLETON else episodes
     for name, variant in (("trained", FULL), ("untrained", "untrained")):
-        yield Trial(name, Contender(settings, trained.parameters, variant=variant), trained.sha256, home, at_home)
-    away = UNSEEN if home == SINGLETON else "test"
-    yield Trial("trained", Contender(settings, trained.parameters), trained.sha256, away, episodes)
+        yield Trial(name, Contender(settings, trained.parameters, variant=variant), trained.sha256, seen, on_seen)
+    unseen = UNSEEN if seen == SINGLETON else "test"
+    yield Trial("trained", Contender(settings, trained.parameters), trained.sha256, unseen, episodes)
     for baseline in ("random", "potential-field"):
-        yield Trial(baseline, Contender(settings, baseline=baseline), None, away, episodes)
+        yield Trial(baseline, Contender(settings, baseline=baseline), None, unseen, episodes)
 
 
 def _drive(trial: Trial, seed: int) -> Report:

@@ -80,7 +80,7 @@ class Actor(Role):
             self._advance(ready)
         if self._closing and all(car.idle for car in self.cars):
             self.perception.close()
-            self._outboxes.close(now)
+            self._outboxes.close()
         self._outboxes.flush(self.transport, now)
         self.finished = self._outboxes.drained
         return now if ready else min([now + HEARTBEAT_S, *self._outboxes.wakes(now)])

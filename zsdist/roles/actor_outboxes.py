@@ -101,10 +101,10 @@ class ActorOutboxes:
         """Queue the record of an episode on the stream `EPISODES` or `EVALUATION`."""
         self._outboxes[stream].offer([record])
 
-    def close(self, now: float) -> None:
+    def close(self) -> None:
         """Close all: nothing more will be offered."""
         for outbox in self._outboxes.values():
-            outbox.close(now)
+            outbox.close()
 
     def flush(self, transport: Transport, now: float) -> None:
         """Publish all frames that are due.

@@ -1,4 +1,4 @@
-"""What every role shares: an identity, mailboxes that wake it, statistics twice a second, a liveliness token."""
+"""Base of all roles: an identity, mailboxes that wake the role, statistics twice a second, a liveliness token."""
 
 import json
 import os
@@ -8,32 +8,38 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar, overload
 
 from zsdist.config import Config
 from zsdist.errors import DecodeError
+from zsdist.protocol import inbox
 from zsdist.roles import schemas
-from zsdist.roles.schemas import Content
+from zsdist.roles.schemas import Content, StateRequest
 from zsdist.transport.base import Mailbox, Message, Transport
 from zsdist.wire import addresses, codec, keys
-from zsdist.wire.messages import AnyMessage, Jobs, Orders, Records
+from zsdist.wire.messages import AnyMessage, Jobs, Orders, Records, State
 
-Some = TypeVar("Some", bound=AnyMessage)
-Checked = TypeVar("Checked")
+Kind = TypeVar("Kind", bound=AnyMessage)
+OtherKind = TypeVar("OtherKind", bound=AnyMessage)
+Model = TypeVar("Model", bound=Content)
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
 
 STATISTICS_EVERY_S = 0.5  # the key space promises once a second; a step may take a while
-HEARTBEAT_S = 0.25  # absolute states (orders, jobs) are said again this often
+HEARTBEAT_S = inbox.HEARTBEAT_S  # absolute states (orders, jobs) are repeated as often as acknowledgements
+HOST = socket.gethostname()
 
 
 @dataclass(frozen=True)
 class Context:
-    """Who a role is and what it speaks through.
+    """Identity of a role, and the transport through which it communicates.
 
     Attributes:
         config: the whole run's configuration.
         run: the run's name on the key space.
-        role: kind of role; `id`: which one of them.
-        epoch: never used twice in a run directory; newer epochs overrule older ones.
+        role: kind of role.
+        id: number or name that tells roles of one kind apart.
+        epoch: incarnation, never used twice in a run directory; newer epochs overrule older ones.
         transport: carries bytes.
         wake: set whenever a mailbox of this role receives something.
     """
@@ -48,7 +54,7 @@ class Context:
 
     @property
     def name(self) -> str:
-        """The role's name in leases and logs, such as `actor-0`."""
+        """Name of the role in leases and logs, such as `actor-0`."""
         return f"{self.role}-{self.id}"
 
 
@@ -62,12 +68,16 @@ class Role(ABC):
         self.finished = False  # set by `work` when nothing is left to do
         self._mailboxes: dict[str, Mailbox] = {}
         self._refused: Counter[str] = Counter()
-        self._orders_epoch = -1  # of whoever gave orders last; older ones are stale
+        self._orders_epoch = -1  # of the last sender of orders; orders of older ones are stale
         self._next_statistics_s = 0.0
         self.transport.declare_alive(keys.alive(context.run, context.role, context.id))
 
     def step(self, now: float) -> float | None:
-        """Does what is due at `now` (unix seconds) and returns when to call again; None once the role has finished."""
+        """Do the work that is due at `now` (unix seconds).
+
+        Returns:
+            The time of the next call at the latest; None once the role has finished.
+        """
         if self.finished:
             return None
         wake_s = self.work(now)
@@ -78,54 +88,93 @@ class Role(ABC):
 
     @abstractmethod
     def work(self, now: float) -> float:
-        """One round of this role's work; returns when it wants to be called again at the latest."""
+        """Do one round of this role's work, and return the time of the next one at the latest."""
 
     @abstractmethod
     def statistics(self) -> dict[str, float | str]:
-        """Flat numbers (and few words) with units in their names, published twice a second."""
+        """Return flat numbers (and few words) with units in their names; they are published twice a second."""
 
     def mailbox(self, name: str) -> Mailbox:
-        """A bounded mailbox that wakes this role."""
+        """Return a new bounded mailbox that wakes this role."""
         box = Mailbox(self.config.transport.mailbox_bytes, self.context.wake.set)
         self._mailboxes[name] = box
         return box
 
-    def messages(self, box: Mailbox, *expected: type[Some]) -> Iterator[tuple[Message, Some]]:
-        """Drains `box`, decoded; what is none of the kinds expected, or not under its own key, is refused."""
+    @overload
+    def messages(self, box: Mailbox, kind: type[Kind], /) -> Iterator[tuple[Message, Kind]]: ...
+
+    @overload
+    def messages(
+        self, box: Mailbox, kind: type[Kind], other: type[OtherKind], /
+    ) -> Iterator[tuple[Message, Kind | OtherKind]]: ...
+
+    @overload
+    def messages(self, box: Mailbox, /, *kinds: type[AnyMessage]) -> Iterator[tuple[Message, AnyMessage]]: ...
+
+    def messages(self, box: Mailbox, /, *kinds: type[Any]) -> Iterator[tuple[Message, Any]]:
+        """Drain `box` and yield each message with its decoded content.
+
+        A message that is of none of the expected kinds, or came under a key that is not its own, is refused.
+        """
         for message in box.drain():
             try:
-                decoded = codec.decode(message.payload, expect=expected)
+                decoded = codec.decode(message.payload, expect=kinds)
                 addresses.require(message.key, self.context.run, decoded)
             except DecodeError as error:
                 self.refuse(error.reason)
             else:
                 yield message, decoded
 
-    def orders(self, box: Mailbox, models: Mapping[type[Orders | Jobs], type[Content]]) -> Iterator[Content]:
-        """Drains `box` of orders of its scheduler, or for the scheduler of its runner, read by their models."""
+    def requests(self, box: Mailbox, kind: type[Kind]) -> Iterator[tuple[Callable[[bytes], None], Kind]]:
+        """Drain `box` of a served key, and yield the function that replies with each request."""
+        for message, request in self.messages(box, kind):
+            if message.reply is not None:  # None for publications, which no served key receives
+                yield message.reply, request
+
+    @overload
+    def orders(self, box: Mailbox, models: Mapping[type[Orders], type[Model]]) -> Iterator[Model]: ...
+
+    @overload
+    def orders(self, box: Mailbox, models: Mapping[type[Orders | Jobs], type[Content]]) -> Iterator[Content]: ...
+
+    def orders(self, box: Mailbox, models: Mapping[Any, type[Content]]) -> Iterator[Content]:
+        """Drain `box` of the scheduler's orders (for the scheduler: of the runner's), and yield their content.
+
+        Args:
+            box: the mailbox.
+            models: model of the content of each kind of message expected.
+        """
         for _, orders in self.messages(box, *models, Records):
-            if isinstance(orders, Records):
-                continue  # an actor's own, under the key that its jobs come by
+            if not isinstance(orders, Orders | Jobs):
+                continue  # an actor's own records, published under the key of its jobs
             if orders.sender_epoch < self._orders_epoch:
                 self.refuse("stale")
             elif (content := self.checked(schemas.read, models[type(orders)], orders.content)) is not None:
                 self._orders_epoch = orders.sender_epoch
                 yield content
 
-    def checked(self, check: Callable[..., Checked], *arguments: Any) -> Checked | None:
-        """What `check` makes of its arguments; None, and counted, where it raises `DecodeError`."""
+    def answer_state_requests(self, box: Mailbox, state: Callable[[], State]) -> None:
+        """Drain `box` of the scheduler's requests for this role's state, and answer each with what `state` returns."""
+        for reply, request in self.requests(box, Orders):
+            if self.checked(schemas.read, StateRequest, request.content) is not None:
+                reply(codec.encode(state()))
+
+    def checked(
+        self, check: Callable[Arguments, Result], *arguments: Arguments.args, **options: Arguments.kwargs
+    ) -> Result | None:
+        """Return what `check` returns; count a refusal and return None where it raises `DecodeError`."""
         try:
-            return check(*arguments)
+            return check(*arguments, **options)
         except DecodeError as error:
             self.refuse(error.reason)
             return None
 
     def refuse(self, reason: str) -> None:
-        """Counts a message that is not acted on, as `rejected_{reason}` in the statistics."""
+        """Count a message that is not acted on; statistics have the count as `rejected_{reason}`."""
         self._refused[reason] += 1
 
     def event(self, now: float, event: str, **fields: float | str) -> None:
-        """Publishes something worth telling a watcher."""
+        """Publish something that watchers should see."""
         self._publish_json(keys.events(self.context.run), now, {"event": event, **fields})
 
     def _publish_statistics(self, now: float) -> None:
@@ -139,6 +188,3 @@ class Role(ABC):
         context = self.context
         about = {"time_s": round(now, 3), "role": context.role, "id": context.id, "host": HOST, "pid": os.getpid()}
         self.transport.publish(key, json.dumps({**about, **fields}, allow_nan=False).encode(), json=True)
-
-
-HOST = socket.gethostname()

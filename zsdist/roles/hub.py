@@ -1,4 +1,4 @@
-"""The hub role: the process in which the transport's router lives; it says that it is there and how loaded it is."""
+"""Hub role: the process that holds the transport's router. It publishes its presence and its load."""
 
 import resource
 
@@ -14,11 +14,11 @@ class Hub(Role):
         self.endpoint = endpoint
 
     def work(self, now: float) -> float:
-        """Nothing to do but to be there."""
+        """Return the time of the next statistics; the router does all the work."""
         return now + STATISTICS_EVERY_S
 
     def statistics(self) -> Fields:
-        """Where it listens, and what it costs."""
+        """Return the endpoint, and the load of the process."""
         usage = resource.getrusage(resource.RUSAGE_SELF)
         return {
             "endpoint": self.endpoint,

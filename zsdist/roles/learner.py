@@ -1,14 +1,13 @@
-"""The learner role, one class for both levels: draws batches, updates its DQN, broadcasts weights, joins in merges."""
+"""Learner role, one class for both levels: requests batches, updates its DQN, publishes weights, joins in merges."""
 
 import itertools
 from collections import deque
+from collections.abc import Callable, Sequence
 
 from zsdist.dqn import batches, network
 from zsdist.dqn.base import BaseDqnLearner
-from zsdist.roles import schemas
 from zsdist.roles.base import Context, Role
-from zsdist.roles.scheduler.merge import BEST, DISTILLED, RECENT, Phase
-from zsdist.roles.schemas import LearnerOrders, StateRequest
+from zsdist.roles.schemas import BEST, DISTILLED, RECENT, CandidateName, LearnerOrders, Phase
 from zsdist.types import Batch, Level, Parameters, Weights
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import (
@@ -21,33 +20,33 @@ from zsdist.wire.messages import (
     WeightsMessage,
 )
 
-PREFETCH = 16  # batches of a shard asked for or waiting: what is learned from while the next answer is on its way
-BATCHES_AN_ANSWER = 4  # asked for at once: a message costs more than what a batch has to be carried
-UPDATES_A_STEP = 8  # before mailboxes are looked at again
-ANSWER_WITHIN_S = 4.0  # a request not answered by then is forgotten
-ASK_AGAIN_AFTER_S = 0.6  # a replay that lives answers sooner; one that died, or its hub, may be back by now
+PREFETCH = 16  # batches of a shard requested or ready: they last until the next answer arrives
+BATCHES_AN_ANSWER = 4  # requested at once: the overhead of a message exceeds that of carrying a batch
+UPDATES_A_STEP = 8  # before the mailboxes are read again
+ANSWER_WITHIN_S = 4.0  # timeout of a request in the transport
+ASK_AGAIN_AFTER_S = 0.6  # a live replay answers sooner; one that died, or its hub, may be back by now
 WEIGHTS_EVERY_S = 0.5
-REPEAT_EVERY_S = 2.0  # unchanged weights and pending candidates are said again, in case a pipe was full
-DISTIL_BATCHES = 32  # most recent batches that distillation learns from
+REPEAT_EVERY_S = 2.0  # unchanged weights and pending candidates are published again, in case a message was dropped
+DISTIL_BATCHES = 32  # most recent batches, which distillation learns from
 
 
-class _Source:
-    """One shard of the replay, as its learner sees it: what was asked for and when, what came, how much it holds."""
+class _ShardSource:
+    """One shard of the replay as a source of batches: pending requests, ready batches, and its size."""
 
     def __init__(self) -> None:
         self.ready: deque[Batch] = deque()
-        self.asked_s: deque[float] = deque()  # for `BATCHES_AN_ANSWER` each
+        self.asked_s: deque[float] = deque()  # times of the pending requests, for `BATCHES_AN_ANSWER` each
         self.held = 1
         self.served = 0
 
     @property
     def coming(self) -> int:
-        """Batches that are there, and at most as many as were asked for."""
+        """Batches that are ready, and those that were requested."""
         return len(self.ready) + BATCHES_AN_ANSWER * len(self.asked_s)
 
     @property
     def turn(self) -> float:
-        """The shard with the lowest comes next, so that batches come from each in proportion to what it holds."""
+        """Priority of the shard, lowest first: so batches come from each in proportion to what it holds."""
         return (self.served + 1) / self.held
 
 
@@ -60,20 +59,20 @@ class Learner(Role):
         self.dqn = dqn
         self.version = 0  # of the weights last broadcast
         self.updates = 0
-        self.merge = 0  # index of the last merge taken over
+        self.merge = 0  # index of the last merge whose winner was taken over
         self.waiting_data_s = 0.0
-        self.waiting_reply_s = 0.0  # of it, while the replay had something to give
+        self.waiting_reply_s = 0.0  # the part of it in which the replay had a batch to give
         self._best: Parameters | None = None
         self._candidates: dict[str, Parameters] = {}
         self._offered = 0
         self._paused = False
         self._recent_batches: deque[Batch] = deque(maxlen=DISTIL_BATCHES)
-        self._sources = [_Source() for _ in range(context.config.replay.shards)]
+        self._sources = [_ShardSource() for _ in range(context.config.replay.shards)]
         self._batch_size = 0  # of the last update
         self._starved_since_s: float | None = None
         self._published_updates = -1
         self._published_s = -REPEAT_EVERY_S
-        self._made_s = 0.0  # when the version last broadcast came to be
+        self._made_s = 0.0  # time at which the version last broadcast was made
         self._offered_s = 0.0
         if restored is not None:
             self._restore(restored)
@@ -85,23 +84,18 @@ class Learner(Role):
         self.transport.subscribe(keys.control(run, "learner"), self._orders, retained=True)
 
     def work(self, now: float) -> float:
-        """Learns from what has come, asks for more, and tells of new weights."""
+        """Follow orders, learn from the batches that have arrived, request more, and publish new weights."""
         for content in self.orders(self._orders, {Orders: LearnerOrders}):
             self._follow(content, now)
         self._receive(now)
         learned = self._learn(now)
         self._publish(now)
-        for message, ask in self.messages(self._checkpoints, Orders):
-            if self.checked(schemas.read, StateRequest, ask.content) is None:
-                continue
-            if self.updates != self._published_updates:  # what a checkpoint holds has a version of its own
-                self._publish_weights(now)
-            message.reply(codec.encode(self.state()))
-        # Again at once after an update too: waiting begins when there is no batch then.
+        self.answer_state_requests(self._checkpoints, lambda: self._published_state(now))
+        # Again at once after an update: waiting begins where there is no batch then.
         return now if learned else now + WEIGHTS_EVERY_S
 
     def statistics(self) -> dict[str, float | str]:
-        """Updates, losses, version, and how long it has waited for data."""
+        """Return updates, losses, version, and the time spent waiting for data."""
         return {
             "learner_updates": self.updates,
             "weight_version": self.version,
@@ -113,7 +107,7 @@ class Learner(Role):
         }
 
     def state(self) -> State:
-        """Networks, optimiser, generator and counts."""
+        """Return networks, optimiser, generator and counts."""
         arrays = {f"dqn/{name}": array for name, array in self.dqn.state().items()}
         arrays |= {f"best/{name}": array for name, array in (self._best or {}).items()}
         meta = {
@@ -124,6 +118,12 @@ class Learner(Role):
         }
         return State(self.context.name, meta, arrays)
 
+    def _published_state(self, now: float) -> State:
+        """Return the state; the weights in a checkpoint have a version of their own, published before."""
+        if self.updates != self._published_updates:
+            self._publish_weights(now)
+        return self.state()
+
     def _restore(self, state: State) -> None:
         self.dqn.restore(state.part("dqn/"))
         self._best = state.part("best/") or None
@@ -131,13 +131,15 @@ class Learner(Role):
         self._offered = self.merge
 
     def _receive(self, now: float) -> None:
-        lacked_s: float | None = None  # how long the replay had nothing to give; None: it has not answered
+        lacked_s: float | None = None  # time for which the replay had no batch to give; None: it has not answered
         for message, reply in self.messages(self._batches, SampleReply):
             batch = None if reply.batch is None else batches.from_stored(reply.batch)
             if batch is not None and not self.dqn.fits(batch):
                 self.refuse("shape")
                 continue
-            source = self._sources[int(keys.parse(message.key).fields.get("shard", 0))]
+            key = keys.parse(message.key)
+            assert key is not None  # `messages` has checked it
+            source = self._sources[int(key.fields.get("shard", 0))]
             if source.asked_s:
                 source.asked_s.popleft()
             source.held = max(1, reply.held)
@@ -161,7 +163,7 @@ class Learner(Role):
             self._starved_since_s = now if since_s is None else since_s
 
     def _learn(self, now: float) -> int:
-        """Learns from what is there; what that takes away is asked for before, so that it comes meanwhile."""
+        """Learn from ready batches; request others in their place before each update, so that they arrive meanwhile."""
         for done in range(UPDATES_A_STEP):
             full = [source for source in self._sources if source.ready]
             if not full or self._paused:
@@ -174,9 +176,9 @@ class Learner(Role):
             self._recent_batches.append(batch)
             self.dqn.update(batch)
             if batch.serials is not None:
-                found = Priorities(self.context.epoch, self.level, batch.serials, self.dqn.errors())
+                priorities = Priorities(self.context.epoch, self.level, batch.serials, self.dqn.errors())
                 key = keys.priority(self.context.run, self.level, self._sources.index(source))
-                self.transport.publish(key, codec.encode(found))
+                self.transport.publish(key, codec.encode(priorities))
             self._batch_size = len(batch)
             self.updates += 1
         return UPDATES_A_STEP
@@ -209,7 +211,7 @@ class Learner(Role):
         index = content.merge
         if content.phase == Phase.COLLECT and index > self._offered:
             self._offered = index
-            if DISTILLED in content.candidates and not self._recent_batches:  # just resumed: they are in no checkpoint
+            if DISTILLED in content.candidates and not self._recent_batches:  # just resumed: no checkpoint has them
                 self.event(now, "distilled_is_recent", level=self.level.value, merge=index)
             self._candidates = self._make_candidates(content.candidates)
             self._publish_candidates(now)
@@ -218,8 +220,8 @@ class Learner(Role):
         self._paused = not content.learning
         self.finished = content.stop
 
-    def _make_candidates(self, names: list[str]) -> dict[str, Parameters]:
-        makers = {
+    def _make_candidates(self, names: Sequence[CandidateName]) -> dict[str, Parameters]:
+        makers: dict[CandidateName, Callable[[], Parameters]] = {
             RECENT: self.dqn.parameters,
             DISTILLED: lambda: self.dqn.distilled(
                 itertools.islice(itertools.cycle(self._recent_batches), self.config.merge.distil_updates)

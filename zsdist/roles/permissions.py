@@ -1,7 +1,7 @@
-"""Which certificate each role shows, and what the hub lets the holder of each do.
+"""Certificates of the roles, and the permissions that the hub grants to the holder of each.
 
-An actor's certificate is bound to its keys: it may publish under its own name alone, and receivers hold what a message
-says of its sender against the key that it came under.
+An actor's certificate is bound to its keys: it may publish only under its own name. Receivers compare the sender that a
+message names with the key under which the message arrived.
 """
 
 from zsdist.transport.access import Grant
@@ -10,29 +10,29 @@ from zsdist.wire.keys import ANY
 
 HUB, TRUSTED, MONITOR = "hub", "trusted", "monitor"  # common names; an actor's is its role's name, such as `actor-0`
 EVERYTHING = (f"{keys.ROOT}/**",)
-WATCHED = (keys.stats(ANY, ANY, ANY), keys.events(ANY))  # what statistics and displays are made of
+WATCHED = (keys.stats(ANY, ANY, ANY), keys.events(ANY))  # sources of statistics and displays
 TOKENS = (keys.alive(ANY, ANY, ANY),)
 
 
 def certificate_of(role: str, identifier: str) -> str:
-    """Common name of the certificate that a role shows: one for each actor, one for all that must be trusted."""
+    """Return the common name of a role's certificate: one for each actor, one shared by all trusted roles."""
     if role == "actor":
         return actor_name(identifier)
     return role if role in (HUB, MONITOR) else TRUSTED
 
 
 def actor_name(identifier: str | int) -> str:
-    """The name of an actor on keys, in leases and on its certificate."""
+    """Return the name of an actor on keys, in leases and on its certificate."""
     return f"actor-{identifier}"
 
 
 def client_names(actors: int) -> list[str]:
-    """Common names of all clients of a run but the hub's own."""
+    """Return the common names of all clients of a run; the hub's own is not among them."""
     return [TRUSTED, MONITOR, *map(actor_name, range(actors))]
 
 
 def access_list(actors: int) -> list[Grant]:
-    """What the hub of a run with so many actors allows; every other common name may do nothing."""
+    """Return the grants of a run with so many actors; every other common name may do nothing."""
     trusted = Grant(TRUSTED, *[EVERYTHING] * 6)
     hub = Grant(HUB, publish=(keys.stats(ANY, "hub", ANY), keys.events(ANY)), alive=(keys.alive(ANY, "hub", ANY),))
     monitor = Grant(MONITOR, subscribe=(*WATCHED, keys.weights(ANY, ANY)), watch=TOKENS)

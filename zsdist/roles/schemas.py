@@ -1,16 +1,17 @@
-"""What may be in the JSON parts of messages: orders, jobs, records, and states that go into checkpoints.
+"""Models of the JSON parts of messages: orders, jobs, records, and states that go into checkpoints.
 
-The codec knows these only as JSON objects. A receiver reads them through the models here before it acts on anything, so
-that a message which is sound as bytes and senseless as an order is refused and counted like any other. Numbers are
+The codec knows these parts only as JSON objects. A receiver validates them by the models here before it acts on them.
+A message that is well-formed as bytes and invalid as an order is refused and counted like any other. Numbers are
 bounded, so that sums of them stay finite.
 """
 
-from typing import Annotated, Any, Literal, TypeVar
+from collections.abc import Sequence
+from enum import StrEnum
+from typing import Annotated, Any, Final, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 
 from zsdist.errors import DecodeError
-from zsdist.roles.scheduler.merge import BEST, DISTILLED, RECENT, Phase
 from zsdist.types import Outcome
 from zsdist.wire.codec import MAX_COUNT
 from zsdist.wire.messages import EPISODES, Records, State
@@ -24,17 +25,30 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,64}$")]
 Text = Annotated[str, Field(max_length=1000)]
 Point = Annotated[list[Figure], Field(min_length=2, max_length=2)]
 Epochs = Annotated[dict[Name, Count], Field(max_length=MAX_ACTORS)]
-CandidateName = Literal[RECENT, DISTILLED, BEST]
+
+CandidateName = Literal["recent", "distilled", "best"]
+RECENT: Final = "recent"  # the online networks as they are
+DISTILLED: Final = "distilled"  # the recent ones after updates that pull them towards the guide's actions
+BEST: Final = "best"  # the winner of the last merge: the paper's "historical strategies"
+
+
+class Phase(StrEnum):
+    """Progress of a merge."""
+
+    COLLECT = "collect"  # waiting for the learners' candidates
+    DRIVE = "drive"  # actors drive the candidates
+    PROMOTE = "promote"  # waiting for the learners to take over the winner
+    DONE = "done"
 
 
 class Content(BaseModel):
-    """One kind of content: exactly these fields, of exactly these types."""
+    """Base of all models: exactly these fields, of exactly these types."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
 
 
 class ActorOrders(Content):
-    """To all actors: who drives which episode, and how the run stands."""
+    """Orders to all actors: the episodes that each one drives, and the progress of the run."""
 
     epochs: Epochs
     leases: dict[Name, Annotated[list[Number], Field(max_length=MAX_LEASES)]]
@@ -45,7 +59,7 @@ class ActorOrders(Content):
 
 
 class ReplayOrders(Content):
-    """To the replay: whom to listen to, and how large to be."""
+    """Orders to the replay: the actors whose pushes it accepts, and its sizes."""
 
     epochs: Epochs
     buffer_size: Annotated[int, Field(ge=1)]
@@ -54,7 +68,7 @@ class ReplayOrders(Content):
 
 
 class LearnerOrders(Content):
-    """To the learners: whether to learn, and where the merge stands."""
+    """Orders to the learners: whether to learn, and the phase of the merge."""
 
     learning: bool
     merge: Count
@@ -65,7 +79,7 @@ class LearnerOrders(Content):
 
 
 class Supervision(Content):
-    """To the scheduler, from the runner: the actors' incarnations, processes replaced, and whether to stop early."""
+    """Orders of the runner to the scheduler: epochs of the actors, restarts by kind of role, and whether to stop."""
 
     epochs: Epochs
     restarts: Annotated[dict[Name, Count], Field(max_length=64)]
@@ -73,20 +87,20 @@ class Supervision(Content):
 
 
 class StateRequest(Content):
-    """To a role that has a state: the question for it."""
+    """Request to a role for its state."""
 
     ask: Literal["state"]
 
 
 class DriveJobs(Content):
-    """To one actor: candidates to drive, as (name, index of the validation scene)."""
+    """Orders to one actor: candidates to drive, as (name, index of the validation scene)."""
 
     merge: Count
     drives: Annotated[list[Annotated[tuple[CandidateName, Count], Strict(False)]], Field(max_length=MAX_DRIVES)]
 
 
-class _Drive(Content):
-    """How a drive ended; more figures by name may follow."""
+class DriveRecord(Content):
+    """Result of a drive; more figures by name may follow."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[Name, Figure | Text]
@@ -104,14 +118,14 @@ class _Drive(Content):
     path: Annotated[list[Point], Field(min_length=1, max_length=MAX_PATH)]
 
 
-class TrainingRecord(_Drive):
-    """How a training episode ended."""
+class TrainingRecord(DriveRecord):
+    """Result of a training episode."""
 
     episode: Number
 
 
-class CandidateRecord(_Drive):
-    """How a candidate's drive ended."""
+class CandidateRecord(DriveRecord):
+    """Result of a candidate's drive over one validation scene."""
 
     scene_index: Count
     merge: Count
@@ -119,7 +133,7 @@ class CandidateRecord(_Drive):
 
 
 class LevelReplayState(Content):
-    """What the scheduler reads of a replay's state, for each level."""
+    """Fields that the scheduler reads of a replay's state, for each level."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -128,7 +142,7 @@ class LevelReplayState(Content):
 
 
 class LearnerState(Content):
-    """What the scheduler reads of a learner's state."""
+    """Fields that the scheduler reads of a learner's state."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -138,31 +152,43 @@ class LearnerState(Content):
     sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
 
-Some = TypeVar("Some", bound=Content)
+Model = TypeVar("Model", bound=Content)
 
 
-def read(model: type[Some], content: dict[str, Any]) -> Some:
-    """Content as its model; raises `DecodeError` with the reason `content` where it is none."""
+def read(model: type[Model], content: dict[str, Any]) -> Model:
+    """Return `content` as an instance of `model`.
+
+    Raises:
+        DecodeError: with the reason `content`, where it does not fit the model.
+    """
     try:
         return model.model_validate(content)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise DecodeError("content", f"{model.__name__} {where}: {first['msg']}"[:200]) from error
+        field = ".".join(str(part) for part in first["loc"])
+        raise DecodeError("content", f"{model.__name__} {field}: {first['msg']}"[:200]) from error
 
 
-def drives(records: Records) -> list[Content]:
-    """The records of a frame, each of the actor that sends them; raises `DecodeError` where one is not."""
+def check_records(records: Records) -> Sequence[DriveRecord]:
+    """Return the records of a frame, read by the model of its stream.
+
+    Raises:
+        DecodeError: a record does not fit the model, or names another actor than the frame does.
+    """
     model = TrainingRecord if records.stream == EPISODES else CandidateRecord
     found = [read(model, record) for record in records.records]
-    for one in found:
-        if one.actor != records.actor:
-            raise DecodeError("actor", f"a record of {one.actor} from {records.actor}")
+    for record in found:
+        if record.actor != records.actor:
+            raise DecodeError("actor", f"a record of {record.actor} from {records.actor}")
     return found
 
 
-def parts(state: State) -> list[Content]:
-    """What the scheduler reads of a role's state; raises `DecodeError` where it is not there."""
+def check_state(state: State) -> Sequence[LearnerState | LevelReplayState]:
+    """Return the parts of a role's state that the scheduler reads.
+
+    Raises:
+        DecodeError: they are missing or invalid.
+    """
     if state.role.startswith("learner-"):
         return [read(LearnerState, state.meta)]
     return [read(LevelReplayState, part) for part in state.meta.values()]

@@ -1,4 +1,7 @@
-"""What transitions and networks of each level look like; roles that serve any level are told, the actor knows."""
+"""Sizes of the transitions of each level.
+
+The roles that serve any level are given these; only the actor knows what the features and actions mean.
+"""
 
 from dataclasses import dataclass
 
@@ -8,7 +11,7 @@ from zsdist.types import Level
 
 @dataclass(frozen=True)
 class Shape:
-    """What one level's transitions look like: state features and actions."""
+    """Sizes of one level's transitions: state features and actions."""
 
     state_size: int
     actions: int

@@ -1,17 +1,17 @@
-"""The C library's allocator, told to keep what it has been given back."""
+"""Setting of the C library's allocator: it keeps freed memory."""
 
 import ctypes
 import sys
 
-KEEP_BYTES = 32 * 2**20  # blocks up to so large are kept for the next; the most that glibc takes
+KEEP_BYTES = 32 * 2**20  # blocks up to this size are kept; the largest value that glibc accepts
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of malloc.h
 
 
 def keep_freed_memory() -> None:
-    """Has large blocks come from memory that this process had before; does nothing where the C library is not glibc.
+    """Have freed large blocks used again; do nothing where the C library is not glibc.
 
-    A batch's columns are megabytes, made and freed many times a second. By default each is asked of the kernel anew,
-    which clears it page by page: up to a third of what a replay's batches cost.
+    The columns of a batch take megabytes, allocated and freed many times a second. By default the kernel provides each
+    block anew and clears it page by page, which takes up to a third of the time of a replay's batches.
     """
     if sys.platform == "linux":
         mallopt = getattr(ctypes.CDLL(None), "mallopt", None)

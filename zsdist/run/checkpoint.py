@@ -1,4 +1,4 @@
-"""From a run directory or a checkpoint to a policy that can drive."""
+"""Policies read from run directories and checkpoints."""
 
 import hashlib
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ from zsdist.wire.messages import State
 
 @dataclass(frozen=True)
 class Policy:
-    """Both levels' networks and the configuration that they were trained under.
+    """Both levels' networks and the configuration that they were trained with.
 
     Attributes:
-        config: of the run that made it.
+        config: of the run that trained it.
         parameters: online networks by level.
         sha256: of both networks together, 64 hex digits.
-        source: where it was read from.
-        vision: by what it saw as it was trained; None: it has not been.
+        source: path that it was read from.
+        vision: vision model that it was trained with; None: it is untrained.
     """
 
     config: Config
@@ -34,10 +34,10 @@ class Policy:
 
 
 def load_policy(path: Path) -> Policy:
-    """The policy of a run directory (its newest checkpoint) or of one checkpoint folder.
+    """Return the policy of a run directory (its newest checkpoint) or of one checkpoint folder.
 
     Raises:
-        WeightsError: there are no weights there, or they are damaged.
+        WeightsError: it has no weights, or they are damaged.
     """
     checkpoint = path if (path / "manifest.json").is_file() else None
     try:
@@ -57,13 +57,13 @@ def load_policy(path: Path) -> Policy:
 
 
 def check_vision(policy: Policy) -> str | None:
-    """Holds what a trained policy saw by against what it would see by here.
+    """Compare the vision model that a policy was trained with to the one that it would use here.
 
     Returns:
-        One line for the user where another head or student is on the same encoder, else None.
+        One line for the user where the head or the student differs on the same encoder, else None.
 
     Raises:
-        WeightsError: the encoder here is another, or vision weights are missing or damaged.
+        WeightsError: the encoder differs, or vision weights are missing or damaged.
     """
     if policy.vision is None:
         return None
@@ -71,7 +71,7 @@ def check_vision(policy: Policy) -> str | None:
 
 
 def policy_of(settings: Config, states: dict[str, State], source: str, vision: VisionIdentity) -> Policy:
-    """The policy in the states of a checkpoint."""
+    """Return the policy in the states of a checkpoint."""
     parameters = {level: states[f"learner-{level}"].part("dqn/online/") for level in Level}
     return make_policy(settings, parameters, source, vision)
 
@@ -79,6 +79,6 @@ def policy_of(settings: Config, states: dict[str, State], source: str, vision: V
 def make_policy(
     settings: Config, parameters: dict[Level, Parameters], source: str, vision: VisionIdentity | None = None
 ) -> Policy:
-    """A policy of given networks."""
+    """Return a policy of given networks."""
     digest = hashlib.sha256("".join(network.sha256(parameters[level]) for level in Level).encode()).hexdigest()
     return Policy(settings, parameters, digest, source, vision)

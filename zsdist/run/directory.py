@@ -1,4 +1,4 @@
-"""The run directory: what a run leaves behind, and what it is resumed from. The scheduler alone writes to it."""
+"""The run directory: the files of a run, from which it is resumed. While it runs, only the scheduler writes them."""
 
 import hashlib
 import json
@@ -7,19 +7,22 @@ import re
 import secrets
 import shutil
 import time
+from collections.abc import Mapping
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 from zsdist import __version__, config
 from zsdist.common import atomic_files, json_lines
 from zsdist.config import Config
 from zsdist.errors import ConfigError, DecodeError, RunError
+from zsdist.telemetry.snapshot import Fields
 from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.wire import codec
 from zsdist.wire.messages import State
 
 CHECKPOINTS_KEPT = 3
-OWN = (  # settings that make a run what it is, and its states what they are
+FIXED = (  # settings that cannot change when a run is resumed, since its states depend on them
     "seed",
     "grid.cells",
     "grid.blocks",
@@ -31,12 +34,15 @@ OWN = (  # settings that make a run what it is, and its states what they are
 
 
 def create(path: Path | None, settings: Config, root: Path = Path("runs")) -> Path:
-    """Makes the folder of a new run and writes `config.yaml`.
+    """Make the folder of a new run and write `config.yaml`.
 
     Args:
-        path: where; None: a folder under `root`, named by configuration and time.
+        path: of the folder; None: one under `root`, named by configuration and time.
         settings: resolved configuration.
         root: parent of unnamed runs.
+
+    Returns:
+        The folder.
 
     Raises:
         RunError: `path` holds a run already, or cannot be made.
@@ -56,32 +62,32 @@ def create(path: Path | None, settings: Config, root: Path = Path("runs")) -> Pa
 
 
 def reopen(folder: Path, overrides: tuple[str, ...] = ()) -> tuple[Config, dict[str, State]]:
-    """Configuration (with overrides) and newest checkpoint of an earlier run. Nothing is changed yet.
+    """Return configuration (with overrides) and newest checkpoint of an earlier run; change nothing yet.
 
     Raises:
-        RunError: there is no run, or no whole checkpoint in it, or it would become another run.
+        RunError: there is no run, or no complete checkpoint in it, or an override changes a fixed setting.
     """
     if not (folder / "config.yaml").is_file():
         raise RunError(f"resume folder {folder} holds no run: there is no config.yaml in it")
     try:
-        own, settings = (config.load(folder / "config.yaml", changes) for changes in ((), overrides))
+        original, settings = (config.load(folder / "config.yaml", changes) for changes in ((), overrides))
     except ConfigError as error:
         raise RunError(f"resume folder {folder}: {error}") from error
-    for key in OWN:
-        was, asked = (attrgetter(key)(one) for one in (own, settings))
-        if was != asked:
-            raise RunError(f"resume folder {folder}: {key} is {asked}; allowed is what the run was begun with, {was}")
+    for key in FIXED:
+        before, now = (attrgetter(key)(config_tree) for config_tree in (original, settings))
+        if before != now:
+            raise RunError(f"resume folder {folder}: {key} is {now}; allowed is the run's original value, {before}")
     newest = newest_checkpoint(folder)
     try:
         return settings, read_checkpoint(newest)
     except RunError as error:
         older = sorted(path.name for path in newest.parent.glob("[0-9]*") if path.name < newest.name)
-        way_on = f"; without {newest} the run goes on from {older[-1]}" if older else ""
-        raise RunError(f"{error}{way_on}") from error
+        remedy = f"; remove {newest} to resume from {older[-1]}" if older else ""
+        raise RunError(f"{error}{remedy}") from error
 
 
 def ended(folder: Path) -> str | None:
-    """How the last sitting of a run ended, by its summary; None where it ended without one."""
+    """Return how the last start of a run ended, as its summary has it; None where it ended without one."""
     try:
         return json.loads((folder / "summary.json").read_text())["ended"]
     except FileNotFoundError:
@@ -91,9 +97,10 @@ def ended(folder: Path) -> str | None:
 
 
 def rewind(folder: Path, settings: Config, states: dict[str, State]) -> None:
-    """Makes the folder of a run that is gone on with agree with its checkpoint: what came later is struck out.
+    """Make the folder of a resumed run agree with its checkpoint: prune all that came later.
 
-    Journals go too: each belongs to one start of the run, and what they hold beyond the checkpoint is driven again.
+    Journals are removed too. Each belongs to one start of the run, and the episodes that they hold beyond the
+    checkpoint are driven again.
     """
     rewrite_config(folder, settings)
     shutil.rmtree(folder / "journal", ignore_errors=True)
@@ -103,26 +110,26 @@ def rewind(folder: Path, settings: Config, states: dict[str, State]) -> None:
 
 
 def key_name(folder: Path) -> str:
-    """The run's name on the key space: the folder's, with what a key cannot hold replaced."""
+    """Return the run's name on the key space: that of the folder, with characters replaced that a key cannot have."""
     return re.sub(r"[^A-Za-z0-9._-]", "-", folder.resolve().name)[:64] or "run"
 
 
 def rewrite_config(folder: Path, settings: Config) -> None:
-    """Writes `config.yaml`: the resolved configuration, with the version that wrote it."""
+    """Write `config.yaml`: the resolved configuration, with the version that wrote it."""
     head = f"# zsdist {__version__}, seed {settings.seed}\n"
     atomic_files.replace(folder / "config.yaml", (head + config.dump(settings)).encode())
 
 
 def newest_checkpoint(folder: Path) -> Path:
-    """The newest checkpoint of a run directory; raises `RunError` where there is none."""
+    """Return the newest checkpoint of a run directory; raise `RunError` where there is none."""
     found = sorted(folder.glob("checkpoints/*/manifest.json"))
     if not found:
-        raise RunError(f"run directory {folder} holds no checkpoint to go on from")
+        raise RunError(f"run directory {folder} holds no checkpoint to resume from")
     return found[-1].parent
 
 
 def read_checkpoint(checkpoint: Path) -> dict[str, State]:
-    """The states of all roles in a checkpoint folder, each held against the manifest's hash.
+    """Return the states of all roles in a checkpoint folder, each checked against the manifest's hash.
 
     Raises:
         RunError: a file is missing or damaged.
@@ -145,20 +152,20 @@ def read_checkpoint(checkpoint: Path) -> dict[str, State]:
 
 
 def read_vision(checkpoint: Path) -> VisionIdentity:
-    """By what the policy in a checkpoint folder saw; raises `RunError` where it does not say."""
+    """Return the vision model that a checkpoint's policy was trained with; raise `RunError` where it names none."""
     path = checkpoint / "manifest.json"
     try:
         return VisionIdentity.from_json(json.loads(path.read_text())["vision"])
     except OSError as error:
         raise RunError(f"checkpoint {checkpoint}: {error.filename}: {error.strerror}") from error
     except (ValueError, KeyError, TypeError) as error:
-        raise RunError(f"checkpoint file {path} does not say which encoder its policy is for: {error}") from error
+        raise RunError(f"checkpoint file {path} does not name the vision model of its policy: {error}") from error
 
 
 def issue_epochs(folder: Path, count: int) -> range:
-    """`count` fresh epochs, never issued before in this run directory (its resumes included).
+    """Return `count` new epochs, never issued before in this run directory (earlier starts included).
 
-    The first is drawn at random, so that a frame of another run is of an epoch that was never issued in this one.
+    The first is drawn at random, so that a frame of another run has an epoch that was never issued in this one.
     """
     path = folder / "epochs"
     first = int(path.read_text()) if path.exists() else secrets.randbelow(2**31) * 2**20
@@ -167,15 +174,15 @@ def issue_epochs(folder: Path, count: int) -> range:
 
 
 class RunDirectory:
-    """The scheduler's ledger on disk (see `zsdist.roles.scheduler.role.Ledger`)."""
+    """Files of a run, written by the scheduler (`zsdist.roles.scheduler.run_log.RunLog`)."""
 
     def __init__(self, folder: Path, vision: VisionIdentity, earlier_s: float = 0.0) -> None:
-        """Opens the files of `folder`.
+        """Open the files of `folder`.
 
         Args:
             folder: of the run.
-            vision: by what its policy sees, for the checkpoints.
-            earlier_s: what earlier sittings of this run took.
+            vision: vision model of its policy, which goes into the checkpoints.
+            earlier_s: real seconds that earlier starts of this run took.
         """
         from tensorboard.summary import Writer  # here, since only the scheduler needs it; torch's imports all of torch
 
@@ -187,14 +194,14 @@ class RunDirectory:
         self._metrics = (folder / "metrics.jsonl").open("a", buffering=1)
         self._board = Writer(str(folder / "tensorboard"))
 
-    def episode(self, record: dict) -> None:
-        """Appends one line to `episodes.jsonl`."""
+    def episode(self, record: dict[str, Any]) -> None:
+        """Append one line to `episodes.jsonl`."""
         self._episodes.write(json.dumps(record, allow_nan=False) + "\n")
         for name in ("return", "steps", "epsilon"):
             self._board.add_scalar(f"episode/{name}", record[name], record["finished_as"])
 
-    def metrics(self, row: dict) -> None:
-        """Appends one line to `metrics.jsonl`, and TensorBoard events over the env steps of finished episodes."""
+    def metrics(self, row: Fields) -> None:
+        """Append one line to `metrics.jsonl`, and TensorBoard events over the env steps of finished episodes."""
         self._metrics.write(json.dumps(row, allow_nan=False) + "\n")
         step = int(row.get("env_steps", 0))
         for name, value in row.items():
@@ -202,14 +209,14 @@ class RunDirectory:
                 self._board.add_scalar(f"run/{name}", value, step)
 
     def checkpoint(self, episodes: int, states: dict[str, State]) -> None:
-        """Writes `checkpoints/{episodes}`, complete or not at all, and removes the oldest beyond those kept.
+        """Write `checkpoints/{episodes}`, complete or not at all, and remove the oldest beyond those kept.
 
-        Once this returns it outlives a failure of power too, as far as the disk keeps its word.
+        Once this returns, the checkpoint survives a power failure, as far as the disk writes what it confirms.
         """
         payloads = {name: codec.encode(state) for name, state in states.items()}
         final = self.folder / "checkpoints" / f"{episodes:08d}"
         partial, aside = (final.with_name(f".{final.name}.{suffix}") for suffix in ("partial", "old"))
-        for left_over in (partial, aside):  # by a kill
+        for left_over in (partial, aside):  # of a killed process
             shutil.rmtree(left_over, ignore_errors=True)
         partial.mkdir(parents=True)
         for name, payload in payloads.items():
@@ -232,11 +239,11 @@ class RunDirectory:
             shutil.rmtree(old)
 
     def wall_s(self) -> float:
-        """Real seconds that the run has taken so far, earlier sittings included."""
+        """Return the real seconds that the run has taken so far, earlier starts included."""
         return round(self._earlier_s + time.monotonic() - self._opened_s, 3)
 
-    def summary(self, fields: dict) -> None:
-        """Writes `summary.json` and closes the books."""
+    def summary(self, fields: Mapping[str, Any]) -> None:
+        """Write `summary.json`, and flush all files."""
         atomic_files.replace(self.folder / "summary.json", json.dumps(fields, indent=1, allow_nan=False).encode())
         for file in (self._episodes, self._metrics):
             file.flush()

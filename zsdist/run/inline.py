@@ -1,10 +1,9 @@
-"""Every role in one process, stepped in turn: the test mode.
+"""Runner of all roles in one process, stepped in turn: the test mode.
 
-Over the memory transport the clock is virtual, and two runs with one seed end in equal bits. Over zenoh the clock is
-the real one, so that a single process can be watched from outside.
+Over the memory transport the clock is virtual, and two runs with one seed are bit-identical. Over zenoh the clock is
+real, so that a single process can be watched from outside.
 """
 
-import itertools
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -30,16 +29,16 @@ def run(
     interrupted: Callable[[], bool] = lambda: False,
     watch: Watch = lambda transport, now: None,
 ) -> None:
-    """Runs to the end, or until `interrupted` has been heard and everything is saved.
+    """Run to the end, or until an interruption is noticed and everything is saved.
 
     Args:
-        spec: what the roles share.
-        epochs: fresh ones, as many as `program.epoch_count` says.
-        interrupted: asked before every round.
+        spec: the run.
+        epochs: new ones, as many as `program.epoch_count` returns.
+        interrupted: tells whether to stop early; called once a heartbeat.
         watch: called once a round with a transport to subscribe on and the clock, such as a progress display.
     """
     threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # a second thread costs these small networks more than it gives, and exactness besides
+    torch.set_num_threads(1)  # for networks this small a second thread is slower, and not reproducible
     try:
         if spec.config.transport.kind == "memory":
             broker = MemoryBroker()
@@ -61,7 +60,7 @@ def run(
 
 
 class _VirtualClock:
-    """Moves a tick for each round of work, and at once to the next appointment where nobody has any."""
+    """Clock that advances by a tick after each round of work, and to the next due time where no role has work."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -104,18 +103,18 @@ def _run(
 
     try:
         supervisor = connect(program.supervisor(epochs))
-        actors = [_Seat(spec, role_spec, connect(role_spec), shared_wake) for role_spec in role_specs]
-        _step_all(spec, epochs[0], role_specs, actors, supervisor, clock, shared_wake, interrupted, watch)
+        hosted = [_HostedRole(spec, role_spec, connect(role_spec), shared_wake) for role_spec in role_specs]
+        _step_all(spec, epochs[0], role_specs, hosted, supervisor, clock, shared_wake, interrupted, watch)
     finally:
         for transport in transports:
             transport.close()
 
 
-class _Seat:
-    """A role, when it wants to be called next, and whether mail has come for it since."""
+class _HostedRole:
+    """A role, the time at which its next step is due, and whether a message has arrived since the last one."""
 
     def __init__(self, spec: RunSpec, role_spec: RoleSpec, transport: Transport, shared_wake: threading.Event) -> None:
-        self.wake = _Relay(shared_wake)
+        self.wake = _RelayedEvent(shared_wake)
         self.role: Role = spec.build(role_spec, transport, self.wake)
         self.due_s: float | None = 0.0
 
@@ -127,39 +126,39 @@ class _Seat:
         return True
 
 
-class _Relay(threading.Event):
+class _RelayedEvent(threading.Event):
     """An event that also sets the runner's."""
 
-    def __init__(self, onward: threading.Event) -> None:
+    def __init__(self, shared: threading.Event) -> None:
         super().__init__()
-        self._onward = onward
+        self._shared = shared
 
     def set(self) -> None:
         super().set()
-        self._onward.set()
+        self._shared.set()
 
 
 def _step_all(
     spec: RunSpec,
     epoch: int,
     role_specs: list[RoleSpec],
-    seats: list[_Seat],
+    hosted: list[_HostedRole],
     supervisor: Transport,
     clock: _VirtualClock | _RealClock,
     wake: threading.Event,
     interrupted: Callable[[], bool],
     watch: Watch,
 ) -> None:
-    scheduler = seats[0]
+    scheduler = hosted[0]
     next_supervision_s = clock.now
     while scheduler.due_s is not None:
         now = clock.now
         if now >= next_supervision_s:
             next_supervision_s = now + HEARTBEAT_S
-            content = program.supervision(spec, role_specs, interrupted=interrupted())
+            content = program.supervision(role_specs, interrupted=interrupted())
             orders = Orders(epoch, "scheduler", content)
             supervisor.publish(keys.control(spec.run, "scheduler"), codec.encode(orders), retained=True)
-        worked = [seat.step_if_due(now) for seat in seats]
+        worked = [role.step_if_due(now) for role in hosted]
         watch(supervisor, now)
-        appointments = [seat.due_s for seat in seats if seat.due_s is not None]
-        clock.after(any(worked), min(itertools.chain(appointments, [next_supervision_s])), wake)
+        due_s = [role.due_s for role in hosted if role.due_s is not None]
+        clock.after(any(worked), min([*due_s, next_supervision_s]), wake)

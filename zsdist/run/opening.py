@@ -5,7 +5,7 @@ from pathlib import Path
 
 from zsdist.config import Config
 from zsdist.errors import RunError
-from zsdist.run import directory, program
+from zsdist.run import directory, preflight
 from zsdist.run.program import RunSpec
 from zsdist.vision.fingerprint import VisionIdentity
 
@@ -41,7 +41,7 @@ def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify) -> Ru
         ZsdistError: the settings cannot be run on this machine.
     """
     settings, states = directory.reopen(folder, overrides)
-    program.check_shards(settings, states)
+    preflight.check_shards(settings, states)
     finished = len(states["scheduler"].meta["finished"])
     # With all episodes finished, the last merge or the evaluation may still be missing: then the run may be resumed.
     complete = settings.run.episodes == finished and directory.ended(folder) == "complete"
@@ -65,7 +65,7 @@ def check_parts(settings: Config, notify: Notify) -> VisionIdentity:
     Returns:
         The vision model of this configuration on this machine.
     """
-    program.check_memory(settings)
-    program.check_certificates(settings)
+    preflight.check_memory(settings)
+    preflight.check_certificates(settings)
     notify("preparing; the first time this takes about 15 s, for compilation")
-    return program.warm_up(settings)
+    return preflight.warm_up(settings)

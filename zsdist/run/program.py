@@ -1,26 +1,20 @@
-"""The composition root: which roles a run has, and how each is built. No role knows where it lives."""
+"""Composition root: the roles of a run and the construction of each. No role knows where it lives."""
 
 import threading
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from zsdist.agent import features
-from zsdist.agent.hierarchy import q_functions
 from zsdist.common import code_hash
 from zsdist.config import Config
-from zsdist.dqn import network
-from zsdist.driving.actor_car import ActorCar, CameraEnv, EpisodeTask
+from zsdist.driving.actor_car import ActorCar, CameraEnv
 from zsdist.driving.perception import Perception, VisionModel
-from zsdist.errors import ConfigError, SceneError, WeightsError
+from zsdist.errors import WeightsError
 from zsdist.planning.grid import Grid
-from zsdist.replay.buffer import row_bytes
 from zsdist.roles import permissions
 from zsdist.roles.actor import Actor
 from zsdist.roles.base import Context, Role
@@ -30,13 +24,12 @@ from zsdist.roles.replay.role import Replay
 from zsdist.roles.scheduler.role import Scheduler
 from zsdist.roles.shapes import SHAPES
 from zsdist.run.directory import RunDirectory
+from zsdist.run.scene_schedule import SceneSchedule
 from zsdist.sim.env import CarNavigation
-from zsdist.sim.scenes import families, scene
-from zsdist.sim.scenes.scene import Scene
 from zsdist.transport.base import Transport
 from zsdist.transport.certificates import Identity
 from zsdist.transport.zenoh import PORTS_TRIED, ZenohHub, ZenohTransport
-from zsdist.types import Level, Parameters
+from zsdist.types import Level
 from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.vision.reading_cache import ReadingCache
 from zsdist.vision.visual_act import VisualAct as PretrainedVisualAct
@@ -50,7 +43,13 @@ Watch = Callable[[Transport, float], None]  # called once a round with the runne
 
 @dataclass(frozen=True)
 class RoleSpec:
-    """One role of a program: its kind, which of them, and the epoch of this incarnation."""
+    """One role of a program.
+
+    Attributes:
+        role: kind of role.
+        id: number or name that tells roles of one kind apart.
+        epoch: of this incarnation.
+    """
 
     role: str
     id: str
@@ -58,17 +57,17 @@ class RoleSpec:
 
     @property
     def name(self) -> str:
-        """Such as `actor-0`."""
+        """Name of the role, such as `actor-0`."""
         return f"{self.role}-{self.id}"
 
 
 def supervisor(epochs: Sequence[int]) -> RoleSpec:
-    """The runner itself, as one that speaks to the scheduler."""
+    """Return the runner itself, as a role that sends orders to the scheduler."""
     return RoleSpec("supervisor", "0", epochs[0])
 
 
 def roles(config: Config, epochs: Sequence[int]) -> list[RoleSpec]:
-    """All roles that do the run's work, in the order in which an inline run steps them."""
+    """Return all roles that do the run's work, in the order in which an inline run steps them."""
     return [RoleSpec(role, identifier, epoch) for (role, identifier), epoch in zip(_names(config), epochs, strict=True)]
 
 
@@ -79,48 +78,24 @@ def _names(config: Config) -> list[tuple[str, str]]:
 
 
 def role_count(config: Config) -> int:
-    """How many roles `roles` lists."""
+    """Return the number of roles that `roles` lists."""
     return len(_names(config))
 
 
 def epoch_count(config: Config) -> int:
-    """Epochs that a start takes: one for the runner, one for the hub, one a role, in this order."""
+    """Return the number of epochs that a start takes: of the runner, of the hub, and of each role, in this order."""
     return 2 + role_count(config)
-
-
-class SceneSchedule:
-    """Scenes by number, a pure function of the seed. Training and validation scenes have seeds of their own."""
-
-    def __init__(self, config: Config) -> None:
-        self._config = config
-        self._sources = [_source(name) for name in config.scenes.train]
-
-    def training(self, number: int) -> Scene:
-        """Scene of training episode `number`: families in turn, scenes drawn from `train_scenes` of each."""
-        source = self._sources[number % len(self._sources)]
-        index = int(np.random.default_rng([self._config.seed, number, 2]).integers(self._config.scenes.train_scenes))
-        return source("train", index)
-
-    def validation(self, merge: int, index: int) -> Scene:
-        """Validation scene `index` of a merge: the same for all its candidates, fresh for each merge."""
-        source = self._sources[index % len(self._sources)]
-        return source("validation", merge * 10_000 + index)
-
-
-def _source(name: str) -> Callable[[str, int], Scene]:
-    """Scenes of a family, or of a folder of scene files (which has no split: its files serve every purpose)."""
-    if name in families.FAMILIES:
-        return lru_cache(maxsize=64)(lambda split, index: families.draw(name, split, index))
-    if not Path(name).is_dir():
-        allowed = ", ".join(families.FAMILIES)
-        raise SceneError(f"source of scenes {name!r} is no folder; allowed are {allowed} and a folder of scene files")
-    scenes = scene.read_folder(Path(name))
-    return lambda split, index: scenes[index % len(scenes)]
 
 
 @dataclass(frozen=True)
 class ActorParts:
-    """What an actor is made of besides its agent."""
+    """Parts that an actor is made of besides its agents.
+
+    Attributes:
+        make_env: makes the environment of one car.
+        visual_act: vision model of all cars.
+        schedule: scenes by number.
+    """
 
     make_env: Callable[[], CameraEnv]
     visual_act: VisionModel
@@ -128,7 +103,7 @@ class ActorParts:
 
 
 def simulation(config: Config) -> ActorParts:
-    """The real thing: PyBullet cars, the camera, the shipped visual-act model."""
+    """Return the parts of a simulated actor: PyBullet cars, the camera, the pretrained vision model."""
     return ActorParts(
         make_env=lambda: CarNavigation(config=config, images=False),
         visual_act=PretrainedVisualAct.load(config.vision, config.camera),
@@ -137,85 +112,26 @@ def simulation(config: Config) -> ActorParts:
 
 
 def vision_here(config: Config) -> VisionIdentity:
-    """By what cars of this configuration see on this machine; raises `WeightsError` as `VisionModel.load`."""
-    return VisionIdentity.of(PretrainedVisualAct.load(config.vision, config.camera), config.vision.network)
-
-
-def check_memory(config: Config) -> None:
-    """Holds what the replay may grow to against its byte budget; raises `ConfigError` where it does not fit."""
-    row = sum(row_bytes(shape.state_size, shape.actions) for shape in SHAPES.values())
-    needed = config.replay.size_max * row
-    if needed > config.replay.max_bytes:
-        raise ConfigError(
-            f"replay.size_max is {config.replay.size_max}: both levels would take {needed} bytes; "
-            f"allowed by replay.max_bytes are {config.replay.max_bytes}"
-        )
-
-
-def check_certificates(config: Config) -> None:
-    """Finds the certificates of all roles that live on this machine; raises `TransportError` as `Identity.load`."""
-    if config.transport.tls is None:
-        return
-    here = [permissions.HUB, permissions.TRUSTED]
-    if config.run.address is None:
-        here += map(permissions.actor_name, range(config.run.actors))
-    for name in here:
-        Identity.load(config.transport.tls, name)
-
-
-def check_shards(config: Config, states: Mapping[str, State]) -> None:
-    """Holds that every shard of a checkpoint is gone on with; raises `ConfigError` where there are too few."""
-    held = sum(name.partition("-")[0] == shards.ROLE for name in states)
-    if held > config.replay.shards:
-        raise ConfigError(
-            f"replay.shards is {config.replay.shards} and the checkpoint holds {held}; allowed are {held} or more"
-        )
-
-
-def warm_up(config: Config) -> VisionIdentity:
-    """Drives a car in this process: what is compiled or built at first use is then on disk for all.
-
-    Returns:
-        By what the car saw.
+    """Return the vision model that this configuration loads on this machine.
 
     Raises:
-        ZsdistError: scenes or vision weights are not there, or do not fit the configuration.
+        WeightsError: as `VisualAct.load`.
     """
-    for name in config.scenes.test:
-        _source(name)
-    parts = simulation(config)
-    try_out(parts, config)
-    return VisionIdentity.of(parts.visual_act, config.vision.network)
-
-
-def try_out(parts: ActorParts, config: Config) -> None:
-    """Drives a car for two steps: what is loaded or made at first use, which takes half a second, then is there."""
-    car = ActorCar(parts.make_env(), config)
-    car.begin(EpisodeTask(parts.schedule.training(1), 1, 1.0, True, (0,)), dict.fromkeys(Level, 0))
-    q = q_functions({level: _untrained(config, level) for level in Level})
-    perception = Perception(parts.visual_act, Grid.from_config(config.grid), config.vision.rays, None)
-    for _ in range(2):
-        car.advance(*perception.views([car]), q)
-    car.env.close()
-
-
-def _untrained(config: Config, level: Level) -> Parameters:
-    shape, settings = SHAPES[level], config.high if level is Level.HIGH else config.low
-    return network.initial_parameters(shape.state_size, shape.actions, settings.hidden, config.seed)
+    return VisionIdentity.of(PretrainedVisualAct.load(config.vision, config.camera), config.vision.network)
 
 
 @dataclass(frozen=True)
 class RunSpec:
-    """What every role of a run shares, wherever it lives.
+    """All that the roles of a run share, wherever they live.
 
     Attributes:
         config: resolved.
         run: name on the key space.
         folder: the run directory.
-        states: of the checkpoint that is gone on from, by role name; empty for a new run.
-        vision: by what every car sees.
-        make_parts: what actors are made of; tests put a kinematic car in the place of the simulation.
-        start: a word of its own for each start of a run, which names the journals of its replays.
+        states: of the checkpoint from which the run resumes, by role name; empty for a new run.
+        vision: the vision model that every car uses.
+        make_parts: makes the parts of an actor; tests put a kinematic car in the place of the simulation.
+        start: unique word of each start of a run, which names the journals of its replays.
     """
 
     config: Config
@@ -227,13 +143,13 @@ class RunSpec:
     start: str = field(default_factory=lambda: uuid.uuid4().hex)
 
     def open_hub(self, endpoint: str | None = None) -> ZenohHub:
-        """The router, at `endpoint`; None: at the configured one, or the next free port above it."""
+        """Open the router at `endpoint`; None: at the configured one, or the next free port above it."""
         grants, tries = permissions.access_list(self.config.run.actors), PORTS_TRIED if endpoint is None else 1
         endpoint = endpoint or self.config.transport.endpoint
         return ZenohHub(endpoint, self._identity(permissions.HUB), grants, ports_tried=tries)
 
     def connect(self, role_spec: RoleSpec, endpoint: str) -> ZenohTransport:
-        """A role's connection to the hub, with its certificate where the run has certificates."""
+        """Return a role's connection to the hub, with its certificate where the run has certificates."""
         return ZenohTransport(endpoint, self._identity(permissions.certificate_of(role_spec.role, role_spec.id)))
 
     def _identity(self, name: str) -> Identity | None:
@@ -241,19 +157,22 @@ class RunSpec:
         return None if folder is None else Identity.load(folder, name)
 
     def context(self, role_spec: RoleSpec, transport: Transport, wake: threading.Event) -> Context:
-        """The context of one role."""
+        """Return the context of one role."""
         return Context(self.config, self.run, role_spec.role, role_spec.id, role_spec.epoch, transport, wake)
 
     def build(
         self, role_spec: RoleSpec, transport: Transport, wake: threading.Event, parts: ActorParts | None = None
     ) -> Role:
-        """One role, with its state restored where the run is gone on with.
+        """Return one role; its state is restored where the run resumes from a checkpoint.
 
         Args:
-            role_spec: which.
+            role_spec: the role.
             transport: its own.
-            wake: set when mail comes for it.
-            parts: what an actor is to be made of, where that has been made already.
+            wake: set when a message arrives for it.
+            parts: parts of an actor that exist already; None: they are made here.
+
+        Raises:
+            WeightsError: an actor has loaded another vision model than the run.
         """
         context, config = self.context(role_spec, transport, wake), self.config
         match role_spec.role:
@@ -272,10 +191,10 @@ class RunSpec:
                 return Learner(context, level, make_learner(config, level), self.states.get(role_spec.name))
             case "actor":
                 parts = parts or self.make_parts(config)
-                seen = VisionIdentity.of(parts.visual_act, config.vision.network)
-                if seen != self.vision:
+                loaded = VisionIdentity.of(parts.visual_act, config.vision.network)
+                if loaded != self.vision:
                     raise WeightsError(
-                        f"{role_spec.name} sees by {seen}; allowed is what the run sees by, {self.vision}"
+                        f"{role_spec.name} has loaded vision model {loaded}; allowed is that of the run, {self.vision}"
                     )
                 cars = [ActorCar(parts.make_env(), config) for _ in range(config.run.cars_per_actor)]
                 return Actor(context, cars, self._perception(parts.visual_act), parts.schedule)
@@ -283,12 +202,15 @@ class RunSpec:
 
     def _perception(self, visual_act: VisionModel) -> Perception:
         size = self.config.vision.cache_bytes
-        cache = ReadingCache(size, _seen_by(self.config, visual_act)) if size else None
+        cache = ReadingCache(size, reading_fingerprint(self.config, visual_act)) if size else None
         return Perception(visual_act, Grid.from_config(self.config.grid), self.config.vision.rays, cache)
 
 
-def _seen_by(config: Config, visual_act: VisionModel) -> str:
-    """All that a reading depends on besides scene and lattice state, as far as runs of a machine may differ in it."""
+def reading_fingerprint(config: Config, visual_act: VisionModel) -> str:
+    """Return a text that names all that a reading depends on, except the scene and the lattice state.
+
+    Runs on one machine share a cache of readings; two runs with different fingerprints share no reading in it.
+    """
     settings = config.model_dump_json(include={"grid", "camera"})
     code = code_hash.sha256("zsdist.sim.env", "zsdist.vision.visual_act")
     libraries = (f"{name} {version(name)}" for name in ("numpy", "numba", "onnxruntime", "pybullet", "torch"))
@@ -296,7 +218,7 @@ def _seen_by(config: Config, visual_act: VisionModel) -> str:
 
 
 def make_learner(config: Config, level: Level) -> "BaseDqnLearner":
-    """The DQN of one level, untrained; its initial weights follow from the run's seed."""
+    """Return the DQN of one level, untrained; its initial weights follow from the run's seed."""
     from zsdist.dqn.fused import FusedDqnLearner
 
     shape, settings = SHAPES[level], config.high if level is Level.HIGH else config.low
@@ -305,18 +227,17 @@ def make_learner(config: Config, level: Level) -> "BaseDqnLearner":
 
 
 def make_hub(spec: RunSpec, role_spec: RoleSpec, transport: Transport, wake: threading.Event, endpoint: str) -> Hub:
-    """The hub's role, beside the router that its process holds."""
+    """Return the hub's role, for the process that holds the router."""
     return Hub(spec.context(role_spec, transport, wake), endpoint)
 
 
 def supervision(
-    spec: RunSpec, role_specs: Sequence[RoleSpec], *, interrupted: bool, restarts: Mapping[str, int] | None = None
-) -> dict:
-    """What a runner tells the scheduler, again and again.
+    role_specs: Sequence[RoleSpec], *, interrupted: bool, restarts: Mapping[str, int] | None = None
+) -> dict[str, Any]:
+    """Return the content of the orders that a runner repeats to the scheduler (`schemas.Supervision`).
 
     Args:
-        spec: of the run.
-        role_specs: all roles; the actors' newest epochs are told.
+        role_specs: all roles; the orders name the actors' epochs.
         interrupted: whether to stop early.
         restarts: processes replaced so far in this start, by kind of role.
     """

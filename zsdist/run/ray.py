@@ -1,38 +1,40 @@
-"""Every role in a Ray actor of its own, on this machine or on a cluster. The only file that knows Ray."""
+"""Runner of each role in a Ray actor of its own, on this machine or on a cluster. No other file knows Ray."""
 
+import logging
 import os
 import sys
 import threading
 import time
 import traceback
-from collections import Counter
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import ray
 from ray.exceptions import RayActorError, RayError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
+from zsdist.config import Config
 from zsdist.errors import RunError, ZsdistError
 from zsdist.roles.base import HEARTBEAT_S, Role
-from zsdist.run import program
+from zsdist.roles.replay import shards
+from zsdist.run import preflight, program
 from zsdist.run.allocator import keep_freed_memory
 from zsdist.run.directory import issue_epochs
 from zsdist.run.program import ActorParts, RoleSpec, RunSpec, Watch
+from zsdist.run.restarts import Restarts
 from zsdist.transport.base import Transport
 from zsdist.transport.zenoh import ZenohHub
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders
 
 OBJECT_STORE_BYTES = 256 * 2**20  # it carries settings and checkpoints at the start, and nothing afterwards
-RESTARTED = ("actor", "replay", "hub")  # roles that lose nothing which counts when their process dies
-RESTARTS_ALLOWED = 20  # of one role, before the run is given up
-LEAVE_WITHIN_S = 5.0  # roles have so long to end by themselves once the run is over
-STANDBY_AFTER_S = 1.0  # a start takes the processor for seconds: not while the others begin or the run is recovering
+LEAVE_WITHIN_S = 5.0  # time for the roles to end by themselves once the run is over
+STANDBY_AFTER_S = 1.0  # a start takes the processor for seconds: not while others start or the run recovers
 HUB = "hub-0"
 
 
 class RoleHost:
-    """Lives in a Ray actor: takes on one role there and steps it until it has finished."""
+    """Content of a Ray actor: builds one role and steps it until it has finished."""
 
     def __init__(self, spec: RunSpec) -> None:
         keep_freed_memory()
@@ -43,22 +45,22 @@ class RoleHost:
         self._parts: ActorParts | None = None
 
     def warm_up(self) -> None:
-        """Makes what takes longest to make, and uses it, so that whatever role is taken on later begins at once."""
+        """Make and use the parts of an actor, which take longest, so that any role can start here at once later."""
         parts = self.spec.make_parts(self.spec.config)
-        program.try_out(parts, self.spec.config)
+        preflight.try_out(parts, self.spec.config)
         self._parts = parts
 
     def open_hub(self, endpoint: str | None) -> str:
-        """Opens the router in this process and returns the endpoint at which it listens.
+        """Open the router in this process and return the endpoint at which it listens.
 
         Args:
-            endpoint: where its predecessor listened; None: it is the run's first.
+            endpoint: of its predecessor; None: it is the run's first.
         """
         self._hub = self.spec.open_hub(endpoint)
         return self._hub.endpoint
 
     def drive(self, role_spec: RoleSpec, endpoint: str) -> str:
-        """Builds a role and steps it to its end; returns an empty string, or in one line why it could not go on."""
+        """Build a role and step it to its end; return an empty string, or the reason of its failure in one line."""
         self._redirect_output(role_spec)
         transport = None
         if role_spec.role == "learner":
@@ -87,7 +89,7 @@ class RoleHost:
         return ""
 
     def stop(self) -> None:
-        """Has `drive` return after the current step; called from another of the actor's threads."""
+        """Make `drive` return after the current step; called from another thread of the Ray actor."""
         self._stop = True
         self.wake.set()
 
@@ -101,7 +103,7 @@ class RoleHost:
             self.wake.clear()
 
     def _redirect_output(self, role_spec: RoleSpec) -> None:
-        """What the process prints goes to `logs/{role}.log` of the run directory where that is on this machine."""
+        """Redirect output to `logs/{role}.log` of the run directory, where that is on this machine."""
         logs = self.spec.folder / "logs"
         if not logs.is_dir():
             return
@@ -119,19 +121,19 @@ def run(
     interrupted: Callable[[], bool] = lambda: False,
     watch: Watch = lambda transport, now: None,
 ) -> None:
-    """Runs to the end, or until `interrupted` has been heard and everything is saved.
+    """Run to the end, or until an interruption is noticed and everything is saved.
 
-    A dead actor is replaced by a new incarnation; so is a dead replay, which goes on from its journal, and a dead hub,
-    which listens where its predecessor did. The death of any other role ends the run.
+    A dead actor is replaced by a new incarnation. So is a dead replay, which resumes from its journal, and a dead hub,
+    which listens at the endpoint of its predecessor. The death of any other role ends the run.
 
     Args:
-        spec: what the roles share.
-        epochs: fresh ones, as many as `program.epoch_count` says.
-        interrupted: asked several times a second.
+        spec: the run.
+        epochs: new ones, as many as `program.epoch_count` returns.
+        interrupted: tells whether to stop early; called several times a second.
         watch: called several times a second with a transport to subscribe on and the clock.
 
     Raises:
-        RunError: the cluster is not there or too small, or a role failed.
+        RunError: the cluster cannot be reached or is too small, or a role failed.
     """
     _connect(spec)
     try:
@@ -146,7 +148,7 @@ def _connect(spec: RunSpec) -> None:
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # else roles that reserve no GPU cannot see one
     wanted = config.run.cpus_per_role * (program.role_count(config) + 1 + config.run.standby)
     if config.run.address is None:
-        # Logical cores only steer Ray's placement: enough of them, and no role ever waits for a place.
+        # Logical cores only steer Ray's placement; with enough of them no role ever waits to be placed.
         cores = max(os.cpu_count() or 1, int(wanted) + 1)
         ray.init(
             address="local",  # a cluster of its own, also where RAY_ADDRESS names another
@@ -154,12 +156,12 @@ def _connect(spec: RunSpec) -> None:
             object_store_memory=OBJECT_STORE_BYTES,
             include_dashboard=False,
             log_to_driver=False,
-            logging_level="ERROR",
+            logging_level=logging.ERROR,
             _node_ip_address="127.0.0.1",  # one machine: nothing of it needs to be reached from another
         )
         return
     try:
-        ray.init(address=config.run.address, log_to_driver=False, logging_level="ERROR")
+        ray.init(address=config.run.address, log_to_driver=False, logging_level=logging.ERROR)
     except (RayError, ConnectionError, ValueError) as error:
         raise RunError(
             f"Ray cluster {config.run.address!r} cannot be reached: {' '.join(str(error).split())}"
@@ -172,21 +174,23 @@ def _connect(spec: RunSpec) -> None:
 
 
 class _Supervisor:
-    """Starts the roles, replaces those that died and may, and tells the scheduler of both."""
+    """Starts the roles, replaces those that may be replaced when they die, and reports both to the scheduler."""
 
     def __init__(self, spec: RunSpec, epochs: Sequence[int]) -> None:
         self.spec = spec
         self.epoch, hub_epoch, *role_epochs = epochs
-        role_specs = [RoleSpec("hub", "0", hub_epoch), *program.roles(spec.config, role_epochs)]
-        self.role_specs = {role_spec.name: role_spec for role_spec in role_specs}
+        self.restarts = Restarts(
+            [RoleSpec("hub", "0", hub_epoch), *program.roles(spec.config, role_epochs)],
+            lambda: issue_epochs(spec.folder, 1)[0],
+        )
+        self.role_specs = self.restarts.role_specs
         self.hosts: dict[str, ray.actor.ActorHandle] = {}
-        self.work: dict[ray.ObjectRef, str] = {}
-        self.restarts: dict[str, int] = {}
+        self.work: dict[ray.ObjectRef, str] = {}  # result of each role's `drive` -> its name
         self.standby: ray.actor.ActorHandle | None = None
         self.standby_due_s = 0.0
 
     def run(self, interrupted: Callable[[], bool], watch: Watch) -> None:
-        """Until the scheduler has finished."""
+        """Run until the scheduler has finished."""
         self.hosts[HUB] = self._host(self.role_specs[HUB])
         self.endpoint = self._ask(self.hosts[HUB].open_hub.remote(None), "hub")
         (self.spec.folder / "endpoint").write_text(self.endpoint)
@@ -208,11 +212,9 @@ class _Supervisor:
                 ray.kill(host)
 
     def _supervise(self, transport: Transport, interrupted: bool) -> None:
-        restarts: Counter[str] = Counter()
-        for name, count in self.restarts.items():
-            restarts[self.role_specs[name].role] += count
-        role_specs = list(self.role_specs.values())
-        content = program.supervision(self.spec, role_specs, restarts=restarts, interrupted=interrupted)
+        content = program.supervision(
+            list(self.role_specs.values()), restarts=self.restarts.by_kind(), interrupted=interrupted
+        )
         orders = codec.encode(Orders(self.epoch, "scheduler", content))
         transport.publish(keys.control(self.spec.run, "scheduler"), orders, retained=True)
         ended, _ = ray.wait(list(self.work), timeout=HEARTBEAT_S)
@@ -223,53 +225,50 @@ class _Supervisor:
             self.standby.warm_up.remote()
 
     def _account_for(self, name: str, reference: ray.ObjectRef) -> None:
-        """A role ended: by itself, with a reason, or with its process."""
+        """Handle the end of a role: it has finished, failed with a reason, or died with its process."""
         try:
             reason = ray.get(reference)
         except RayActorError as error:  # its process is gone
             reason = f"{name} died: {_last_line(error)}"
-            if self.role_specs[name].role in RESTARTED:
+            if self.restarts.may_replace(name):
                 self._replace(name, reason)
                 return
-        except RayError as error:  # a defect would show again: no restart helps
+        except RayError as error:  # a defect, which a restart would only repeat
             reason = f"{name} failed: {_last_line(error)}"
         if reason:
             raise RunError(f"{reason}; its log is {self.spec.folder / 'logs' / name}.log")
 
     def _replace(self, name: str, reason: str) -> None:
-        self.restarts[name] = self.restarts.get(name, 0) + 1
-        if self.restarts[name] > RESTARTS_ALLOWED:
-            raise RunError(f"{reason}; it had been restarted {RESTARTS_ALLOWED} times")
-        old = self.role_specs[name]
-        self.role_specs[name] = RoleSpec(old.role, old.id, issue_epochs(self.spec.folder, 1)[0])
-        self.hosts[name] = self._stand_in(self.role_specs[name])
-        self._drive(self.role_specs[name])
+        role_spec = self.restarts.replace(name, reason)
+        self.hosts[name] = self._stand_in(role_spec)
+        self._drive(role_spec)
 
     def _drive(self, role_spec: RoleSpec) -> None:
         self.work[self.hosts[role_spec.name].drive.remote(role_spec, self.endpoint)] = role_spec.name
         self.standby_due_s = time.monotonic() + STANDBY_AFTER_S
 
     def _stand_in(self, role_spec: RoleSpec) -> "ray.actor.ActorHandle":
-        """The process that waits for this, or a new one: there is none, or the role may live on another machine."""
-        if self.standby is None or not (self._stays(role_spec) or self.spec.config.run.address is None):
+        """Return the standby process; a new one where there is none or the role may live on another machine."""
+        config = self.spec.config
+        if self.standby is None or not (stays_here(role_spec, config) or config.run.address is None):
             return self._host(role_spec)
         host, self.standby = self.standby, None
         return host
 
     def _host(self, role_spec: RoleSpec) -> "ray.actor.ActorHandle":
-        options = {"num_cpus": self.spec.config.run.cpus_per_role, "max_restarts": 0, "max_concurrency": 2}
-        if self._stays(role_spec):
+        options: dict[str, Any] = {
+            "num_cpus": self.spec.config.run.cpus_per_role,
+            "max_restarts": 0,
+            "max_concurrency": 2,
+        }
+        if stays_here(role_spec, self.spec.config):
             here = ray.get_runtime_context().get_node_id()
             options["scheduling_strategy"] = NodeAffinitySchedulingStrategy(here, soft=False)
-        return ray.remote(**options)(RoleHost).remote(self.spec)
-
-    def _stays(self, role_spec: RoleSpec) -> bool:
-        """Whether a role lives on this machine: at the address that was announced, or beside its files and keys."""
-        guarded = self.spec.config.transport.tls is not None and role_spec.role != "actor"
-        return guarded or role_spec.role in ("hub", "scheduler", "replay")
+        host_class: Any = ray.remote(**options)(RoleHost)  # Ray's types cover classes only without options
+        return host_class.remote(self.spec)
 
     def _leave(self) -> None:
-        """Gives the other roles the time to end by themselves."""
+        """Wait a while for the other roles to end by themselves."""
         others = [reference for reference, name in self.work.items() if name != HUB]
         if others:
             ray.wait(others, num_returns=len(others), timeout=LEAVE_WITHIN_S)
@@ -282,7 +281,13 @@ class _Supervisor:
             raise RunError(f"{name} could not start: {_last_line(error)}") from error
 
 
+def stays_here(role_spec: RoleSpec, config: Config) -> bool:
+    """Return whether a role must live on this machine: it needs its address, its files, or its certificate."""
+    guarded = config.transport.tls is not None and role_spec.role != "actor"
+    return guarded or role_spec.role in ("hub", "scheduler", shards.ROLE)
+
+
 def _last_line(error: Exception) -> str:
-    """The telling line of Ray's long reports, as far as it tells something."""
+    """Return the last line of one of Ray's long reports, which names the cause."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return lines[-1].partition(" Worker exit type:")[0] if lines else type(error).__name__

@@ -1,4 +1,4 @@
-"""Progress for people: a live table on a terminal, plain lines elsewhere. Reads only what a stranger could read too."""
+"""Progress of a run: a live table on a terminal, plain lines elsewhere. It uses only what any subscriber receives."""
 
 import sys
 import time
@@ -20,12 +20,12 @@ MAILBOX_BYTES = 8 * 2**20
 
 
 class Display:
-    """Subscribes to a run's statistics on its first `refresh`, and shows them from then on; a context manager.
+    """Subscribes to a run's statistics at the first `refresh`, and shows them from then on; a context manager.
 
     Args:
         run: name of the run on the key space.
-        console: where to; the default is standard output.
-        prefer_lines: plain lines even on a terminal.
+        console: the output; the default is standard output.
+        prefer_lines: whether to print plain lines on a terminal too.
     """
 
     def __init__(self, run: str, console: Console | None = None, *, prefer_lines: bool = False) -> None:
@@ -44,12 +44,14 @@ class Display:
             self._live.__enter__()
         return self
 
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         if self._live is not None:
             self._live.__exit__(kind, error, trace)
 
     def refresh(self, transport: Transport, now: float) -> None:
-        """Takes in what has come; shows it where that is due."""
+        """Receive what has arrived, and show it where that is due."""
         self.take(transport)
         if time.monotonic() < self._next_s:
             return
@@ -61,7 +63,7 @@ class Display:
             self.console.print(self.line(), highlight=False, soft_wrap=True, markup=False)
 
     def take(self, transport: Transport) -> None:
-        """Takes in statistics, events and liveliness, subscribing to them the first time."""
+        """Receive statistics, events and liveliness; the first call subscribes to them."""
         if self._mailbox is None:
             self._mailbox = Mailbox(MAILBOX_BYTES)
             transport.subscribe(keys.stats(self.run, keys.ANY, keys.ANY), self._mailbox)
@@ -70,7 +72,7 @@ class Display:
         self.snapshot.take(self._mailbox.drain())
 
     def figures(self) -> dict[str, str]:
-        """What is shown, by heading."""
+        """Return the text under each heading."""
         snapshot, row = self.snapshot, self.snapshot.row()
 
         def number(name: str, digits: int = 2) -> str:
@@ -101,12 +103,12 @@ class Display:
         }
 
     def line(self) -> str:
-        """One plain line."""
+        """Return the progress as one plain line."""
         shown = "  ".join(f"{name} {value}" for name, value in self.figures().items())
         return f"[{time.monotonic() - self._opened_s:6.1f} s] {shown}"
 
     def table(self) -> Table:
-        """A table for terminals."""
+        """Return the progress as a table for terminals."""
         table = Table(title=f"zsdist run {self.run}", show_header=False)
         table.add_column(style="bold")
         table.add_column(min_width=32)
@@ -114,6 +116,6 @@ class Display:
         for name, value in self.figures().items():
             table.add_row(name, escape(value))
         for event in self.snapshot.events[-3:]:
-            told = {name: value for name, value in event.items() if name not in ("time_s", "host", "pid", "id")}
-            table.add_row("event", escape(" ".join(f"{name}={value}" for name, value in told.items())))
+            shown = {name: value for name, value in event.items() if name not in ("time_s", "host", "pid", "id")}
+            table.add_row("event", escape(" ".join(f"{name}={value}" for name, value in shown.items())))
         return table

@@ -7,7 +7,7 @@ rules, so that nothing is sent that its receiver refuses.
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar, overload
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from zsdist.wire.messages import (
 
 Meta = dict[str, Any]
 Columns = dict[str, np.ndarray]
+Expected = TypeVar("Expected", bound=AnyMessage)
 
 MIB = 2**20
 MAX_COUNT = 2**62  # sequence numbers, totals, epochs and versions are below it
@@ -81,6 +82,14 @@ def encode(message: AnyMessage, *, packing: int | None = None) -> bytes:
         return frame.pack(kind.number, meta, columns, kind.limit, kind.packing if packing is None else packing)
     except DecodeError as error:
         raise ProtocolError(f"{type(message).__name__} cannot be sent: {error}") from error
+
+
+@overload
+def decode(payload: bytes, *, expect: type[Expected] | tuple[type[Expected], ...]) -> Expected: ...
+
+
+@overload
+def decode(payload: bytes, *, expect: None = None) -> AnyMessage: ...
 
 
 def decode(payload: bytes, *, expect: type | tuple[type, ...] | None = None) -> AnyMessage:

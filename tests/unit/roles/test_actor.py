@@ -18,7 +18,7 @@ LOW = SHAPES[Level.LOW]
 PARAMETERS = network.initial_parameters(LOW.state_size, LOW.actions, (4,), seed=0)
 
 
-class Blind(Perception):
+class NoPerception(Perception):
     def __init__(self):
         pass
 
@@ -38,7 +38,7 @@ class Bench:
         broker = MemoryBroker()
         self.others = MemoryTransport(broker)
         context = Context(CONFIG, RUN, "actor", "0", 1, MemoryTransport(broker), threading.Event())
-        self.actor = Actor(context, [], Blind(), None)
+        self.actor = Actor(context, [], NoPerception(), None)
 
     def publish(self, version, made_s, epoch=1):
         message = WeightsMessage(epoch, 0, network.sha256(PARAMETERS), made_s, Weights(Level.LOW, version, PARAMETERS))

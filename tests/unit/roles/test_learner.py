@@ -32,7 +32,7 @@ def batch(rng, rows=4):
 
 
 class Bench:
-    """A learner, with the replay and the scheduler played by the test."""
+    """A learner; the test plays the replay and the scheduler."""
 
     def __init__(self, shards=1):
         self.rng, self.broker, self.now = np.random.default_rng(0), MemoryBroker(), 0.0
@@ -66,7 +66,7 @@ def bench():
     return Bench()
 
 
-def test_the_next_batches_are_asked_for_before_those_at_hand_are_learned_from(bench, monkeypatch):
+def test_more_batches_are_requested_before_each_update(bench, monkeypatch):
     bench.step()
     assert len(bench.requests) * BATCHES_AN_ANSWER == PREFETCH
     bench.answer(bench.requests.drain())
@@ -76,7 +76,7 @@ def test_the_next_batches_are_asked_for_before_those_at_hand_are_learned_from(be
     assert asked == [update // BATCHES_AN_ANSWER for update in range(1, UPDATES_A_STEP + 1)]
 
 
-def test_each_batch_of_an_answer_is_an_update_and_fewer_than_were_asked_for_are_made_up_for(bench, monkeypatch):
+def test_each_batch_of_an_answer_is_an_update_and_missing_ones_are_requested_again(bench, monkeypatch):
     bench.step()
     learned = []
     monkeypatch.setattr(bench.learner.dqn, "update", lambda batch: learned.append(batch.states.tolist()))
@@ -99,28 +99,28 @@ def test_updates_are_followed_by_another_step_at_once(bench):
     assert bench.step() > bench.now
 
 
-def test_time_without_a_batch_is_told_with_whether_the_replay_had_one(bench):
+def test_time_without_a_batch_is_counted_and_split_by_whether_the_replay_had_one(bench):
     bench.step()
     bench.step(1.0)
     bench.answer(bench.requests.drain(), waited_s=0.75)
     bench.step(0.0)
-    told = bench.learner.statistics()
-    assert told["waiting_data_s"] == pytest.approx(1.0)
-    assert told["waiting_reply_s"] == pytest.approx(0.25)
+    fields = bench.learner.statistics()
+    assert fields["waiting_data_s"] == pytest.approx(1.0)
+    assert fields["waiting_reply_s"] == pytest.approx(0.25)
 
 
-def test_a_replay_that_has_nothing_for_a_long_time_keeps_nobody_waiting_for_its_answers(bench):
+def test_an_empty_replay_does_not_count_as_one_that_answers_late(bench):
     bench.step()
     for seconds, held in ((2.0, 0), (2.0, 0), (2.0, 0), (1.0, 100)):
         bench.now += seconds
         bench.answer(bench.requests.drain(), waited_s=seconds, held=held)
         bench.step(0.0)
-    told = bench.learner.statistics()
-    assert told["waiting_data_s"] == pytest.approx(7.0)
-    assert told["waiting_reply_s"] == pytest.approx(0.0)
+    fields = bench.learner.statistics()
+    assert fields["waiting_data_s"] == pytest.approx(7.0)
+    assert fields["waiting_reply_s"] == pytest.approx(0.0)
 
 
-def test_a_learner_that_was_told_to_pause_waits_for_nothing(bench):
+def test_a_paused_learner_counts_no_waiting_time(bench):
     bench.order(learning=False)
     bench.step()
     bench.step(5.0)
@@ -128,14 +128,14 @@ def test_a_learner_that_was_told_to_pause_waits_for_nothing(bench):
     assert not bench.requests
 
 
-def test_weights_tell_when_their_version_came_to_be_also_when_they_are_said_again(bench):
+def test_repeated_weights_keep_the_time_at_which_their_version_was_made(bench):
     bench.step()
     bench.answer(bench.requests.drain()[:1])
     bench.step()
     for _ in range(60):
         bench.step()
-    said = [codec.decode(message.payload, expect=WeightsMessage) for message in bench.weights.drain()]
-    last = [message for message in said if message.weights.version == said[-1].weights.version]
+    published = [codec.decode(message.payload, expect=WeightsMessage) for message in bench.weights.drain()]
+    last = [message for message in published if message.weights.version == published[-1].weights.version]
     assert len(last) > 1
     assert len({message.made_s for message in last}) == 1
     assert 0 < last[0].made_s <= bench.now - 2.0
@@ -160,9 +160,9 @@ def test_batches_come_from_each_shard_in_proportion_to_what_it_holds():
 
 
 @pytest.mark.parametrize("learned", [False, True])
-def test_a_candidate_without_batches_to_be_distilled_from_is_said_to_be_the_recent_one(learned):
-    bench, said = Bench(), Mailbox(2**20)
-    bench.others.subscribe(keys.events(RUN), said)
+def test_an_event_reports_a_distilled_candidate_that_equals_the_recent_one(learned):
+    bench, events = Bench(), Mailbox(2**20)
+    bench.others.subscribe(keys.events(RUN), events)
     bench.step()
     if learned:
         bench.answer(bench.requests.drain())
@@ -171,11 +171,11 @@ def test_a_candidate_without_batches_to_be_distilled_from_is_said_to_be_the_rece
     orders = Orders(1, "learner", content | {"chosen": "", "stop": False})
     bench.others.publish(keys.control(RUN, "learner"), codec.encode(orders))
     bench.step()
-    told = [json.loads(message.payload)["event"] for message in said.drain()]
-    assert told == ([] if learned else ["distilled_is_recent"])
+    names = [json.loads(message.payload)["event"] for message in events.drain()]
+    assert names == ([] if learned else ["distilled_is_recent"])
 
 
-def test_a_shard_that_is_away_does_not_keep_the_others_from_being_learned_from():
+def test_a_missing_shard_does_not_stop_learning_from_the_others():
     bench = Bench(shards=2)
     bench.step()
     for _ in range(5):
@@ -185,17 +185,17 @@ def test_a_shard_that_is_away_does_not_keep_the_others_from_being_learned_from()
     assert len(bench.shards[0]) * BATCHES_AN_ANSWER == PREFETCH
 
 
-def test_errors_of_rows_drawn_by_priority_are_told_to_the_shard_they_came_from():
-    bench, told = Bench(shards=2), [Mailbox(2**20), Mailbox(2**20)]
-    for index, box in enumerate(told):
+def test_errors_of_rows_sampled_by_priority_go_to_the_shard_they_came_from():
+    bench, published = Bench(shards=2), [Mailbox(2**20), Mailbox(2**20)]
+    for index, box in enumerate(published):
         bench.others.subscribe(keys.priority(RUN, Level.LOW, index), box)
     bench.step()
     drawn = dataclasses.replace(batch(bench.rng), weights=np.ones(4, np.float32), serials=np.array([7, 9, 7, 3]))
     bench.shards[1].drain()[0].reply(codec.encode(SampleReply(Level.LOW, drawn, 100, 0.0)))
-    bench.answer(bench.shards[0].drain()[:1])  # without priorities there is nothing to tell
+    bench.answer(bench.shards[0].drain()[:1])  # a batch without priorities has no errors to publish
     bench.step()
     assert bench.learner.updates == 1 + BATCHES_AN_ANSWER
-    assert not told[0]
-    (found,) = (codec.decode(message.payload, expect=Priorities) for message in told[1].drain())
+    assert not published[0]
+    (found,) = (codec.decode(message.payload, expect=Priorities) for message in published[1].drain())
     assert found.serials.tolist() == [7, 9, 7, 3]
     assert (found.errors > 0).all()

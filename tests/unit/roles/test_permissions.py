@@ -1,4 +1,4 @@
-"""The access list against the key space: what real sockets hold in tests/integration/test_access.py, for every key."""
+"""The access list checked against the key space; tests/integration/test_access.py checks it over real sockets."""
 
 import pytest
 
@@ -14,7 +14,7 @@ def covers(patterns, key):
     return any(matches(pattern, key) for pattern in patterns)
 
 
-def test_each_actor_may_push_as_itself_alone():
+def test_each_actor_may_push_under_its_own_name_only():
     for mine in range(3):
         for other in range(3):
             key = keys.push("run", "low", permissions.actor_name(other), 7)
@@ -22,14 +22,14 @@ def test_each_actor_may_push_as_itself_alone():
 
 
 @pytest.mark.parametrize("name", ["hub", "monitor", "actor-0", "actor-2"])
-def test_nobody_but_the_trusted_serves_asks_or_speaks_of_weights_and_orders(name):
+def test_only_trusted_roles_serve_request_or_publish_weights_and_orders(name):
     grant = GRANTS[name]
     assert grant.serve == grant.request == ()
     for key in (keys.weights("run", "low"), keys.candidate("run", "low", "1-best"), keys.control("run", "actor")):
         assert not covers(grant.publish, key)
 
 
-def test_a_rule_of_zenohs_names_one_certificate_and_only_what_it_was_granted():
+def test_each_zenoh_rule_names_one_certificate_and_only_its_grants():
     settings = transport_access.settings(GRANTS.values())
     assert settings["default_permission"] == "deny" and settings["enabled"] is True
     assert {tuple(subject["cert_common_names"]) for subject in settings["subjects"]} == {(name,) for name in GRANTS}

@@ -1,4 +1,4 @@
-"""What does not belong in a mailbox is counted in the role's statistics, by reason, and the role goes on."""
+"""Messages that a role must not act on are counted by reason in its statistics, and change nothing."""
 
 import dataclasses
 
@@ -19,23 +19,27 @@ def bench(tmp_path):
     return lambda role: Bench(role, tmp_path / "journal")
 
 
-def test_a_replay_hears_no_actor_under_anothers_key_and_no_run_but_its_own(bench):
+def test_a_replay_refuses_pushes_under_another_actors_key_or_of_another_run(bench):
     replay = bench("replay-0")
     replay.send(keys.control(RUN, "replay"), Orders(1, "replay", REPLAY | {"epochs": {"actor-0": 7, "actor-1": 8}}))
     replay.refused()
     true = push(np.random.default_rng(0), actor="actor-0", epoch=7, sequence=0, produced=21)
     for level, actor, epoch in (("low", "actor-1", 8), ("low", "actor-0", 6), ("high", "actor-0", 7)):
         replay.send(keys.push(RUN, level, actor, epoch), true)
-    replay.send(keys.push("other", "low", "actor-0", 7), true)  # not even heard
+    replay.send(keys.push("other", "low", "actor-0", 7), true)  # not subscribed to
     assert replay.refused() == {"key": 3}
     for _ in range(2):
         replay.send(keys.push(RUN, "low", "actor-0", 7), true)
     replay.refused()
-    told = replay.role.statistics()
-    assert (told["low_produced"], told["low_duplicates"], told["low_rejected"]) == (21, 1, 21)  # states of another size
+    fields = replay.role.statistics()
+    assert (fields["low_produced"], fields["low_duplicates"], fields["low_rejected"]) == (
+        21,
+        1,
+        21,
+    )  # states of another size
 
 
-def test_a_replay_follows_no_orders_that_are_senseless_too_large_or_stale(bench):
+def test_a_replay_refuses_orders_that_are_invalid_too_large_or_stale(bench):
     replay = bench("replay-0")
     key = keys.control(RUN, "replay")
     for content in ({}, REPLAY | {"epochs": [1]}, REPLAY | {"stop": 1}, REPLAY | {"buffer_size": -1}):
@@ -49,7 +53,7 @@ def test_a_replay_follows_no_orders_that_are_senseless_too_large_or_stale(bench)
     assert replay.role.level_replays[Level.LOW].buffer.capacity == 2000
 
 
-def test_a_replay_gives_its_state_and_batches_only_to_a_question_for_them_and_queues_not_without_end(bench):
+def test_a_replay_answers_valid_requests_only_and_queues_a_limited_number(bench):
     replay = bench("replay-0")
     for payload in (b"", b"rubbish" * 9, codec.encode(Orders(1, "replay", {"ask": "money"}))):
         replay.others.request(keys.control(RUN, "replay"), payload, replay.answers, timeout_s=1.0)
@@ -65,7 +69,7 @@ def test_a_replay_gives_its_state_and_batches_only_to_a_question_for_them_and_qu
     assert len(replay.answers) == 1
 
 
-def test_an_actor_takes_no_weights_that_are_not_its_networks_or_not_those_of_their_hash(bench):
+def test_an_actor_refuses_weights_of_another_network_or_with_a_wrong_hash(bench):
     actor = bench("actor-0")
     other = PARAMETERS | {"output.bias": np.zeros(LOW.actions + 1, np.float32)}
     for sha256, parameters in ((network.sha256(other), other), ("0" * 64, PARAMETERS)):
@@ -81,18 +85,18 @@ def test_an_actor_takes_no_weights_that_are_not_its_networks_or_not_those_of_the
     assert actor.role.statistics()["low_weight_version"] == 5
 
 
-def test_an_actor_follows_no_senseless_orders_jobs_or_acks(bench):
+def test_an_actor_refuses_invalid_orders_jobs_and_acks(bench):
     actor = bench("actor-0")
     actor.send(keys.control(RUN, "actor"), Orders(1, "actor", {"closing": True}))
     actor.send(keys.evaluation(RUN, "actor-0"), Jobs(1, "actor-0", {"merge": 1, "drives": [["recent", "x"]]}))
     actor.send(keys.evaluation(RUN, "actor-0"), Records("evaluation", "actor-0", 9, 0, 1, False, ({},)))  # its own
     actor.send(keys.ack(RUN, "actor-0"), Ack(1, "actor-1", 9, "low", 10**6, None))
-    actor.send(keys.ack(RUN, "actor-0"), Ack(1, "actor-0", 9, "low", 10**6, None))  # of more than was ever sent
+    actor.send(keys.ack(RUN, "actor-0"), Ack(1, "actor-0", 9, "low", 10**6, None))  # beyond what was sent
     assert actor.refused() == {"content": 2, "key": 1}
     assert actor.role.statistics()["low_ignored_acks"] == 1
 
 
-def test_a_learner_learns_from_no_batch_of_another_shape(bench):
+def test_a_learner_refuses_batches_of_another_shape(bench):
     learner = bench("learner-low")
     asked = Mailbox(2**20)
     learner.others.serve(keys.sample(RUN, "low"), asked)
@@ -100,7 +104,7 @@ def test_a_learner_learns_from_no_batch_of_another_shape(bench):
     for payload in (b"rubbish" * 9, codec.encode(Ack(1, "a", 0, "low", 0, None)), codec.encode(of_shape(3, 2))):
         asked.drain()[0].reply(payload)
         learner.refused()
-        learner.now += 10.0  # what was not answered well is asked again
+        learner.now += 10.0  # a request without a valid answer is sent again
         learner.refused()
     assert learner.refused() == {"magic": 1, "unexpected": 1, "shape": 1}
     assert learner.role.updates == 0
@@ -118,7 +122,7 @@ def of_shape(features, actions):
     return SampleReply(Level.LOW, dataclasses.replace(sound, **changed), 100, 0.0)
 
 
-def test_a_scheduler_counts_no_episode_that_is_none_and_acknowledges_it_not(bench):
+def test_a_scheduler_neither_counts_nor_acknowledges_invalid_episodes(bench):
     scheduler = bench("scheduler-0")
     acks = Mailbox(2**20)
     scheduler.others.subscribe(keys.ack(RUN, keys.ANY), acks)

@@ -1,4 +1,4 @@
-"""Content is what its model says, to the type, or it is refused; what roles send passes."""
+"""Content fits its model exactly or is refused; content that roles send fits."""
 
 import pytest
 from wire_messages import ACTOR, EPISODE, JOBS, LEARNER, REPLAY, RESULT, SUPERVISION
@@ -7,7 +7,7 @@ from zsdist.errors import DecodeError
 from zsdist.roles import schemas
 from zsdist.wire.messages import EPISODES, EVALUATION, Records, State
 
-SOUND = [
+VALID = [
     (schemas.ActorOrders, ACTOR),
     (schemas.ReplayOrders, REPLAY),
     (schemas.LearnerOrders, LEARNER),
@@ -19,8 +19,8 @@ SOUND = [
 ]
 
 
-@pytest.mark.parametrize(("model", "content"), SOUND, ids=lambda value: getattr(value, "__name__", ""))
-def test_sound_content_is_read_and_nothing_may_be_missing_or_of_another_type(model, content):
+@pytest.mark.parametrize(("model", "content"), VALID, ids=lambda value: getattr(value, "__name__", ""))
+def test_valid_content_is_read_and_no_field_may_be_missing_or_of_another_type(model, content):
     assert schemas.read(model, content)
     for name in content.keys() - {"options"}:
         for changed in ({key: value for key, value in content.items() if key != name}, content | {name: {"x": None}}):
@@ -57,32 +57,32 @@ def test_sound_content_is_read_and_nothing_may_be_missing_or_of_another_type(mod
         (schemas.TrainingRecord, EPISODE | {"episode": 2**40}),
     ],
 )
-def test_what_is_almost_content_is_refused(model, changed):
+def test_almost_valid_content_is_refused(model, changed):
     with pytest.raises(DecodeError, match=model.__name__):
         schemas.read(model, changed)
 
 
-def test_a_frame_of_records_holds_only_those_of_its_actor_and_stream():
+def test_a_frame_contains_only_records_of_its_actor_and_stream():
     def frame(stream, *records):
         return Records(stream, "actor-0", 1, 0, len(records), False, records)
 
-    assert len(schemas.drives(frame(EPISODES, EPISODE, EPISODE))) == 2
-    assert len(schemas.drives(frame(EVALUATION, RESULT))) == 1
+    assert len(schemas.check_records(frame(EPISODES, EPISODE, EPISODE))) == 2
+    assert len(schemas.check_records(frame(EVALUATION, RESULT))) == 1
     for stream, record, reason in (
         (EPISODES, RESULT, "content"),
         (EVALUATION, EPISODE, "content"),
         (EPISODES, EPISODE | {"actor": "actor-1"}, "actor"),
     ):
         with pytest.raises(DecodeError) as refused:
-            schemas.drives(frame(stream, record))
+            schemas.check_records(frame(stream, record))
         assert refused.value.reason == reason
 
 
-def test_a_state_without_books_or_versions_is_refused():
+def test_a_state_without_counts_or_versions_is_refused():
     level_replay = {"open": 0, "books": {"produced": 1}, "more": []}
     learner = {"version": 1, "updates": 1, "merge": 0, "sha256": "0" * 64}
-    assert len(schemas.parts(State("replay", {"low": level_replay, "high": level_replay}, {}))) == 2
-    assert schemas.parts(State("learner-low", learner, {}))
+    assert len(schemas.check_state(State("replay", {"low": level_replay, "high": level_replay}, {}))) == 2
+    assert schemas.check_state(State("learner-low", learner, {}))
     for state in (State("replay", {"low": {}}, {}), State("learner-low", learner | {"sha256": 1}, {})):
         with pytest.raises(DecodeError):
-            schemas.parts(state)
+            schemas.check_state(state)

@@ -12,11 +12,11 @@ def made_and_freed():
         block[0] = 0
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the allocator that is told is glibc's")
-def test_large_blocks_that_were_freed_are_not_asked_of_the_kernel_again():
+@pytest.mark.skipif(sys.platform != "linux", reason="only glibc has this setting")
+def test_freed_large_blocks_are_used_again():
     keep_freed_memory()
     made_and_freed()
-    keep_freed_memory()  # may be said again
+    keep_freed_memory()  # a second call does no harm
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
     for _ in range(10):
         made_and_freed()

@@ -1,4 +1,4 @@
-"""A policy drives on the encoder that it was trained on, and on no other."""
+"""A policy drives with the encoder that it was trained with, and with no other."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ from rehearsal import SEEN, kinematic
 
 from zsdist import config
 from zsdist.errors import WeightsError
-from zsdist.run import directory, opening, program
+from zsdist.run import directory, opening, preflight, program
 from zsdist.run.checkpoint import check_vision, load_policy
 from zsdist.run.directory import RunDirectory
 from zsdist.run.program import RoleSpec, RunSpec
@@ -24,7 +24,7 @@ def here():
 
 @pytest.fixture
 def trained(tmp_path):
-    """Writes the checkpoint of a run whose policy saw by what it is given."""
+    """Writes the checkpoint of a run that was trained with a given vision model."""
 
     def write(vision):
         folder = directory.create(tmp_path / "run", SETTINGS)
@@ -61,7 +61,7 @@ def test_another_head_is_reported_in_one_line(trained, here):
 
 
 def resumed(folder, monkeypatch, seen, notify=lambda line: None):
-    monkeypatch.setattr(program, "warm_up", lambda settings: seen)
+    monkeypatch.setattr(preflight, "warm_up", lambda settings: seen)
     return opening.open_resumed(folder, (), notify)
 
 
@@ -78,7 +78,7 @@ def test_resuming_with_another_head_is_reported(trained, monkeypatch):
     assert "sees by head dddd" in lines[-1]
 
 
-def test_an_actor_that_sees_by_something_else_than_its_run_is_refused(tmp_path):
-    setting = RunSpec(SETTINGS, "run", tmp_path, {}, replace(SEEN, weights_sha256="d" * 64), kinematic)
-    with pytest.raises(WeightsError, match="actor-0 sees by"):
-        setting.build(RoleSpec("actor", "0", 0), None, None)
+def test_an_actor_with_another_vision_model_than_its_run_is_refused(tmp_path):
+    spec = RunSpec(SETTINGS, "run", tmp_path, {}, replace(SEEN, weights_sha256="d" * 64), kinematic)
+    with pytest.raises(WeightsError, match=r"actor-0 has loaded vision model .*; allowed is that of the run"):
+        spec.build(RoleSpec("actor", "0", 0), None, None)

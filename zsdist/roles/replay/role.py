@@ -1,17 +1,19 @@
-"""The replay role: stores both levels' transitions, sizes itself by the reward, and paces actors and learners.
+"""Replay role: stores both levels' transitions, sizes itself by the reward, and paces actors and learners.
 
-Its shelves write down what they take in before it acknowledges anything. A replay that died is followed by one whose
-shelves go on from what they find written.
+Each level's replay writes what it accepts into a journal before anything is acknowledged. The successor of a replay
+that died resumes from the journals.
 """
 
 import shutil
 from pathlib import Path
+from typing import Any
 
-from zsdist.roles import schemas
+import numpy as np
+
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
-from zsdist.roles.replay.level_replay import LevelReplay
+from zsdist.roles.replay.level_replay import LevelReplay, WaitingRequest
 from zsdist.roles.replay.shards import ROLE, ReplayShard
-from zsdist.roles.schemas import ReplayOrders, StateRequest
+from zsdist.roles.schemas import ReplayOrders
 from zsdist.roles.shapes import Shape
 from zsdist.types import Level
 from zsdist.wire import codec, keys
@@ -21,13 +23,13 @@ MAX_WAITING = 256  # requests of a level; a learner has a few at a time
 
 
 class Replay(Role):
-    """Both levels' shelves of one shard behind one set of mailboxes.
+    """Both levels' replays of one shard behind one set of mailboxes.
 
     Args:
-        context: who this is.
+        context: identity of the role.
         shapes: of each level's transitions.
-        folder: for the shelves' journals, of this replay and those before it in this start of the run.
-        restored: state in a checkpoint; looked at only where the journals are new.
+        folder: of the journals, shared with this replay's predecessors in this start of the run.
+        restored: state in a checkpoint; used only where the journals are new.
     """
 
     def __init__(
@@ -58,35 +60,33 @@ class Replay(Role):
 
     @property
     def recovered(self) -> int:
-        """Frames read from journals."""
+        """Frames read from the journals."""
         return sum(level_replay.recovered for level_replay in self.level_replays.values())
 
     def work(self, now: float) -> float:
-        """Stores what has come and answers who may be answered; writes it down, then acknowledges and grants credit."""
+        """Store pushes and serve requests; write the journals, then acknowledge and grant credit."""
         for content in self.orders(self._orders, {Orders: ReplayOrders}):
             self._follow(content)
         for message, push in self.messages(self._pushes, Push):
             self.level_replays[push.stream].receive(push, message.payload, now)
-        for _, found in self.messages(self._errors, Priorities):
-            level_replay = self.level_replays[found.level]
-            level_replay.prioritised += level_replay.buffer.update_priorities(found.serials, found.errors)
-        for message, request in self.messages(self._requests, SampleRequest):
+        for _, priorities in self.messages(self._errors, Priorities):
+            level_replay = self.level_replays[priorities.level]
+            level_replay.prioritised += level_replay.buffer.update_priorities(priorities.serials, priorities.errors)
+        for reply, request in self.requests(self._requests, SampleRequest):
             waiting = self.level_replays[request.level].waiting
             if len(waiting) < MAX_WAITING:
-                waiting.append((now, message, request.batches))
+                waiting.append(WaitingRequest(now, reply, request.batches))
             else:
                 self.refuse("requests")
         for level_replay in self.level_replays.values():
             level_replay.serve(now)
-            level_replay.write_down(now)
+            level_replay.write_journal(now)
         wake_s = now + HEARTBEAT_S
         for level_replay in self.level_replays.values():
             for ack in level_replay.inbox.acks(now, level_replay.credit):
                 self.transport.publish(keys.ack(self.context.run, ack.actor), codec.encode(ack))
             wake_s = min(wake_s, level_replay.inbox.next_wake(now) or wake_s)
-        for message, ask in self.messages(self._checkpoints, Orders):
-            if self.checked(schemas.read, StateRequest, ask.content) is not None:
-                message.reply(codec.encode(self.state()))
+        self.answer_state_requests(self._checkpoints, self.state)
         if self.finished:
             for level_replay in self.level_replays.values():
                 level_replay.journal.close()
@@ -94,33 +94,35 @@ class Replay(Role):
         return wake_s
 
     def statistics(self) -> dict[str, float | str]:
-        """Books, sizes and pace of both levels, and the journal's size."""
+        """Return counts, sizes and pace of both levels, and the size of the journals."""
         fields: dict[str, float | str] = {
             "journal_bytes": sum(level_replay.journal.nbytes for level_replay in self.level_replays.values()),
             "recovered_frames": self.recovered,
         }
         for level, level_replay in self.level_replays.items():
-            books = {f"{level}_{name}": count for name, count in level_replay.books().items()}
-            fields |= books | {
-                f"{level}_size": len(level_replay.buffer),
-                f"{level}_capacity": level_replay.buffer.capacity,
+            buffer = level_replay.buffer
+            counts = {f"{level}_{name}": count for name, count in level_replay.counts().items()}
+            fields |= counts | {
+                f"{level}_size": len(buffer),
+                f"{level}_capacity": buffer.capacity,
                 f"{level}_batch_size": level_replay.batch_size,
                 f"{level}_updates_served": level_replay.limiter.updates,
                 f"{level}_samples_per_insert": round(level_replay.sampled / max(1, level_replay.stored), 3),
                 f"{level}_waiting_requests": len(level_replay.waiting),
-                f"{level}_bytes": level_replay.buffer.nbytes,
+                f"{level}_bytes": buffer.nbytes,
             }
             if self.config.replay.prioritised:
                 fields[f"{level}_prioritised"] = level_replay.prioritised
-            if len(level_replay.buffer):
-                fields[f"{level}_oldest_version"] = level_replay.buffer.oldest_version
-                fields[f"{level}_oldest_age_versions"] = level_replay.buffer.oldest_age_versions
+            if buffer.oldest_version is not None and buffer.oldest_age_versions is not None:
+                fields[f"{level}_oldest_version"] = buffer.oldest_version
+                fields[f"{level}_oldest_age_versions"] = buffer.oldest_age_versions
             fields |= {f"{level}_refused_{reason}": count for reason, count in level_replay.inbox.refused.items()}
         return fields
 
     def state(self) -> State:
-        """Everything needed to go on."""
-        meta, arrays = {}, {}
+        """Return all that a successor needs to resume."""
+        meta: dict[str, Any] = {}
+        arrays: dict[str, np.ndarray] = {}
         for level, level_replay in self.level_replays.items():
             meta[level.value], columns = level_replay.state()
             arrays |= {f"{level}/{name}": array for name, array in columns.items()}

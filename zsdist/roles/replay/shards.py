@@ -1,8 +1,8 @@
-"""How a replay is divided among several processes: whose transitions each takes in, and how much of everything it has.
+"""Division of the replay among several processes: the actors that push to each, and its part of every size.
 
-Each shard is a whole replay for its actors: limiter, ring and journal are its own, and so the ratio of updates to
-inserts holds in each, and in all of them together. It gets the part of every size that its actors are of all actors;
-so it holds as large a part of what is stored as its actors give, and gives as large a part of the batches.
+Each shard is a whole replay for its actors, with limiter, ring and journal of its own. The ratio of updates to inserts
+thus holds in each shard, and in all of them together. A shard gets the part of every size that its actors are of all
+actors. Its part of the stored transitions, and of the batches, is then the part that its actors produce.
 """
 
 from dataclasses import dataclass
@@ -17,12 +17,12 @@ ROLE = "replay"
 
 @dataclass(frozen=True)
 class ReplayShard:
-    """One of a level's replay processes.
+    """One of the replay's processes.
 
     Attributes:
-        index: which, from 0.
-        actors: names of those who push to it; None: all there are.
-        share: of all sizes that this one has.
+        index: number of the shard, from 0.
+        actors: names of the actors that push to it; None: all of them.
+        share: part of all sizes that this shard has.
     """
 
     index: int
@@ -31,7 +31,7 @@ class ReplayShard:
 
     @classmethod
     def of(cls, config: Config, index: int) -> Self:
-        """Shard `index` of `replay.shards`; actors are dealt to the shards in turn."""
+        """Return shard `index` of `replay.shards`; actors are dealt to the shards in turn."""
         shards, actors = config.replay.shards, config.run.actors
         if shards == 1:
             return cls(index, None, Fraction(1))
@@ -40,23 +40,28 @@ class ReplayShard:
 
     @property
     def name(self) -> str:
-        """By which its orders come and its state is kept: the first shard is called as if it were the only one."""
+        """Name of the shard on keys and in checkpoints: the first one is named as if it were the only one."""
         return state_name(self.index)
 
     def owns(self, actor: str) -> bool:
-        """Whether `actor` pushes to this shard."""
+        """Return whether `actor` pushes to this shard."""
         return self.actors is None or actor in self.actors
 
     def part(self, total: int) -> int:
-        """This shard's part of a size, at least 1."""
+        """Return this shard's part of a size, at least 1."""
         return max(1, round(total * self.share))
 
 
 def state_name(index: int) -> str:
-    """See `ReplayShard.name`."""
+    """Return the name of shard `index` (`ReplayShard.name`)."""
     return f"{ROLE}-{index}" if index else ROLE
 
 
 def state_names(config: Config) -> list[str]:
-    """Of all shards."""
+    """Return the names of all shards."""
     return [state_name(index) for index in range(config.replay.shards)]
+
+
+def is_state_name(name: str) -> bool:
+    """Return whether `name` is the name of a shard."""
+    return name.partition("-")[0] == ROLE

@@ -1,13 +1,13 @@
-"""Episode numbers on lease: every number from 1 to N is driven once, whatever happens to the actors."""
+"""Leases of episode numbers: each number from 1 to N is driven once, even when actors die."""
 
 from collections.abc import Iterable
 
 
 class Leases:
-    """Who drives which training episode.
+    """Assignment of training episodes to actors.
 
-    Numbers are handed out in order up to a `barrier` (the next merge), so that no episode is in flight when the
-    barrier is reached. A dead actor's numbers are handed out again.
+    Numbers are granted in order up to a `barrier` (the next merge), so that no episode is in flight when the barrier is
+    reached. The numbers of a dead actor are granted again.
     """
 
     def __init__(self, finished: Iterable[int] = ()) -> None:
@@ -16,9 +16,10 @@ class Leases:
         self._lowest_open = 1  # every number below is finished
 
     def grant(self, actor: str, capacity: int, barrier: int) -> None:
-        """Tops `actor` up to `capacity` leases with the lowest free numbers, as long as no more than `barrier` are out.
+        """Grant the lowest free numbers to `actor` until it holds `capacity` of them.
 
-        Finished numbers count: after an interruption they need not be the lowest ones.
+        At most `barrier` numbers are granted in all. Finished numbers count by how many they are, since after an
+        interruption they need not be the lowest ones.
         """
         held = sum(1 for holder in self.holders.values() if holder == actor)
         while self._lowest_open in self.finished:
@@ -31,7 +32,7 @@ class Leases:
             number += 1
 
     def finish(self, number: int, actor: str) -> bool:
-        """Marks `number` finished; False where `actor` no longer holds it (then the result does not count)."""
+        """Mark `number` finished; return False, and change nothing, where `actor` does not hold it (any more)."""
         if self.holders.get(number) != actor:
             return False
         del self.holders[number]
@@ -39,12 +40,12 @@ class Leases:
         return True
 
     def give_back(self, actor: str) -> list[int]:
-        """Frees all that `actor` holds, as after its death; returns the numbers."""
+        """Free all numbers that `actor` holds, as after its death, and return them."""
         numbers = sorted(number for number, holder in self.holders.items() if holder == actor)
         for number in numbers:
             del self.holders[number]
         return numbers
 
     def of(self, actor: str) -> list[int]:
-        """The numbers `actor` holds, in order."""
+        """Return the numbers that `actor` holds, in order."""
         return sorted(number for number, holder in self.holders.items() if holder == actor)

@@ -1,27 +1,28 @@
-"""The merge of the global policy into the target network, as a state machine without messages or clocks.
+"""Merge of the global policy into the target network, as a state machine without messages or clocks.
 
-Every `every_episodes` finished episodes each learner offers candidates; the actors drive every candidate pair greedily
-over the same validation scenes; the best becomes the target network. Never a promotion without a comparison.
+Every `every_episodes` finished episodes each learner offers candidates. The actors drive every pair of candidates
+greedily over the same validation scenes, and the best pair becomes the target network. Nothing is promoted without a
+comparison.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
+from typing import TypedDict
 
+from zsdist.roles.schemas import CandidateName, Phase
 from zsdist.types import Outcome
 
-RECENT = "recent"  # the online networks as they are
-DISTILLED = "distilled"  # recent, drawn towards the guide actions by a large-margin loss
-BEST = "best"  # the winner of the last merge: the paper's "historical strategies"
+Drive = tuple[CandidateName, int]  # a candidate, and the index of the validation scene that it drives
 
 
-class Phase(StrEnum):
-    """Where a merge stands."""
+class MergeSummary(TypedDict):
+    """Entry of a merge in `summary.json` and in checkpoints."""
 
-    COLLECT = "collect"  # waiting for the learners' candidates
-    DRIVE = "drive"  # actors drive them
-    PROMOTE = "promote"  # waiting for the learners to have taken the winner over
-    DONE = "done"
+    episode: int
+    candidates: list[CandidateName]
+    chosen: str
+    scores: dict[str, float]
+    scenes_driven: dict[str, int]
 
 
 @dataclass
@@ -29,33 +30,37 @@ class Merge:
     """One merge.
 
     Attributes:
-        index: counts merges of the run from 1.
-        episode: finished episodes at which it is due.
-        candidates: names driven, each a pair (high, low).
-        scenes: how many validation scenes each candidate is to drive.
-        drop_after: scenes after which a candidate clearly behind is dropped.
+        index: number of the merge in its run, from 1.
+        episode: count of finished episodes at which it began.
+        candidates: names that are driven, each of a pair (high, low).
+        scenes: number of validation scenes for each candidate.
+        drop_after: number of scenes after which a candidate may be dropped.
+        phase: progress.
+        results: outcome by candidate and scene.
+        dropped: candidates that can no longer win.
+        chosen: name of the winner; empty until it is known.
     """
 
     index: int
     episode: int
-    candidates: tuple[str, ...]
+    candidates: tuple[CandidateName, ...]
     scenes: int
     drop_after: int
     phase: Phase = Phase.COLLECT
-    results: dict[str, dict[int, Outcome]] = field(default_factory=dict)
-    dropped: set[str] = field(default_factory=set)
-    chosen: str = ""
+    results: dict[CandidateName, dict[int, Outcome]] = field(default_factory=dict)
+    dropped: set[CandidateName] = field(default_factory=set)
+    chosen: CandidateName | None = None
 
     def __post_init__(self) -> None:
         self.results = {name: {} for name in self.candidates}
 
     def offered(self, names_by_level: Sequence[set[str]]) -> None:
-        """Starts the drives once every level has offered every candidate."""
+        """Start the drives once every level has offered every candidate."""
         if self.phase is Phase.COLLECT and all(set(self.candidates) <= names for names in names_by_level):
             self.phase = Phase.DRIVE
 
-    def outstanding(self) -> list[tuple[str, int]]:
-        """Drives still wanted, as (candidate, scene index): all candidates on one scene before the next scene."""
+    def outstanding(self) -> list[Drive]:
+        """Return the drives that are still wanted: all candidates on one scene before the next scene."""
         if self.phase is not Phase.DRIVE:
             return []
         return [
@@ -65,44 +70,46 @@ class Merge:
             if name not in self.dropped and scene not in self.results[name]
         ]
 
-    def drove(self, name: str, scene: int, outcome: Outcome) -> None:
-        """Takes one result; a repeated or unwanted one changes nothing."""
+    def drove(self, name: CandidateName, scene: int, outcome: Outcome) -> None:
+        """Record one result; a repeated or unwanted one changes nothing."""
         if self.phase is not Phase.DRIVE or name not in self.results or scene in self.results[name]:
             return
         self.results[name][scene] = outcome
         self._drop_losers()
         if not self.outstanding():
-            self.chosen = max(
-                self._alive(), key=lambda candidate: (self.score(candidate), -self.candidates.index(candidate))
-            )
-            self.phase = Phase.PROMOTE
+            # On a tie the first candidate wins: the recent networks, where they are among the best.
+            winner = max(self._alive(), key=self._rank)
+            self.chosen, self.phase = winner, Phase.PROMOTE
 
     def promoted(self) -> None:
-        """Both learners have taken the winner over."""
+        """End the merge: both learners have taken over the winner."""
         if self.phase is Phase.PROMOTE:
             self.phase = Phase.DONE
 
-    def score(self, name: str) -> float:
-        """Success rate minus collision rate over what has been driven."""
+    def score(self, name: CandidateName) -> float:
+        """Return the success rate minus the collision rate over the scenes driven so far."""
         outcomes = list(self.results[name].values())
         wins = outcomes.count(Outcome.SUCCESS) - outcomes.count(Outcome.COLLISION)
         return wins / len(outcomes) if outcomes else 0.0
 
-    def summary(self) -> dict:
-        """What `summary.json` keeps of it."""
+    def summary(self) -> MergeSummary:
+        """Return the entry of this merge in `summary.json`."""
         return {
             "episode": self.episode,
             "candidates": list(self.candidates),
-            "chosen": self.chosen,
+            "chosen": self.chosen or "",
             "scores": {name: round(self.score(name), 4) for name in self.candidates},
             "scenes_driven": {name: len(self.results[name]) for name in self.candidates},
         }
 
-    def _alive(self) -> list[str]:
+    def _rank(self, name: CandidateName) -> tuple[float, int]:
+        return self.score(name), -self.candidates.index(name)
+
+    def _alive(self) -> list[CandidateName]:
         return [name for name in self.candidates if name not in self.dropped]
 
     def _drop_losers(self) -> None:
-        """Drops a candidate whose score so far is behind the leader's by more than the share of scenes it has left."""
+        """Drop a candidate whose score so far is behind the leader's by more than the share of scenes it has left."""
         alive = self._alive()
         if min(len(self.results[name]) for name in alive) < self.drop_after:
             return
@@ -111,3 +118,41 @@ class Merge:
             left = self.scenes - len(self.results[name])
             if self.score(leader) - self.score(name) > left / self.scenes:
                 self.dropped.add(name)
+
+
+def next_merge_at(last: int, every: int, target: int) -> int:
+    """Return the count of finished episodes at which the next merge is due.
+
+    Merges are due at the multiples of `every`. The end of the run takes the place of the multiple that would come after
+    it, where at least half of `every` has passed since the last merge.
+
+    Args:
+        last: finished episodes at the last merge; 0 before the first.
+        every: `merge.every_episodes`; 0 means that there are no merges.
+        target: episodes of the whole run.
+
+    Returns:
+        The count; above `target` where the run ends before.
+    """
+    if not every:
+        return target + 1
+    barrier = (last // every + 1) * every
+    return target if last + every / 2 <= target < barrier else barrier
+
+
+def deal_drives(
+    outstanding: Sequence[Drive], candidates: Sequence[CandidateName], actors: Sequence[str]
+) -> dict[str, list[Drive]]:
+    """Return the drives of each actor.
+
+    Drives are dealt in turn, by scene and candidate alone: as others finish, a drive stays with its actor.
+
+    Args:
+        outstanding: drives that are still wanted.
+        candidates: all candidates of the merge.
+        actors: names of all actors, in a fixed order; at least one where a drive is wanted.
+    """
+    drives: dict[str, list[Drive]] = {actor: [] for actor in actors}
+    for name, scene in outstanding:
+        drives[actors[(scene + candidates.index(name)) % len(actors)]].append((name, scene))
+    return drives

@@ -1,25 +1,26 @@
-"""What the scheduler asks of the run directory."""
+"""Interface of the run directory, as the scheduler needs it."""
 
-from typing import Protocol
+from collections.abc import Mapping
+from typing import Any, Protocol
 
 from zsdist.telemetry.snapshot import Fields
 from zsdist.wire.messages import State
 
 
 class RunLog(Protocol):
-    """The run directory as the scheduler needs it."""
+    """Files that the scheduler writes."""
 
-    def episode(self, record: dict) -> None:
-        """Appends one finished episode."""
+    def episode(self, record: dict[str, Any]) -> None:
+        """Append one finished episode."""
 
     def metrics(self, row: Fields) -> None:
-        """Appends one line of figures."""
+        """Append one line of figures."""
 
     def checkpoint(self, episodes: int, states: dict[str, State]) -> None:
-        """Writes a complete checkpoint, at once or not at all."""
+        """Write a checkpoint, complete or not at all."""
 
-    def summary(self, fields: dict) -> None:
-        """Writes the end of the run."""
+    def summary(self, fields: Mapping[str, Any]) -> None:
+        """Write the summary of the finished run."""
 
     def wall_s(self) -> float:
-        """How long the run has taken in real time, earlier sittings included."""
+        """Return the real seconds that the run has taken so far, earlier starts included."""

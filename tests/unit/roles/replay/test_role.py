@@ -7,8 +7,8 @@ from zsdist.config import parse
 from zsdist.errors import RunError
 from zsdist.replay import journal
 from zsdist.roles.base import Context
-from zsdist.roles.replay.level_replay import Shape
 from zsdist.roles.replay.role import Replay
+from zsdist.roles.shapes import Shape
 from zsdist.transport.base import Mailbox
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import NO_GUIDE, Level, Trajectory
@@ -30,7 +30,7 @@ def trajectory(first, length):
 
 
 class Bench:
-    """A replay, and everybody else at the other end of a memory transport."""
+    """A replay; the test plays all other roles at the other end of a memory transport."""
 
     def __init__(self, folder):
         self.folder, self.broker = folder, MemoryBroker()
@@ -75,8 +75,8 @@ def bench(tmp_path):
     return bench
 
 
-def told(state: State):
-    """What must be the same after a death: all but what was granted, which is granted anew, and the generator."""
+def lasting(state: State):
+    """The part of a state that a successor has too: all but the generator and granted credit, which is granted anew."""
     meta = {name: value for name, value in state.meta["low"].items() if name != "rng"}
     streams = {name: inserted for name, (inserted, _) in meta["limiter"]["streams"].items()}
     current = {actor: stream | {"granted": 0} for actor, stream in meta["inbox"]["current"].items()}
@@ -84,13 +84,13 @@ def told(state: State):
 
 
 def alike(one: State, other: State):
-    assert told(one) == told(other)
+    assert lasting(one) == lasting(other)
     assert one.arrays.keys() == other.arrays.keys()
     for name, array in one.arrays.items():
         np.testing.assert_array_equal(array, other.arrays[name])
 
 
-def test_the_next_replay_goes_on_where_the_last_one_died(bench):
+def test_a_successor_resumes_from_the_journal_of_a_dead_replay(bench):
     before = bench.replay.state()
     assert before.meta["low"]["stored"] == 8 and before.meta["low"]["sampled"] == 8
     after = bench.begin(epoch=2)
@@ -102,14 +102,14 @@ def test_the_next_replay_goes_on_where_the_last_one_died(bench):
     assert (ack.sender_epoch, ack.received) == (2, 3)
     assert ack.credit > 9
     assert (
-        after.level_replays[Level.LOW].books()["stored"] == 9
-        and after.level_replays[Level.LOW].books()["duplicates"] == 1
+        after.level_replays[Level.LOW].counts()["stored"] == 9
+        and after.level_replays[Level.LOW].counts()["duplicates"] == 1
     )
 
 
 @pytest.mark.parametrize("capacity", [2000, 7])
 @pytest.mark.parametrize("config", [CONFIG, parse({"replay": {"prioritised": True}})])
-def test_what_was_folded_comes_back_too_and_what_left_the_ring_leaves_the_disk(tmp_path, monkeypatch, capacity, config):
+def test_a_compacted_journal_restores_the_ring_and_drops_rows_that_left_it(tmp_path, monkeypatch, capacity, config):
     monkeypatch.setattr(journal, "COMPACT_RECORDS", 3)
     bench = Bench(tmp_path / "journal")
     bench.begin(config=config)
@@ -118,7 +118,7 @@ def test_what_was_folded_comes_back_too_and_what_left_the_ring_leaves_the_disk(t
     for number in range(40):
         bench.push(number, 2 * number + 2, trajectory(number, 2))
         bench.step()
-        bench.replay.level_replays[Level.LOW].resize(capacity, 16)  # as it was, whatever the orders say
+        bench.replay.level_replays[Level.LOW].resize(capacity, 16)  # as before, against the orders
         if number % 5 == 4:
             before = bench.replay.state()
             alike(before, bench.begin(epoch=number, config=config).state())
@@ -127,7 +127,7 @@ def test_what_was_folded_comes_back_too_and_what_left_the_ring_leaves_the_disk(t
 
 
 @pytest.mark.parametrize("records", [1000, 1])
-def test_a_frame_that_came_before_its_time_is_neither_acknowledged_early_nor_lost_later(bench, monkeypatch, records):
+def test_an_early_frame_is_neither_acknowledged_early_nor_lost_later(bench, monkeypatch, records):
     monkeypatch.setattr(journal, "COMPACT_RECORDS", records)
     bench.push(3, 11, trajectory(50, 2))
     assert [ack.received for ack in bench.step() + bench.step()][-1] == 2
@@ -150,7 +150,7 @@ def test_nothing_is_acknowledged_that_the_journal_does_not_hold(bench, monkeypat
     assert not [message for message in bench.acks.drain() if codec.decode(message.payload, expect=Ack).received == 3]
 
 
-def test_refused_frames_and_repeats_are_not_written_down(bench):
+def test_refused_and_repeated_frames_are_not_written_into_the_journal(bench):
     size = bench.replay.statistics()["journal_bytes"]
     bench.push(0, 5, trajectory(10, 5))
     bench.push(0, 5, trajectory(10, 5), epoch=99)
@@ -160,20 +160,20 @@ def test_refused_frames_and_repeats_are_not_written_down(bench):
     assert bench.replay.level_replays[Level.LOW].inbox.refused.total() == 2
 
 
-def test_a_run_that_is_resumed_begins_a_journal_from_its_checkpoint_and_knows_no_old_actor(bench, tmp_path):
+def test_a_resumed_run_begins_a_journal_from_its_checkpoint_and_accepts_new_epochs_only(bench, tmp_path):
     checkpoint = bench.replay.state()
     resumed = Bench(tmp_path / "another")
     resumed.begin(epoch=20, restored=checkpoint)
     resumed.issue(a=21)
     resumed.push(0, 4, trajectory(60, 4), epoch=21)
     resumed.step()
-    books = resumed.replay.level_replays[Level.LOW].books()
-    assert (books["stored"], books["produced"]) == (12, 12)
+    counts = resumed.replay.level_replays[Level.LOW].counts()
+    assert (counts["stored"], counts["produced"]) == (12, 12)
     assert resumed.replay.statistics()["low_size"] == 12
 
 
 def ask_twice_for_five(bench):
-    """Of 8 transitions held, which allow an update each; one has been served."""
+    """Two requests for 5 batches each, of 8 transitions, which allow an update each; one has been served."""
     bench.replies.drain()
     for _ in range(2):
         request = codec.encode(SampleRequest(1, Level.LOW, 1, batches=5))
@@ -186,7 +186,7 @@ def batches_given(bench):
     return [(reply.batches, len(reply.batch)) for reply in replies]
 
 
-def test_it_waits_until_there_is_enough_for_all_who_ask(bench):
+def test_requests_wait_until_there_is_enough_for_all(bench):
     ask_twice_for_five(bench)
     assert batches_given(bench) == []
     bench.push(2, 11, trajectory(30, 3))
@@ -194,17 +194,17 @@ def test_it_waits_until_there_is_enough_for_all_who_ask(bench):
     assert batches_given(bench) == [(5, 55), (5, 55)]
 
 
-def test_after_a_while_it_gives_what_the_limiter_allows(bench):
+def test_requests_that_waited_long_get_what_the_limiter_allows(bench):
     ask_twice_for_five(bench)
     while not (given := batches_given(bench)):
         bench.step()
     assert given == [(5, 40), (2, 16)]
     assert bench.now < 1.0
     assert bench.replay.statistics()["low_updates_served"] == 8
-    assert bench.replay.level_replays[Level.LOW].books()["sampled"] == 64
+    assert bench.replay.level_replays[Level.LOW].counts()["sampled"] == 64
 
 
-def test_it_waits_for_no_more_than_the_actors_can_go_on_without(tmp_path):
+def test_requests_do_not_wait_once_actors_would_have_to_wait(tmp_path):
     bench = Bench(tmp_path / "journal")
     settings = {"min_size": 4, "updates_per_insert": 1 / 64}  # half of the band is worth two updates
     bench.begin(config=parse({"low": settings, "replay": {"batch_initial": 16}}))
@@ -221,7 +221,7 @@ def test_a_finished_run_leaves_no_journal(bench):
     assert not bench.folder.exists()
 
 
-def test_batches_by_priority_follow_the_errors_that_the_learner_tells(tmp_path):
+def test_batches_by_priority_follow_the_errors_that_the_learner_publishes(tmp_path):
     bench = Bench(tmp_path / "journal")
     settings = {"prioritised": True, "priority_exponent": 1.0, "batch_initial": 16}
     bench.begin(config=parse({"low": {"min_size": 4, "updates_per_insert": 9.0}, "replay": settings}))
@@ -241,7 +241,7 @@ def test_batches_by_priority_follow_the_errors_that_the_learner_tells(tmp_path):
     assert bench.replay.statistics()["low_prioritised"] == 8
 
 
-def test_two_shards_take_in_their_own_actors_transitions_alone_and_answer_for_themselves(tmp_path):
+def test_two_shards_store_and_acknowledge_the_transitions_of_their_own_actors_only(tmp_path):
     broker = MemoryBroker()
     others, boxes, acks = MemoryTransport(broker), [Mailbox(2**24), Mailbox(2**24)], Mailbox(2**20)
     others.subscribe(keys.ack(RUN, keys.ANY), acks)
@@ -265,6 +265,6 @@ def test_two_shards_take_in_their_own_actors_transitions_alone_and_answer_for_th
     assert [shard.statistics()["low_capacity"] for shard in shards] == [2000, 1000]
     held = [codec.decode(message.payload, expect=SampleReply).held for box in boxes for message in box.drain()]
     assert held == [10, 5]
-    told = [codec.decode(message.payload, expect=Ack) for message in acks.drain()]
+    received = [codec.decode(message.payload, expect=Ack) for message in acks.drain()]
     for index in (0, 1):
-        assert {ack.actor for ack in told if ack.sender_epoch == index} == set(shards[index].shard.actors)
+        assert {ack.actor for ack in received if ack.sender_epoch == index} == set(shards[index].shard.actors)

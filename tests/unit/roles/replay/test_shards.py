@@ -11,7 +11,7 @@ def config(count, actors):
 
 
 @pytest.mark.parametrize(("count", "actors"), [(1, 1), (2, 2), (2, 5), (3, 7), (4, 4)])
-def test_every_actor_has_one_shard_and_every_shard_its_part(count, actors):
+def test_every_actor_has_one_shard_and_shares_follow_the_actors(count, actors):
     settings = config(count, actors)
     every = [ReplayShard.of(settings, index) for index in range(count)]
     for number in range(actors):
@@ -32,7 +32,7 @@ def test_the_only_shard_owns_actors_of_any_name():
     assert not ReplayShard.of(config(2, 2), 0).owns("anybody")
 
 
-def test_the_first_shard_is_called_as_if_it_were_the_only_one():
+def test_the_first_shard_is_named_as_if_it_were_the_only_one():
     assert shards.state_names(config(1, 3)) == ["replay"]
     assert shards.state_names(config(3, 3)) == ["replay", "replay-1", "replay-2"]
     assert [ReplayShard.of(config(2, 2), index).name for index in range(2)] == ["replay", "replay-1"]

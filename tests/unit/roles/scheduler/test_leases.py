@@ -1,7 +1,7 @@
 from zsdist.roles.scheduler.leases import Leases
 
 
-def test_every_number_is_finished_once_although_actors_die():
+def test_every_number_is_finished_once_even_when_actors_die():
     leases = Leases()
     for round_number in range(200):
         for actor in ("a", "b"):
@@ -22,7 +22,7 @@ def test_no_number_above_the_barrier_is_leased():
     assert leases.of("a") == [1, 2, 3, 4]
 
 
-def test_a_number_given_back_goes_out_again_and_its_first_holder_no_longer_counts():
+def test_a_number_given_back_is_leased_again_and_no_longer_counts_for_its_first_holder():
     leases = Leases()
     leases.grant("a", capacity=1, barrier=10)
     assert leases.give_back("a") == [1]
@@ -32,13 +32,13 @@ def test_a_number_given_back_goes_out_again_and_its_first_holder_no_longer_count
     assert leases.finish(1, "b")
 
 
-def test_a_resumed_run_goes_on_after_what_is_finished():
+def test_a_resumed_run_leases_unfinished_numbers():
     leases = Leases({1, 2, 4})
     leases.grant("a", capacity=3, barrier=100)
     assert leases.of("a") == [3, 5, 6]
 
 
-def test_what_was_finished_out_of_order_before_an_interruption_counts_towards_the_barrier():
+def test_numbers_finished_out_of_order_count_towards_the_barrier():
     leases = Leases({1, 2, 7})
     leases.grant("a", capacity=10, barrier=5)
     assert leases.of("a") == [3, 4]

@@ -1,19 +1,20 @@
 import numpy as np
 
 from zsdist.config import parse
-from zsdist.roles.base import Context
+from zsdist.roles.base import HEARTBEAT_S, Context
 from zsdist.roles.scheduler.role import Scheduler, Stage
 from zsdist.transport.base import Mailbox
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import Level, Weights
 from zsdist.wire import codec, keys
-from zsdist.wire.messages import EPISODES, EVALUATION, Candidate, Orders, Records, State, WeightsMessage
+from zsdist.wire.messages import EPISODES, EVALUATION, Candidate, Jobs, Orders, Records, State, WeightsMessage
 
 RUN, ACTOR, EPOCH = "test", "actor-0", 7
 SETTINGS = {
     "run": {"actors": 1, "cars_per_actor": 2, "episodes": 8, "checkpoint_every_episodes": 3},
     "merge": {"every_episodes": 4, "validation_scenes": 1, "drop_after_scenes": 1},
 }
+NO_MERGES = SETTINGS | {"merge": {"every_episodes": 0}}
 DRIVE = {
     "actor": ACTOR,
     "scene": "made up",
@@ -30,14 +31,14 @@ DRIVE = {
 WEIGHTS = {"w": np.zeros(1, np.float32)}
 
 
-class Books:
-    """The ledger of a run directory, in memory."""
+class MemoryLog:
+    """The files of a run directory, in memory."""
 
     def __init__(self):
-        self.checkpoints = []
+        self.checkpoints, self.episodes, self.summaries = [], [], []
 
     def episode(self, record):
-        pass
+        self.episodes.append(record["episode"])
 
     def metrics(self, row):
         pass
@@ -45,58 +46,97 @@ class Books:
     def checkpoint(self, episodes, states):
         self.checkpoints.append((episodes, states))
 
+    def summary(self, fields):
+        self.summaries.append(fields)
+
     def wall_s(self):
         return 1.0
 
 
 class Bench:
-    """A scheduler, with the actor, the learners and the replay played by the test."""
+    """A scheduler, with the supervisor, the actors, the learners and the replay played by the test."""
 
-    def __init__(self):
+    def __init__(self, settings=SETTINGS, actors=(ACTOR,), restored=None):
         broker = MemoryBroker()
-        self.others, self.books, self.now = MemoryTransport(broker), Books(), 0.0
-        self.scheduler = Scheduler(
-            Context(parse(SETTINGS), RUN, "scheduler", "0", 5, MemoryTransport(broker)), self.books
-        )
-        self.asked, self._frames = Mailbox(2**20), {EPISODES: 0, EVALUATION: 0}
+        self.others, self.log, self.now = MemoryTransport(broker), MemoryLog(), 0.0
+        context = Context(parse(settings), RUN, "scheduler", "0", 5, MemoryTransport(broker))
+        self.scheduler = Scheduler(context, self.log, restored)
+        self.asked, self.published, self._frames = Mailbox(2**20), Mailbox(2**24), {}
+        self.epochs = dict.fromkeys(actors, EPOCH)
         for role in ("replay", "learner-high", "learner-low"):
             self.others.serve(keys.control(RUN, role), self.asked)
-        content = {"epochs": {ACTOR: EPOCH}, "restarts": {}, "interrupted": False}
-        self.others.publish(keys.control(RUN, "scheduler"), codec.encode(Orders(1, "scheduler", content)))
+        for key in (keys.control(RUN, keys.ANY), keys.evaluation(RUN, keys.ANY)):
+            self.others.subscribe(key, self.published)
+        self.supervise()
         self.step()
+
+    def supervise(self, interrupted=False):
+        content = {"epochs": self.epochs, "restarts": {}, "interrupted": interrupted}
+        self.others.publish(keys.control(RUN, "scheduler"), codec.encode(Orders(1, "scheduler", content)))
 
     def step(self):
         self.now += 0.05
         self.scheduler.step(self.now)
 
-    def finish(self, episode):
-        self._push(EPISODES, keys.episodes(RUN, ACTOR, EPOCH), {"episode": episode})
+    def orders(self):
+        """Newest orders by role and jobs by actor, after the next heartbeat."""
+        self.now += HEARTBEAT_S
+        self.step()
+        newest = {}
+        for message in self.published.drain():
+            decoded = codec.decode(message.payload)
+            if isinstance(decoded, Orders) and decoded.role != "scheduler":
+                newest[decoded.role] = decoded.content
+            elif isinstance(decoded, Jobs):
+                newest[decoded.actor] = decoded.content["drives"]
+        return newest
 
-    def drive(self, candidate, outcome):
-        about = {"scene_index": 0, "merge": 1, "candidate": candidate, "outcome": outcome}
-        self._push(EVALUATION, keys.evaluation(RUN, ACTOR), about)
+    def finish(self, *episodes, actor=ACTOR):
+        for episode in episodes:
+            self._push(EPISODES, actor, {"episode": episode})
+            self.step()
 
-    def _push(self, stream, key, about):
-        count = self._frames[stream]
-        self._frames[stream] += 1
-        self.others.publish(key, codec.encode(Records(stream, ACTOR, EPOCH, count, count + 1, False, (DRIVE | about,))))
+    def drive(self, candidate, outcome, scene=0, merge=1, actor=ACTOR):
+        about = {"scene_index": scene, "merge": merge, "candidate": candidate, "outcome": outcome}
+        self._push(EVALUATION, actor, about)
 
-    def offer(self):
+    def close(self, actor=ACTOR):
+        """The last frames of an actor's epoch."""
+        for stream in (EPISODES, EVALUATION):
+            self._push(stream, actor, None)
+        self.step()
+
+    def _push(self, stream, actor, about):
+        sequence, produced = self._frames.get((stream, actor), (0, 0))
+        records = () if about is None else (DRIVE | {"actor": actor} | about,)
+        self._frames[stream, actor] = sequence + 1, produced + len(records)
+        epoch = self.epochs[actor]
+        frame = Records(stream, actor, epoch, sequence, produced + len(records), about is None, records)
+        key = keys.episodes(RUN, actor, epoch) if stream == EPISODES else keys.evaluation(RUN, actor)
+        self.others.publish(key, codec.encode(frame))
+
+    def offer(self, merge=1, names=("recent", "distilled")):
         for level in Level:
-            for name in ("recent", "distilled"):
-                message = Candidate(2, level, 1, name, WEIGHTS)
-                self.others.publish(keys.candidate(RUN, level, f"1-{name}"), codec.encode(message))
+            for name in names:
+                message = Candidate(2, level, merge, name, WEIGHTS)
+                self.others.publish(keys.candidate(RUN, level, f"{merge}-{name}"), codec.encode(message))
+        self.step()
 
-    def promote(self):
+    def promote(self, merge=1):
         for level in Level:
-            message = WeightsMessage(2, 1, "0" * 64, 0.0, Weights(level, 9, WEIGHTS))
+            message = WeightsMessage(2, merge, "0" * 64, 0.0, Weights(level, 9, WEIGHTS))
             self.others.publish(keys.weights(RUN, level), codec.encode(message))
+        self.step()
 
-    def answer(self, requests, merge):
-        """The roles tell their states, the learners as of after so many merges."""
+    def answer(self, requests, **about):
+        self.reply(requests, **about)
+        self.step()
+
+    def reply(self, requests, merge=0, frames_expected=0):
+        """The roles send their states, the learners as of after so many merges."""
         for request in requests:
             role = codec.decode(request.payload).role
-            level_replay = {"open": 1, "books": {"stored": merge}}
+            level_replay = {"open": frames_expected, "books": {"stored": merge}}
             learner = {"version": 1, "updates": 1, "merge": merge, "sha256": "0" * 64}
             meta = {"high": level_replay, "low": level_replay} if role == "replay" else learner
             request.reply(codec.encode(State(role, meta, {})))
@@ -105,36 +145,165 @@ class Bench:
 def merged(answered_before_the_barrier):
     """A merge at episode 4, when the checkpoint of episode 3 had been asked for, but not written."""
     bench = Bench()
-    for episode in (1, 2, 3):
-        bench.finish(episode)
-        bench.step()
+    bench.finish(1, 2, 3)
     early = bench.asked.drain()
     assert len(early) == 3
     if answered_before_the_barrier:
-        bench.answer(early, merge=0)
+        bench.reply(early)
     bench.finish(4)
-    bench.step()
     assert bench.scheduler.stage is Stage.MERGE
     bench.offer()
-    bench.step()
     if not answered_before_the_barrier:
-        bench.answer(early, merge=0)
+        bench.answer(early)
     bench.drive("recent", "collision")
     bench.drive("distilled", "success")
     bench.step()
     bench.promote()
-    bench.step()
     return bench
 
 
 def test_the_checkpoint_of_a_merge_holds_what_was_promoted_whatever_was_asked_before():
     for answered_before_the_barrier in (True, False):
         bench = merged(answered_before_the_barrier)
-        assert bench.books.checkpoints == []
+        assert bench.log.checkpoints == []
         bench.answer(bench.asked.drain(), merge=1)
-        bench.step()
-        ((episodes, states),) = bench.books.checkpoints
+        ((episodes, states),) = bench.log.checkpoints
         assert episodes == 4 and states["scheduler"].meta["merges"][0]["chosen"] == "distilled"
         assert [states[f"learner-{level}"].meta["merge"] for level in Level] == [1, 1]
         assert states["replay"].meta["low"]["books"] == {"stored": 1}
         assert bench.scheduler.stage is Stage.TRAIN
+
+
+def test_no_episode_is_leased_beyond_the_next_merge():
+    bench = Bench(actors=("actor-0", "actor-1", "actor-2"))
+    leases = bench.orders()["actor"]["leases"]
+    assert sorted(number for numbers in leases.values() for number in numbers) == [1, 2, 3, 4]
+    assert all(len(numbers) <= 2 for numbers in leases.values())
+
+
+def test_the_drives_of_a_merge_go_to_all_actors_and_stop_when_it_is_decided():
+    bench = Bench(SETTINGS | {"merge": SETTINGS["merge"] | {"validation_scenes": 2}}, actors=("actor-0", "actor-1"))
+    bench.finish(1, 2)
+    bench.finish(3, 4, actor="actor-1")
+    assert bench.scheduler.stage is Stage.MERGE
+    orders = bench.orders()
+    assert (orders["actor-0"], orders["actor-1"]) == ([], [])  # no candidate has been offered
+    assert orders["learner"]["phase"] == "collect" and not orders["learner"]["learning"]
+    bench.offer()
+    orders = bench.orders()
+    assert orders["actor-0"] == [["recent", 0], ["distilled", 1]]
+    assert orders["actor-1"] == [["distilled", 0], ["recent", 1]]
+    bench.drive("recent", "success", scene=0)
+    assert bench.orders()["actor-0"] == [["distilled", 1]]
+    for scene in (0, 1):
+        bench.drive("distilled", "collision", scene=scene)
+    bench.drive("recent", "success", scene=1)
+    orders = bench.orders()
+    assert (orders["actor-0"], orders["actor-1"]) == ([], [])
+    assert (orders["learner"]["phase"], orders["learner"]["chosen"]) == ("promote", "recent")
+
+
+def ended(bench):
+    """The rest of a run whose actors have been ordered to close."""
+    assert bench.orders()["actor"]["closing"]
+    assert bench.log.summaries == [] and not bench.asked
+    bench.close()
+    bench.answer(bench.asked.drain())
+    return bench.log.summaries
+
+
+def test_a_run_ends_with_a_checkpoint_and_a_summary_once_all_epochs_are_closed():
+    bench = Bench(NO_MERGES)
+    bench.finish(*range(1, 8))
+    bench.asked.drain()  # of a checkpoint on the way
+    bench.finish(8)
+    (summary,) = ended(bench)
+    assert (summary["ended"], summary["episodes"], summary["env_steps"]) == ("complete", 8, 24)
+    assert [episodes for episodes, _ in bench.log.checkpoints] == [8]
+    assert bench.log.episodes == list(range(1, 9))
+    assert bench.scheduler.finished and bench.scheduler.stage is Stage.DONE
+
+
+def test_the_last_orders_are_to_stop():
+    bench = Bench(NO_MERGES)
+    bench.finish(*range(1, 9))
+    bench.asked.drain()
+    before = bench.orders()
+    ended(bench)
+    last = {}
+    for message in bench.published.drain():
+        decoded = codec.decode(message.payload)
+        if isinstance(decoded, Orders):
+            last[decoded.role] = decoded.content
+    for role in ("replay", "learner"):
+        assert last[role]["stop"] and not before[role]["stop"]
+
+
+def test_the_last_checkpoint_waits_until_the_replay_expects_no_frame():
+    bench = Bench(NO_MERGES)
+    bench.finish(*range(1, 8))
+    bench.asked.drain()
+    bench.finish(8)
+    bench.orders()
+    bench.close()
+    bench.answer(bench.asked.drain(), frames_expected=1)
+    assert bench.log.checkpoints == [] and not bench.asked
+    bench.orders()  # a heartbeat later
+    (again,) = bench.asked.drain()
+    assert codec.decode(again.payload).role == "replay"
+    bench.answer([again])
+    assert [episodes for episodes, _ in bench.log.checkpoints] == [8]
+    assert bench.log.summaries[0]["ended"] == "complete"
+
+
+def test_an_interrupted_run_cuts_its_episodes_and_saves():
+    bench = Bench()
+    bench.finish(1, 2)
+    bench.supervise(interrupted=True)
+    assert bench.orders()["actor"]["cut"]
+    (summary,) = ended(bench)
+    assert (summary["ended"], summary["episodes"], summary["merges"]) == ("interrupted", 2, [])
+
+
+def test_an_interrupted_comparison_is_given_up():
+    bench = Bench()
+    bench.finish(1, 2, 3, 4)
+    bench.offer()
+    bench.drive("recent", "success")
+    bench.supervise(interrupted=True)
+    assert bench.orders()[ACTOR] == []
+    bench.asked.drain()  # of the checkpoint of episode 3
+    (summary,) = ended(bench)
+    assert (summary["ended"], summary["episodes"], summary["merges"]) == ("interrupted", 4, [])
+
+
+def test_an_interruption_while_the_winner_is_promoted_ends_the_run_after_the_merge():
+    bench = merged(answered_before_the_barrier=False)
+    bench.supervise(interrupted=True)
+    bench.step()
+    assert bench.scheduler.stage is Stage.MERGE
+    bench.answer(bench.asked.drain(), merge=1)
+    assert len(bench.log.checkpoints) == 1
+    (summary,) = ended(bench)
+    assert (summary["ended"], len(summary["merges"])) == ("interrupted", 1)
+
+
+def test_a_resumed_run_leases_what_is_left_and_merges_at_the_next_multiple():
+    bench = merged(answered_before_the_barrier=False)
+    bench.answer(bench.asked.drain(), merge=1)
+    ((_, states),) = bench.log.checkpoints
+    resumed = Bench(restored=states["scheduler"])
+    assert resumed.orders()["actor"]["leases"] == {ACTOR: [5, 6]}
+    resumed.finish(5, 6, 7, 8)
+    assert resumed.scheduler.stage is Stage.MERGE
+    assert resumed.orders()["learner"]["candidates"] == ["recent", "distilled", "best"]
+
+
+def test_the_episodes_of_a_replaced_actor_are_leased_to_its_successor():
+    bench = Bench(NO_MERGES)
+    assert bench.orders()["actor"]["leases"] == {ACTOR: [1, 2]}
+    bench.finish(1)
+    bench.epochs[ACTOR] = EPOCH + 1
+    bench.supervise()
+    orders = bench.orders()["actor"]
+    assert orders["epochs"] == {ACTOR: EPOCH + 1} and orders["leases"] == {ACTOR: [2, 3]}

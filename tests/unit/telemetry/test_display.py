@@ -1,0 +1,93 @@
+import io
+import json
+
+import pytest
+from rich.console import Console
+
+from zsdist.telemetry import display as displays
+from zsdist.telemetry.display import Display
+from zsdist.transport.memory import MemoryBroker, MemoryTransport
+from zsdist.wire import keys
+
+RUN = "test"
+
+
+class Watched:
+    """A run that publishes what a test says, with a display of it."""
+
+    def __init__(self, monkeypatch, **options):
+        self.now_s = 100.0
+        monkeypatch.setattr(displays.time, "monotonic", lambda: self.now_s)
+        broker = MemoryBroker()
+        self.publisher, self.subscriber = MemoryTransport(broker), MemoryTransport(broker)
+        self.output = io.StringIO()
+        self.display = Display(RUN, Console(file=self.output, width=120, **options))
+        self.display.take(self.subscriber)
+
+    def publish(self, role, identifier, **fields):
+        about = {"time_s": self.now_s, "role": role, "id": identifier, "epoch": 1}
+        self.publisher.publish(keys.stats(RUN, role, identifier), json.dumps(about | fields).encode())
+
+    def refresh(self):
+        self.display.refresh(self.subscriber, self.now_s)
+        return self.output.getvalue()
+
+
+@pytest.fixture
+def watched(monkeypatch):
+    return Watched(monkeypatch)
+
+
+def test_figures_are_shown_under_their_headings(watched):
+    watched.publish("scheduler", "0", stage="merge", episodes=7, episodes_target=20, drives_left=3, epsilon=0.25,
+                    recent_success=0.5, success=4, collision=2, timeout=1, merges=1, restarts=2)  # fmt: skip
+    watched.publish("learner", "low", weight_version=9, learner_updates=30, loss=0.125)
+    watched.publish("actor", "0", low_weight_version=7, env_steps=120)
+    watched.publish("replay", "0", low_size=50, low_batch_size=16)
+    watched.publisher.declare_alive(keys.alive(RUN, "actor", "0"))
+    watched.display.take(watched.subscriber)
+    shown = watched.display.figures()
+    assert shown["episodes"] == "7/20" and shown["stage"] == "merge, 3 drives left"
+    assert shown["success, last 50"] == "0.50" and shown["success collision timeout"] == "4 2 1"
+    assert shown["epsilon"] == "0.25" and shown["loss low"] == "0.1250" and shown["loss high"] == "-"
+    assert shown["updates"] == "high 0 low 30" and shown["weight lag"] == "high 0 low 2"
+    assert shown["replay"] == "high 0 low 50" and shown["batch"] == "16"
+    assert shown["merges"] == "1" and shown["restarts"] == "2" and shown["roles alive"] == "1"
+    assert shown["waiting"] == "nothing"
+
+
+def test_before_any_statistics_every_heading_has_a_text(watched):
+    shown = watched.display.figures()
+    assert shown["episodes"] == "0/?" and shown["stage"] == "starting" and shown["return"] == "-"
+    assert all(shown.values())
+
+
+def test_lines_are_printed_from_the_first_statistics_on_and_not_too_often(watched):
+    assert watched.refresh() == ""
+    watched.publish("scheduler", "0", stage="train", episodes=1)
+    assert watched.refresh().count("\n") == 1
+    assert "episodes 1/?" in watched.output.getvalue() and "[   0.0 s]" in watched.output.getvalue()
+    watched.now_s += displays.LINE_EVERY_S / 2
+    assert watched.refresh().count("\n") == 1
+    watched.now_s += displays.LINE_EVERY_S
+    assert watched.refresh().count("\n") == 2
+
+
+def test_a_table_has_all_figures_and_the_last_events_as_plain_text(watched):
+    for number in range(5):
+        event = {"event": "merge", "chosen": f"[red]{number}", "host": "h", "time_s": 1.0}
+        watched.publisher.publish(keys.events(RUN), json.dumps(event).encode())
+    watched.display.take(watched.subscriber)
+    watched.display.console.print(watched.display.table())
+    text = watched.output.getvalue()
+    assert all(heading in text for heading in watched.display.figures())
+    assert [f"chosen=[red]{number}" in text for number in range(5)] == [False, False, True, True, True]
+    assert "host=" not in text
+
+
+def test_a_terminal_gets_a_live_table_and_no_lines(monkeypatch):
+    watched = Watched(monkeypatch, force_terminal=True)
+    with watched.display:
+        watched.publish("scheduler", "0", stage="train", episodes=12)
+        text = watched.refresh()
+    assert "zsdist run test" in text and "12/?" in text and "episodes 12/?" not in text

@@ -1,0 +1,57 @@
+"""Collection of the roles' states for a checkpoint, as a state machine without messages."""
+
+from zsdist.config import Config
+from zsdist.roles.base import HEARTBEAT_S
+from zsdist.roles.replay import shards
+from zsdist.types import Level
+from zsdist.wire.messages import State
+
+ANSWER_WITHIN_S = 10.0  # a role that has not answered by then is asked again
+
+
+class StateCollection:
+    """States of all roles that have one, except the scheduler's own.
+
+    Attributes:
+        shards: names of the replay's shards.
+        names: names of all roles that are asked.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self.shards = shards.state_names(config)
+        self.names = [*self.shards, *(f"learner-{level}" for level in Level)]
+        self._states: dict[str, State] = {}
+        self._ask_again_s = 0.0
+
+    def clear(self) -> None:
+        """Forget all states; `due` names every role at once."""
+        self._states, self._ask_again_s = {}, 0.0
+
+    def accept(self, state: State) -> None:
+        """Keep a state, in place of an earlier one of the same role."""
+        self._states[state.role] = state
+
+    def drop_open(self, now: float) -> None:
+        """Forget the states of shards that still expect frames; they are asked again after a heartbeat."""
+        for name in self.shards:
+            if name in self._states and any(part["open"] for part in self._states[name].meta.values()):
+                del self._states[name]
+                self._ask_again_s = now + HEARTBEAT_S
+
+    def take(self) -> dict[str, State] | None:
+        """Return all states and forget them; None, and nothing is forgotten, while one is missing."""
+        if self._missing():
+            return None
+        states = self._states
+        self.clear()
+        return states
+
+    def due(self, now: float) -> list[str]:
+        """Return the names of the roles to ask now."""
+        if now < self._ask_again_s:
+            return []
+        self._ask_again_s = now + ANSWER_WITHIN_S
+        return self._missing()
+
+    def _missing(self) -> list[str]:
+        return [name for name in self.names if name not in self._states]

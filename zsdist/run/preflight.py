@@ -1,0 +1,97 @@
+"""Checks before a run writes or starts anything: memory, certificates, shards, scenes and vision weights."""
+
+from collections.abc import Mapping
+
+from zsdist.agent.hierarchy import q_functions
+from zsdist.config import Config
+from zsdist.dqn import network
+from zsdist.driving.actor_car import ActorCar, EpisodeTask
+from zsdist.driving.perception import Perception
+from zsdist.errors import ConfigError
+from zsdist.planning.grid import Grid
+from zsdist.replay.buffer import row_bytes
+from zsdist.roles import permissions
+from zsdist.roles.replay import shards
+from zsdist.roles.shapes import SHAPES
+from zsdist.run.program import ActorParts, simulation
+from zsdist.run.scene_schedule import scene_source
+from zsdist.transport.certificates import Identity
+from zsdist.types import Level, Parameters
+from zsdist.vision.fingerprint import VisionIdentity
+from zsdist.wire.messages import State
+
+
+def check_memory(config: Config) -> None:
+    """Check the largest size of the replay against its byte budget.
+
+    Raises:
+        ConfigError: it does not fit.
+    """
+    row = sum(row_bytes(shape.state_size, shape.actions) for shape in SHAPES.values())
+    needed = config.replay.size_max * row
+    if needed > config.replay.max_bytes:
+        raise ConfigError(
+            f"replay.size_max is {config.replay.size_max}: both levels would take {needed} bytes; "
+            f"allowed by replay.max_bytes are {config.replay.max_bytes}"
+        )
+
+
+def check_certificates(config: Config) -> None:
+    """Load the certificates of all roles that live on this machine.
+
+    Raises:
+        TransportError: one is missing or invalid, as `Identity.load` reports it.
+    """
+    if config.transport.tls is None:
+        return
+    here = [permissions.HUB, permissions.TRUSTED]
+    if config.run.address is None:
+        here += map(permissions.actor_name, range(config.run.actors))
+    for name in here:
+        Identity.load(config.transport.tls, name)
+
+
+def check_shards(config: Config, states: Mapping[str, State]) -> None:
+    """Check that a run has at least as many shards as the checkpoint from which it resumes.
+
+    Raises:
+        ConfigError: it has fewer.
+    """
+    held = sum(map(shards.is_state_name, states))
+    if held > config.replay.shards:
+        raise ConfigError(
+            f"replay.shards is {config.replay.shards} and the checkpoint holds {held}; allowed are {held} or more"
+        )
+
+
+def warm_up(config: Config) -> VisionIdentity:
+    """Drive a car in this process: code that is compiled at first use is then on disk for all processes.
+
+    Returns:
+        The vision model that the car used.
+
+    Raises:
+        ZsdistError: scenes or vision weights are missing, or do not fit the configuration.
+    """
+    for name in config.scenes.test:
+        scene_source(name)
+    parts = simulation(config)
+    try_out(parts, config)
+    return VisionIdentity.of(parts.visual_act, config.vision.network)
+
+
+def try_out(parts: ActorParts, config: Config) -> None:
+    """Drive a car for two steps, so that everything is loaded that is loaded at first use (half a second)."""
+    car = ActorCar(parts.make_env(), config)
+    car.begin(EpisodeTask(parts.schedule.training(1), 1, 1.0, True, (0,)), dict.fromkeys(Level, 0))
+    q = q_functions({level: _untrained(config, level) for level in Level})
+    perception = Perception(parts.visual_act, Grid.from_config(config.grid), config.vision.rays, None)
+    for _ in range(2):
+        (view,) = perception.views([car])
+        car.advance(view, q)
+    car.env.close()
+
+
+def _untrained(config: Config, level: Level) -> Parameters:
+    shape, settings = SHAPES[level], config.high if level is Level.HIGH else config.low
+    return network.initial_parameters(shape.state_size, shape.actions, settings.hidden, config.seed)
