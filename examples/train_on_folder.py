@@ -23,8 +23,8 @@ def main(scenes: str = "configs/scenes", run: str = "runs/example", episodes: st
         episode = json.loads(line)
         outcomes.append(episode["outcome"])
         print(f"episode {episode['episode']} in {episode['scene']}: {episode['outcome']}, return {episode['return']}")
-    contender, sha256 = find_policy(run)
-    print(f"policy {sha256} of run {contender.config.run.name!r} is in {run}/checkpoints")
+    policy = find_policy(run)
+    print(f"policy {policy.weights_sha256} of run {policy.contender.config.run.name!r} is in {run}/checkpoints")
     return outcomes
 
 

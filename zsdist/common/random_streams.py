@@ -126,5 +126,5 @@ def check_names(seed: int) -> Generator:
 
 
 def check_words(seed: int) -> Generator:
-    """Return the stream of the words with which a check tries kinds that a projection has not seen."""
+    """Return the stream of the words on which a check trains projections that have not seen some kinds."""
     return np.random.default_rng([seed, 7])

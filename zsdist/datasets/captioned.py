@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from zsdist.common import random_streams
 from zsdist.config import CameraConfig
 from zsdist.datasets.degradation import degrade
 from zsdist.datasets.sampling import drawn_scenes, free_pose, people_on_paths, varied_camera
@@ -61,7 +62,7 @@ def captioned_views(
         varied: whether mount, tilt and picture quality are random, and the colours of one camera in four (for
             training); else scenes have the appearance of a drive.
     """
-    rng = np.random.default_rng([seed, 4, *split.encode()])
+    rng = random_streams.masked_or_captioned_pictures(seed, split)
     for _, scene, number in drawn_scenes(families, split, count, rng):
         yield from _views_of(scene, number, rng, camera, varied)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from zsdist.common import random_streams
 from zsdist.config import CameraConfig
 from zsdist.datasets.degradation import degrade
 from zsdist.datasets.sampling import drawn_scenes, free_pose, people_on_paths, varied_camera
@@ -69,7 +70,7 @@ def labelled_views(
         varied: whether colours, textures, grounds, renderer, mount and picture quality are random (for training); else
             scenes have the appearance of a drive, drawn by the camera's own back end.
     """
-    rng = np.random.default_rng([seed, *split.encode()])
+    rng = random_streams.labelled_pictures(seed, split)
     for _, scene, number in drawn_scenes(families, split, count, rng):
         yield from _views_of(scene, number, rng, camera, varied)
 

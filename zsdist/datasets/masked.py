@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from zsdist.common import random_streams
 from zsdist.config import CameraConfig
 from zsdist.datasets.degradation import degrade
 from zsdist.datasets.labelled import label
@@ -32,7 +33,7 @@ def masked_views(
     """
     if camera.back_end != "caster":
         raise SceneError(f"camera.back_end is {camera.back_end!r}; allowed for pictures with masks is 'caster'")
-    rng = np.random.default_rng([seed, 4, *split.encode()])
+    rng = random_streams.masked_or_captioned_pictures(seed, split)
     for _, scene, number in drawn_scenes(families, split, count, rng):
         eye = varied_camera(camera, rng) if varied else CasterCamera(camera)
         assert isinstance(eye, CasterCamera), "the back end was checked above"

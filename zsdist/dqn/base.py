@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from zsdist.common import random_streams
 from zsdist.config import LevelConfig
 from zsdist.dqn import losses, network, torch_network
 from zsdist.dqn.batches import StackedBatch
@@ -70,7 +71,7 @@ class BaseDqnLearner(ABC):
         self._state_size, self._actions = state_size, actions
         self._config = config
         self._mirror = mirror
-        self._rng = np.random.default_rng([seed, 1])
+        self._rng = random_streams.reflected_rows(seed)
         self._device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
         parameters = network.initial_parameters(state_size, actions, config.hidden, seed)
         self._online = torch_network.policy_network(parameters).to(self._device)

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from zsdist.common import random_streams
 from zsdist.errors import WeightsError
 from zsdist.types import Parameters
 
@@ -18,7 +19,7 @@ _OUTPUT_SCALE = 0.1  # initial values near zero, so that the first targets are t
 
 def initial_parameters(state_size: int, actions: int, hidden: Sequence[int], seed: int) -> Parameters:
     """Return initial parameters: He-uniform weights, zero biases, a small output layer; equal for equal seeds."""
-    rng = np.random.default_rng(seed)
+    rng = random_streams.initial_weights(seed)
     parameters: Parameters = {}
     fan_in = state_size
     for i, width in enumerate(hidden):

@@ -10,6 +10,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from zsdist.common import random_streams
 from zsdist.errors import RunError
 from zsdist.evaluation import episode_store
 from zsdist.evaluation.episode_store import Line
@@ -72,7 +73,7 @@ def compare(first: Path, second: Path, seed: int = 0) -> Comparison:
         raise RunError(
             f"{first} and {second} have no scene, seed and index in common; allowed are files that have some"
         )
-    rng, figures = np.random.default_rng(seed), {}
+    rng, figures = random_streams.intervals(seed), {}
     for name in LABELS:
         pairs = [
             (a, b) for drive in shared if None not in (a := _mean(ours[drive], name), b := _mean(theirs[drive], name))

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from zsdist.common import random_streams
 from zsdist.evaluation.contenders import FULL, Contender
 from zsdist.evaluation.episode_store import EpisodeStore
 from zsdist.evaluation.fingerprint import code_sha256
@@ -143,7 +144,7 @@ def evaluate(
         "max_steps": sim.max_steps,
         "code_sha256": code_sha256(),
     }
-    return Report(contender, about | summarise(records, np.random.default_rng(seed)) | circumstances, records)
+    return Report(contender, about | summarise(records, random_streams.intervals(seed)) | circumstances, records)
 
 
 def together(reports: Sequence[Report], seed: int) -> dict[str, Any]:
@@ -154,7 +155,7 @@ def together(reports: Sequence[Report], seed: int) -> dict[str, Any]:
     first, records = reports[0].result, reports[0].records
     strata = [next((name for name in FAMILIES if record.scene.startswith(f"{name}-")), "") for record in records]
     static = np.array([record.static for record in records])
-    rng, means, intervals = np.random.default_rng(seed), {}, {}
+    rng, means, intervals = random_streams.intervals(seed), {}, {}
     for outcome in Outcome:
         scores = np.array([[record.outcome is outcome for record in report.records] for report in reports], float)
         means[outcome.value], *intervals[outcome.value] = runs_95(scores, strata, rng)

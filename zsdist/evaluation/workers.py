@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import gymnasium
-import numpy as np
 
 from zsdist.common import process_pool as pool
+from zsdist.common import random_streams
 from zsdist.config import Config
 from zsdist.evaluation.contenders import Contender
 from zsdist.evaluation.drivers import Observability, ViewPredictor
@@ -94,4 +94,4 @@ def _drive(drive: tuple[int, Scene]) -> tuple[int, EpisodeRecord]:
     index, scene = drive
     if _Worker.runner is None:
         _Worker.runner = make_runner(_Worker.contender)
-    return index, _Worker.runner.drive(scene, np.random.default_rng([_Worker.seed, index]))
+    return index, _Worker.runner.drive(scene, random_streams.evaluated_episode(_Worker.seed, index))

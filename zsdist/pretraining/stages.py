@@ -17,7 +17,7 @@ import safetensors.torch
 import torch
 from torch import nn
 
-from zsdist.common import atomic_files, json_lines
+from zsdist.common import atomic_files, json_lines, random_streams
 from zsdist.errors import RunError
 from zsdist.pretraining.job import Job
 from zsdist.pretraining.pictures import Pictures
@@ -168,7 +168,7 @@ class Stages:
         recipe = RECIPES[stage]
         if self._job.epochs:
             recipe = changed(recipe, epochs=self._job.epochs)
-        rng = np.random.default_rng([self._job.seed, list(TIME_SHARES).index(stage)])
+        rng = random_streams.training_stage(self._job.seed, list(TIME_SHARES).index(stage))
         trainer = begin(recipe, rng, self._budget.begin(stage))
         if state_file.exists():
             trainer.restore(state_file.read_bytes())

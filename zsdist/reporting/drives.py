@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from zsdist.common import random_streams
 from zsdist.evaluation.contenders import Contender
 from zsdist.evaluation.episodes import Moment
 from zsdist.evaluation.records import EpisodeRecord
@@ -63,7 +64,7 @@ def drive(policy: Policy, label: str, on_scene: Callable[[str], None], simulatio
     for index, scene in enumerate((home, *unseen)):
         on_scene(scene.name)
         moments: list[Moment] = []
-        path = _path(runner.drive(scene, np.random.default_rng([0, index]), moments.append), label)
+        path = _path(runner.drive(scene, random_streams.evaluated_episode(0, index), moments.append), label)
         if index <= 1:
             thought = moments[-1].thought
             assert thought is not None, "a learned policy records its thoughts"

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
 
+from zsdist.common import random_streams
 from zsdist.config import Config
 from zsdist.errors import RunError, WeightsError
 from zsdist.evaluation.contenders import Contender
@@ -87,7 +88,7 @@ def film(
     files = []
     for index, scene in enumerate(scenes):
         moments: list[Moment] = []
-        record = runner.drive(scene, np.random.default_rng([seed, index]), moments.append)
+        record = runner.drive(scene, random_streams.evaluated_episode(seed, index), moments.append)
         file = folder / f"{index:02d}-{scene.name}-{record.outcome}.mp4"
         middle = (len(moments) - 1) // 2 * FRAMES_PER_ACTION
         write(frames(moments, contender.config, visual_act), file, middle)

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from zsdist import config
+from zsdist.common import random_streams
 from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
 from zsdist.evaluation import episode_store
@@ -242,7 +241,7 @@ def _summarise_episodes(file: Path) -> list[Row]:
     for key, by_index in groups.items():
         about = dict(zip(_EVALUATION_KEY, key, strict=True))
         records = [by_index[index].record for index in sorted(by_index)]
-        summary = summarise(records, np.random.default_rng(about["seed"]))
+        summary = summarise(records, random_streams.intervals(about["seed"]))
         results.append(about | {"run": about["policy"], "episodes": len(records)} | summary)
     return results
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from zsdist.common import random_streams
 from zsdist.evaluation.contenders import FULL, HYBRID
 from zsdist.evaluation.statistics import bootstrap_95, runs_95, wilson_95
 from zsdist.reporting.convergence import converged, fluctuation, per_action, per_episode
@@ -115,7 +116,7 @@ def paired_success(ours: Sequence[Evaluation], theirs: Sequence[Evaluation]) -> 
     differences = np.array([first[scene] - second[scene] for scene in first if scene in second])
     if not len(differences):
         return None
-    low, high = bootstrap_95(differences, np.random.default_rng(0))
+    low, high = bootstrap_95(differences, random_streams.intervals(0))
     return float(differences.mean()), low, high, len(differences)
 
 
@@ -247,7 +248,7 @@ def rate(evaluations: Sequence[Evaluation], key: str) -> Rate:
         return Rate(statistics.fmean(values), min(values), max(values), "seeds ")
     scores = np.array([[row["outcome"] == key for row in each.result["per_scene"]] for each in evaluations], float)
     families = [scene.rpartition("-")[0] for scene in scenes[0]]
-    return Rate(*runs_95(scores, families, np.random.default_rng(0)), f"{len(values)} seeds ")
+    return Rate(*runs_95(scores, families, random_streams.intervals(0)), f"{len(values)} seeds ")
 
 
 def by_label(evaluations: Sequence[Evaluation], split: str) -> dict[str, list[Evaluation]]:

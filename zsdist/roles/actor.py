@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 from typing import Protocol
 
-import numpy as np
-
 from zsdist.agent.hierarchy import QFunctions, q_functions
+from zsdist.common import random_streams
 from zsdist.dqn import network
 from zsdist.dqn.exploration import epsilon
 from zsdist.driving.actor_car import ActorCar, EpisodeTask
@@ -174,14 +173,17 @@ class Actor(Role):
             if job not in self._driven and len(self._candidates.get((merge, candidate), {})) == len(Level):
                 self._driven.add(job)
                 scene = self.schedule.validation(merge, index)
-                most = self.config.merge.drive_steps
-                return EpisodeTask(scene, index, 0.0, True, (self.config.seed, merge, index), candidate, merge, most)
+                seed = random_streams.candidate_drive(self.config.seed, merge, index)
+                most_steps = self.config.merge.drive_steps
+                return EpisodeTask(scene, index, 0.0, True, seed, candidate, merge, most_steps)
         for number in self._leases:
             if number not in self._started:
                 self._started.add(number)
                 share = epsilon(self._finished_episodes, agent.epsilon_decay, agent.epsilon_min)
-                seed = (self.config.seed, number)
-                shielded = bool(np.random.default_rng([*seed, 1]).random() < agent.shield_share)
+                seed = random_streams.exploration(self.config.seed, number)
+                shielded = bool(
+                    random_streams.shielded_episodes(self.config.seed, number).random() < agent.shield_share
+                )
                 return EpisodeTask(self.schedule.training(number), number, share, shielded, seed)
         return None
 

@@ -4,8 +4,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
-import numpy as np
-
+from zsdist.common import random_streams
 from zsdist.config import Config
 from zsdist.errors import SceneError
 from zsdist.sim.scenes import families, scene
@@ -24,7 +23,7 @@ class SceneSchedule:
     def training(self, number: int) -> Scene:
         """Return the scene of training episode `number`: families in turn, one of `train_scenes` scenes of each."""
         source = self._sources[number % len(self._sources)]
-        index = int(np.random.default_rng([self._config.seed, number, 2]).integers(self._config.scenes.train_scenes))
+        index = int(random_streams.training_scene(self._config.seed, number).integers(self._config.scenes.train_scenes))
         return source("train", index)
 
     def validation(self, merge: int, index: int) -> Scene:

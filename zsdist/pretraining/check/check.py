@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from zsdist.common import random_streams
 from zsdist.config import CameraConfig, Config, VisionConfig
 from zsdist.errors import RunError, WeightsError
 from zsdist.evaluation.statistics import wilson_95
@@ -71,7 +72,7 @@ def check(
     depth_rays: list[np.ndarray] = []
     left_out: dict[str, str] = {}
     observations = words.Observations.create(model, config, left_out)
-    rng = np.random.default_rng([seed, 3])
+    rng = random_streams.check_goals(seed)
 
     def on_batch(batch: list[Sample]) -> None:
         depth_rays.extend(_depth_rays(sample.depth_m, config.camera) for sample in batch)

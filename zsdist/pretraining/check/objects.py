@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from zsdist.common import random_streams
 from zsdist.config import CameraConfig, Config
 from zsdist.datasets.labelled import camera_angles_rad
 from zsdist.errors import RunError
@@ -53,7 +54,7 @@ class Approach:
 
 def approach(number: int, seed: int, camera: CameraConfig) -> Approach:
     """Return approach `number` of a seed, which does not depend on the others; no pose of it touches anything."""
-    rng, angles_rad = np.random.default_rng([seed, 5, number]), camera_angles_rad(camera)
+    rng, angles_rad = random_streams.check_approach(seed, number), camera_angles_rad(camera)
     for family in itertools.islice(itertools.cycle(OOD_FAMILIES), number % len(OOD_FAMILIES), None):
         scene = generate(family, split_seed("test", int(rng.integers(len(SPLITS["test"])))))
         circles, boxes = scene.circles(), scene.boxes()

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from zsdist.common import random_streams
 from zsdist.config import Config
 from zsdist.errors import RunError
 from zsdist.pretraining.check import figures, words
@@ -54,7 +55,7 @@ def write(config: Config, images: int, seed: int, out: Path) -> Path:
 def _write(model: VisualAct, config: Config, images: int, seed: int, out: Path) -> Path:
     left_out: dict[str, str] = {}
     observations = words.Observations.create(model, config, left_out)
-    quantile, rng = config.vision.ray_quantile, np.random.default_rng([seed, 3])
+    quantile, rng = config.vision.ray_quantile, random_streams.check_goals(seed)
     samples = list(wilderness(images, seed, config.camera))
     wild = predict(model, samples, quantile, rng, observations.add if observations is not None else lambda batch: None)
     misses = worst_misses(wild, samples, WILDERNESS.title, _MISSES_OF_A_SET)

@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from zsdist.common import random_streams
 from zsdist.config import CameraConfig
 from zsdist.datasets.degradation import degrade
 from zsdist.datasets.labelled import camera_angles_rad, label
@@ -82,12 +83,12 @@ WILDERNESS = PictureSet("wilderness", OOD_FAMILIES)
 
 def wilderness(count: int, seed: int, camera: CameraConfig) -> Iterator[Sample]:
     """Yield pictures of test scenes of the test families, as the car sees them when it drives."""
-    return samples(WILDERNESS, count, np.random.default_rng([seed, 2]), camera)
+    return samples(WILDERNESS, count, random_streams.check_wilderness(seed), camera)
 
 
 def of_set(name: str, count: int, seed: int, camera: CameraConfig) -> Iterator[Sample]:
     """Yield pictures of a set of `SETS`, which follow from the arguments."""
-    return samples(SETS[name], count, np.random.default_rng([seed, 4, list(SETS).index(name)]), camera)
+    return samples(SETS[name], count, random_streams.check_set(seed, list(SETS).index(name)), camera)
 
 
 def samples(pictures: PictureSet, count: int, rng: np.random.Generator, camera: CameraConfig) -> Iterator[Sample]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from zsdist.common import random_streams
 from zsdist.config import CameraConfig, Config
 from zsdist.datasets.captioned import captioned_views
 from zsdist.errors import WeightsError
@@ -166,7 +167,7 @@ def naming(config: Config, seed: int, count: int, unseen_kinds: bool, left_out: 
         except WeightsError as error:
             left_out[f"words.{name}"] = str(error)
             continue
-        figures[name] = naming_accuracy(images, dominant, rows, np.random.default_rng([seed, 6]))
+        figures[name] = naming_accuracy(images, dominant, rows, random_streams.check_names(seed))
     if unseen_kinds:
         figures["unseen_kinds"] = _unseen_kinds(config, encoder, seed, tokens, dominant)
     else:
@@ -205,7 +206,7 @@ def _unseen_kinds(
     for kinds in LEFT_OUT:
         recipe = WordRecipe(epochs=UNSEEN_EPOCHS, exclude_kinds=kinds)
         projection = new_projection(examples, seed)
-        rng = np.random.default_rng([seed, 7])
+        rng = random_streams.check_words(seed)
         for _ in train(projection, examples, held_out, vocabulary, recipe, rng, lambda: 0.0):
             pass
         rows = _kind_rows(encoder, projection, "training")

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from zsdist.common import random_streams
 from zsdist.config import Config
 from zsdist.protocol.inbox import Inbox
 from zsdist.replay import segments
@@ -81,7 +82,7 @@ class LevelReplay:
         # A trajectory of either level is complete when an option ends, so every car must be able to end its option.
         grain = config.agent.option_max_steps * config.run.cars_per_actor
         self.limiter = Limiter(learning.updates_per_insert, shard.part(learning.min_size), grain, shard.part(BAND))
-        self.rng = np.random.default_rng([config.seed, 0 if level is Level.HIGH else 1, shard.index])
+        self.rng = random_streams.replay_sampling(config.seed, level is Level.HIGH, shard.index)
         self._shard = shard
         self.stored = 0
         self.rejected: dict[str, int] = {}

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from zsdist.common import random_streams
 from zsdist.errors import SceneError
 from zsdist.planning.grid import HEADINGS
 from zsdist.sim.scenes import families_layout
@@ -59,7 +60,7 @@ def generate_counted(family: str, seed: int) -> tuple[Scene, int]:
     most = SINGLETON_SCENES if family == "singleton" else MAX_SEED
     if not 0 <= seed < most:
         raise SceneError(f"seed of a {family} scene is {seed}; allowed is 0 to {most - 1}")
-    rng = np.random.default_rng([list(FAMILIES).index(family), seed])
+    rng = random_streams.scene(list(FAMILIES).index(family), seed)
     for tries in range(1, MAX_TRIES + 1):
         try:
             scene = FAMILIES[family](rng, f"{family}-{seed:06d}")

@@ -21,6 +21,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from zsdist.common import random_streams
 from zsdist.config import CameraConfig
 from zsdist.errors import ConfigError
 from zsdist.vision.cityscapes.files import (
@@ -168,7 +169,7 @@ def _levels(
     folder: Path, split: str, numbers: range, seed: int, camera: CameraConfig, scale: float
 ) -> Iterator[_LevelView]:
     pictures = frames(Path(folder), split)
-    order = np.random.default_rng([seed, *split.encode()]).permutation(len(pictures))
+    order = random_streams.labelled_pictures(seed, split).permutation(len(pictures))
     for index in order[numbers.start : numbers.stop]:
         level = _level_view(read_frame(pictures[index]), camera, scale)
         if level.is_labelled():
