@@ -1,1 +1,1 @@
-"""Where roles live: the composition root, the two runners, and the run directory."""
+"""Composition root of a run, its two runners, and the run directory."""
