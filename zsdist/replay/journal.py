@@ -72,7 +72,7 @@ class Journal:
 
     @property
     def wants_base(self) -> bool:
-        """Whether the log is long enough for a `rebase`."""
+        """True once the log is long enough for a `rebase`."""
         return self._log_bytes >= COMPACT_BYTES or self._log_records >= COMPACT_RECORDS
 
     def recover(self) -> JournalContent | None:

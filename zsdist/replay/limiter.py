@@ -72,7 +72,7 @@ class Limiter:
 
     @property
     def limited(self) -> bool:
-        """Whether `min_size` transitions have been stored, so that the ratio is enforced."""
+        """True once `min_size` transitions have been stored, so that the ratio is enforced."""
         return self.stored >= self._min_size
 
     def open(self, stream: str) -> None:
