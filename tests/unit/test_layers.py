@@ -101,6 +101,28 @@ def test_the_reader_of_imports_notices_a_broken_rule(where, line):
     assert broken_rules(PACKAGE / where, line)
 
 
+def test_no_module_imports_itself_through_others():
+    names = {path.relative_to(PACKAGE).with_suffix("").as_posix().replace("/", "."): path for path in SOURCES}
+    below = {name: {m.removeprefix("zsdist.") for m in imported_modules(names[name].read_text())} for name in names}
+    # `from a.b import c` names the module a.b.c or something in a.b
+    below = {
+        name: {m if m in names else m.rpartition(".")[0] for m in found} & set(names) for name, found in below.items()
+    }
+    circles, done = [], set()
+
+    def visit(name, path):
+        if name in path:
+            circles.append([*path[path.index(name) :], name])
+        elif name not in done:
+            for other in sorted(below[name] - {name}):
+                visit(other, [*path, name])
+            done.add(name)
+
+    for name in names:
+        visit(name, [])
+    assert circles == []
+
+
 def test_every_unit_of_the_package_has_a_row():
     assert {unit_of(path) for path in SOURCES} <= set().union(*ROWS)
 

@@ -75,7 +75,7 @@ def test_a_run_is_not_resumed_on_another_encoder(trained, monkeypatch):
 def test_resuming_with_another_head_is_reported(trained, monkeypatch):
     seen, lines = replace(SEEN, weights_sha256="d" * 64), []
     assert resumed(trained(SEEN), monkeypatch, seen, lines.append).vision == seen
-    assert "sees by head dddd" in lines[-1]
+    assert "now uses head dddd" in lines[-1]
 
 
 def test_an_actor_with_another_vision_model_than_its_run_is_refused(tmp_path):

@@ -17,7 +17,7 @@ def test_a_run_is_resumed_unless_its_episodes_and_what_follows_them_are_complete
     directory.RunDirectory(folder, vision).checkpoint(2, {"scheduler": state})
     if ended:
         (folder / "summary.json").write_text(json.dumps({"ended": ended}))
-    monkeypatch.setattr(opening.program, "check_shards", lambda settings, states: None)
+    monkeypatch.setattr(opening.preflight, "check_shards", lambda settings, states: None)
     monkeypatch.setattr(opening, "check_parts", lambda settings, notify: vision)
 
     def resumed_episodes(episodes):

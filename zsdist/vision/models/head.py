@@ -1,6 +1,6 @@
 """Trained part of the visual-act model, in torch: action queries and camera rays on the tokens of an encoder."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -8,9 +8,6 @@ from torch import Tensor, nn
 
 from zsdist.vision.labels import SECTOR_HALF_RAD
 from zsdist.vision.rays import BINS, RAYS
-
-if TYPE_CHECKING:
-    from zsdist.vision.models.student import Student
 
 ACTIONS = 3
 MASK_MARGIN = 0  # token columns of the neighbouring directions that an action may also attend to; 2 blurs I_1 to I_3
@@ -173,10 +170,20 @@ class VisualActHead(nn.Module):
         return HeadOutput(actions[..., :BINS], actions[..., BINS], rays, weights)
 
 
+class CalibratedNetwork(Protocol):
+    """Network whose logits are divided by temperatures before they become probabilities: a head or a student."""
+
+    clearance_temperature: Tensor
+    rays_temperature: Tensor
+
+    def __call__(self, tokens: Tensor) -> HeadOutput:
+        """Return the logits."""
+
+
 class Probabilities(nn.Module):
     """Head or student with calibrated probabilities as outputs instead of logits."""
 
-    def __init__(self, network: "VisualActHead | Student") -> None:
+    def __init__(self, network: CalibratedNetwork) -> None:
         super().__init__()
         self.network = network
 
