@@ -1,1 +1,1 @@
-"""Deep Q-learning on arrays: network, losses, learners, exploration. Knows no level, grid, simulator or transport."""
+"""Deep Q-learning on arrays: network, losses, learners and exploration, independent of level, grid and simulator."""

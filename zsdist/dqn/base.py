@@ -1,7 +1,7 @@
 """Base of the deep Q-learners: networks, optimiser state, checkpoints and promotion; subclasses make the gradient step.
 
-All weights of a network lie in one vector of which its tensors are views, so that the optimiser, the clipping and the
-copy into the target network are one operation each, whatever the number of layers.
+All weights of a network lie in one vector, and its tensors are views of that vector. So the optimiser, the clipping and
+the copy into the target network are one operation each, whatever the number of layers.
 """
 
 import copy
@@ -23,14 +23,14 @@ _DISTIL_MARGIN_WEIGHT = 1.0
 
 
 class GradientStep(NamedTuple):
-    """Outcome of one gradient step; all but the norm is of the rows learned from, reflected ones included.
+    """Results of one gradient step. All but the norm belong to the batch's rows after some of them were reflected.
 
     Attributes:
         q: `(B, A)` float32, values before the step.
         errors: `(B,)` float32, temporal-difference errors before the step.
         masks: `(B, A)` bool, allowed actions.
-        guides: `(B,)` int64, actions of the guide.
-        gradient_norm: before clipping.
+        guides: `(B,)` int64, actions of the guide; negative: none.
+        gradient_norm: norm of the gradient before clipping.
     """
 
     q: np.ndarray
@@ -41,20 +41,20 @@ class GradientStep(NamedTuple):
 
 
 class BaseDqnLearner(ABC):
-    """Learns one network from batches, one gradient step at a time.
+    """Learner of one network from batches, one gradient step at a time.
 
-    Equal seeds and equal batches give equal bits, on one thread and one kind of device.
+    Equal seeds and equal batches give bit-identical weights, on one thread and one kind of device.
 
     Args:
         state_size: features of a state, `D`.
         actions: number of actions, `A`.
         config: rates, losses and sizes.
-        seed: of the initial weights and of the choice of rows to reflect.
-        mirror: reflects half of each batch; None: no augmentation.
+        seed: seed of the initial weights and of the choice of rows to reflect.
+        mirror: left-right reflection of states and actions, applied to half of each batch; None: no augmentation.
         device: device to compute on; None: CUDA if there is one, else the CPU.
 
     Attributes:
-        updates: gradient steps made so far.
+        updates: number of gradient steps so far.
     """
 
     def __init__(
@@ -97,14 +97,14 @@ class BaseDqnLearner(ABC):
 
         Args:
             batch: transitions to learn from; left unchanged.
-            margin_weight: of the large-margin loss beside the temporal-difference loss.
+            margin_weight: weight of the large-margin loss, which is added to the temporal-difference loss.
         """
 
     def figures(self) -> dict[str, float]:
-        """Return figures of the last update, or nothing before the first.
+        """Return figures of the last update; an empty dictionary before the first.
 
-        They are `loss` before rows are weighted, `q_mean` of all actions and `gradient_norm` before clipping. They are
-        apart from `update` because they take a while.
+        They are `loss` without the rows' importance weights, `q_mean` over all actions and `gradient_norm` before
+        clipping. They are not computed in `update` because they take a while.
         """
         if self._last is None:
             return {}
@@ -127,9 +127,9 @@ class BaseDqnLearner(ABC):
         return errors
 
     def distilled(self, batches: Iterable[Batch]) -> Parameters:
-        """Return the parameters of a copy that took one step on each batch with the large-margin loss on guide actions.
+        """Return the parameters of a copy that took one step per batch with the large-margin loss on guide actions.
 
-        The temporal-difference loss stays on beside it, so that values keep their scale. This learner is unchanged.
+        The temporal-difference loss remains part of it, so that values keep their scale. This learner is unchanged.
         """
         student = copy.copy(self)
         student._rng = copy.deepcopy(self._rng)
@@ -162,18 +162,18 @@ class BaseDqnLearner(ABC):
         return self._target.parameters_numpy()
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return a copy of all that the next update depends on; a learner that restores it continues bit for bit."""
+        """Return a copy of all state that updates depend on; a learner that restores it continues bit-identically."""
         arrays = {f"online/{name}": value for name, value in self.parameters().items()}
         arrays |= {f"target/{name}": value for name, value in self.target_parameters().items()}
         arrays |= {f"adam/{name}": value.cpu().numpy().copy() for name, value in self._adam.items()}
         return arrays | {"updates": np.array(self.updates, np.int64), "generator": _generator_words(self._rng)}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Restore a `state()`.
+        """Restore what `state` returned.
 
         Raises:
             RunError: an entry is missing or misshapen.
-            WeightsError: its weights belong to another network.
+            WeightsError: the weights belong to another network.
         """
         expected = {name: value.shape for name, value in self.state().items() if "/" not in name or "adam/" in name}
         for name, shape in expected.items():
@@ -188,7 +188,7 @@ class BaseDqnLearner(ABC):
         _set_generator(self._rng, state["generator"])
 
     def _stacked(self, batch: Batch) -> StackedBatch:
-        """Copy a batch's columns and reflect half of the rows, if there is a mirror."""
+        """Return a copy of a batch's columns, with half of the rows reflected if there is a mirror."""
         rows = StackedBatch.of(batch)
         if self._mirror is not None:
             rows.reflect(self._mirror, self._rng.random(len(batch)) < 0.5)
@@ -197,7 +197,7 @@ class BaseDqnLearner(ABC):
     def _td_targets(
         self, batch: Batch, next_masks: np.ndarray, target_q: np.ndarray, online_q: np.ndarray | None
     ) -> np.ndarray:
-        """Return the targets of the batch's rows from both networks' values of their next states, `(B,)`."""
+        """Return the targets of the batch's rows, `(B,)`, from both networks' values of the next states."""
         rewards = batch.rewards * np.float32(self._config.reward_scale)
         return losses.td_targets(rewards, batch.discounts, target_q, next_masks, online_q)
 
@@ -219,7 +219,7 @@ class BaseDqnLearner(ABC):
 
 
 def _flatten(module: torch_network.QNetwork) -> tuple[torch.Tensor, torch.Tensor]:
-    """Move a network's weights and gradients into two vectors of which its tensors become views."""
+    """Move a network's weights and gradients into two vectors; return them. Its tensors become views of them."""
     weights = torch.cat([tensor.detach().reshape(-1) for tensor in module.tensors])
     gradient = torch.zeros_like(weights)
     start = 0
@@ -234,7 +234,7 @@ def _flatten(module: torch_network.QNetwork) -> tuple[torch.Tensor, torch.Tensor
 
 
 def _generator_words(rng: np.random.Generator) -> np.ndarray:
-    """Return the state of a PCG64 generator as `(6,)` uint64: two 128-bit numbers and the cached half draw."""
+    """Return the state of a PCG64 generator as `(6,)` uint64: two 128-bit numbers, and the cached half of a draw."""
     state = rng.bit_generator.state
     low = 2**64 - 1
     words = [half for key in ("state", "inc") for half in divmod(state["state"][key], low + 1)]

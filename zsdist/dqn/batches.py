@@ -1,4 +1,4 @@
-"""Batches in the forms that a learner computes with: float32, both states of a transition stacked, reflected."""
+"""Batches in the form that a learner computes with: float32, with states stacked on next states, and reflected."""
 
 from typing import NamedTuple, Self
 
@@ -31,10 +31,10 @@ class StackedBatch(NamedTuple):
     In an array of `2 B` rows the first `B` belong to time `t`, the others to `t + 1`.
 
     Attributes:
-        states: `(2 B, D)` float32.
-        masks: `(2 B, A)` bool.
-        actions: `(B,)` int64.
-        guides: `(B,)` int64.
+        states: `(2 B, D)` float32, states and next states.
+        masks: `(2 B, A)` bool, actions allowed in them.
+        actions: `(B,)` int64, actions taken.
+        guides: `(B,)` int64, actions of the guide; negative: none.
     """
 
     states: np.ndarray

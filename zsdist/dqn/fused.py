@@ -1,6 +1,6 @@
-"""Deep Q-learner whose gradient is written out by hand: what `zsdist.dqn.learner` computes, in less time.
+"""Deep Q-learner with hand-written gradients: computes the same as `zsdist.dqn.learner` in less time.
 
-For networks of this size recording the operations for automatic differentiation takes about as long as doing them.
+For networks of this size, automatic differentiation takes about as long to record the operations as to do them.
 """
 
 import numpy as np
@@ -16,22 +16,22 @@ from zsdist.dqn.torch_network import QNetwork
 from zsdist.types import Batch
 
 _BETAS, _ADAM_EPSILON = (0.9, 0.999), 1e-8  # torch's defaults
-_relu_backward = torch.ops.aten.threshold_backward.default  # without the search for an overload in every call
+_relu_backward = torch.ops.aten.threshold_backward.default  # a fixed overload needs no search in every call
 _layer_norm_backward = torch.ops.aten.native_layer_norm_backward.default
 
-# Of each hidden layer: input, linear, mean and 1 / spread of it; last: its output.
+# For each hidden layer: input, linear output, its mean and 1 / spread. Last entry: input of the output layer.
 Trace = list[tuple[torch.Tensor, ...]]
 
 
 class FusedDqnLearner(BaseDqnLearner):
-    """Learns by hand-written gradients and the fused Adam, without automatic differentiation."""
+    """Learner with hand-written gradients and the fused Adam, without automatic differentiation."""
 
     @torch.inference_mode()
     def _gradient_step(self, batch: Batch, margin_weight: float) -> GradientStep:
         config, size = self._config, len(batch)
         rows = self._stacked(batch)
         states = torch.from_numpy(rows.states).to(self._device)
-        # Double Q-learning needs the policy network's values of the next states too: one pass for both.
+        # Double Q-learning needs the policy network's values of the next states too, so one pass computes both.
         values_t, trace = forward(self._online, states if config.double else states[:size])
         target_q = forward(self._target, states[size:])[0].cpu().numpy()
         values = values_t.cpu().numpy()
@@ -84,12 +84,12 @@ def forward(network: QNetwork, states: torch.Tensor) -> tuple[torch.Tensor, Trac
 
 
 def backward(network: QNetwork, gradient: torch.Tensor, trace: Trace) -> None:
-    """Write the gradient of every parameter into its `grad`, which must be there.
+    """Write the gradient of every parameter into its `grad`, which must exist.
 
     Args:
-        network: the one that was traced, its parameters unchanged since.
-        gradient: `(b, A)` with respect to the values of the first `b` of the traced states.
-        trace: of `forward`.
+        network: network that `forward` ran, with parameters unchanged since.
+        gradient: `(b, A)`, gradient with respect to the values of the first `b` of the traced states.
+        trace: intermediate results that `forward` returned.
     """
     b, (weight, bias), (active,) = len(gradient), network.output_layer, trace[-1]
     for layer in range(len(network.hidden_layers), -1, -1):

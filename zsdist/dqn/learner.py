@@ -1,6 +1,6 @@
-"""Deep Q-learner by automatic differentiation: the reference, to be read beside the paper.
+"""Deep Q-learner by automatic differentiation: the reference implementation, written close to the paper.
 
-`zsdist.dqn.fused` computes the same faster; a test holds both together.
+`zsdist.dqn.fused` computes the same faster; a test compares both.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from zsdist.types import Batch
 
 
 class DqnLearner(BaseDqnLearner):
-    """Learns by PyTorch's automatic differentiation and its Adam."""
+    """Learner with PyTorch's automatic differentiation and its Adam."""
 
     def _gradient_step(self, batch: Batch, margin_weight: float) -> GradientStep:
         config, size = self._config, len(batch)
@@ -38,7 +38,7 @@ class DqnLearner(BaseDqnLearner):
 
         Deviation: Adam with a clipped gradient in place of the plain step; Huber loss where so configured.
         """
-        self._optimiser.zero_grad(set_to_none=False)  # the network's gradients are views of the vector of weights'
+        self._optimiser.zero_grad(set_to_none=False)  # the networks' gradients are views of the vector of gradients
         torch.autograd.backward(loss)
         norm = torch.nn.utils.clip_grad_norm_(self._weights, self._config.max_gradient_norm)
         self._optimiser.step()
@@ -65,7 +65,7 @@ def margin_losses(q: torch.Tensor, masks: torch.Tensor, guides: torch.Tensor, ma
         q: `(B, A)`, values.
         masks: `(B, A)` bool, allowed actions.
         guides: `(B,)` int64, actions of the guide, negative: none.
-        margin: in units of value.
+        margin: lead over all other actions that the guide action must have, in units of value.
     """
     guide = guides.clamp(min=0)[:, None]
     lifted = (q + margin).scatter(1, guide, q.gather(1, guide))

@@ -1,6 +1,6 @@
-"""Losses of deep Q-learning and their gradients as pure functions of arrays, compiled because a batch has few values.
+"""Losses of deep Q-learning and their gradients as pure functions of arrays, compiled because batches are small.
 
-Names end in the time: `_t` of the state acted in, `_tp1` of its successor. Shapes: `B` transitions, `A` actions.
+Suffixes of names give the time: `_t` the state acted in, `_tp1` its successor. Shapes: `B` transitions, `A` actions.
 """
 
 import numpy as np
@@ -17,14 +17,14 @@ def td_targets(
 ) -> np.ndarray:
     """Return the targets of Q(s_t, a_t), `(B,)` float32: Eq. (10).
 
-    `r_t + discount_t * max_a' Q'(s_{t+1}, a')` over the actions allowed in `s_{t+1}`; only the reward where
+    A target is `r_t + discount_t * max_a' Q'(s_{t+1}, a')` over the actions allowed in `s_{t+1}`, and only `r_t` where
     `discount_t` is 0 (goal, collision).
 
     Deviation: the paper's equation has no terminal case. With `online_q_tp1` the online network picks a' and the target
     network values it (double Q-learning). Actions that leave the grid are excluded from the maximum.
 
     Args:
-        reward_t: `(B,)` float32.
+        reward_t: `(B,)` float32, scaled rewards.
         discount_t: `(B,)` float32 in [0, 1].
         target_q_tp1: `(B, A)` float32, values of the target network.
         mask_tp1: `(B, A)` bool, allowed actions; each row with a positive discount must allow one.
@@ -42,9 +42,9 @@ def td_error(q_t: np.ndarray, action_t: np.ndarray, target_t: np.ndarray) -> np.
     """Return the temporal-difference errors `Q(s_t, a_t) - target_t`, `(B,)`.
 
     Args:
-        q_t: `(B, A)` float32.
-        action_t: `(B,)` int64.
-        target_t: `(B,)` float32, taken as constant.
+        q_t: `(B, A)` float32, values of the policy network.
+        action_t: `(B,)` int64, actions taken.
+        target_t: `(B,)` float32, targets, treated as constants.
     """
     errors = np.empty_like(target_t)
     for row in range(len(errors)):
@@ -71,16 +71,16 @@ def td_gradient(q_t: np.ndarray, action_t: np.ndarray, error_t: np.ndarray, hube
 
 
 def margin_loss(q_t: np.ndarray, mask_t: np.ndarray, guide_t: np.ndarray, margin: float) -> float:
-    """Return the large-margin loss, the mean shortfall of guide actions from being best by `margin`.
+    """Return the mean large-margin loss, which is 0 where the guide action exceeds all others by `margin`.
 
-    `max_a [Q(s, a) + margin * (a != guide)] - Q(s, guide)` over allowed actions, as in deep Q-learning from
-    demonstrations. A row without an allowed guide action adds 0 but counts in the mean.
+    The loss of a row is `max_a [Q(s, a) + margin * (a != guide)] - Q(s, guide)` over allowed actions, as in deep
+    Q-learning from demonstrations. A row without an allowed guide action adds 0 but counts in the mean.
 
     Args:
-        q_t: `(B, A)` float32.
+        q_t: `(B, A)` float32, values of the policy network.
         mask_t: `(B, A)` bool, allowed actions.
-        guide_t: `(B,)` int64, negative where the guide has no advice.
-        margin: in units of value.
+        guide_t: `(B,)` int64, actions of the guide, negative where it has no advice.
+        margin: lead over all other actions that the guide action must have, in units of value.
     """
     rivals = _rivals(q_t, mask_t, guide_t, np.float32(margin))
     rows = np.flatnonzero(rivals >= 0)
@@ -117,7 +117,7 @@ def _targets(
 
 @compiled()
 def _rivals(q_t: np.ndarray, mask_t: np.ndarray, guide_t: np.ndarray, margin: np.float32) -> np.ndarray:
-    """Return the best allowed action once all but the guide's are raised by `margin`; -1: no allowed guide action."""
+    """Return each row's best allowed action after all but the guide's are raised by `margin`; -1: guide not allowed."""
     rivals, lifted = np.full(len(q_t), -1), np.empty_like(q_t[0])
     for row in range(len(q_t)):
         guide = guide_t[row]
@@ -130,7 +130,7 @@ def _rivals(q_t: np.ndarray, mask_t: np.ndarray, guide_t: np.ndarray, margin: np
 
 @compiled()
 def _best(values: np.ndarray, mask: np.ndarray) -> int:
-    """Return the allowed action of the highest value, the first of equals; 0 if none is allowed."""
+    """Return the allowed action with the highest value, the first one of a tie; 0 if none is allowed."""
     best, highest = 0, -np.inf
     for action in range(len(values)):
         if mask[action] and values[action] > highest:
@@ -139,5 +139,5 @@ def _best(values: np.ndarray, mask: np.ndarray) -> int:
 
 
 def _check(array: np.ndarray, rank: int, dtype: type) -> None:
-    """Check rank and dtype, so that a wrong shape is caught instead of broadcast."""
+    """Check rank and dtype, so that a wrong shape fails instead of being broadcast."""
     assert array.ndim == rank and array.dtype == dtype, (array.shape, array.dtype, rank, dtype)

@@ -1,4 +1,4 @@
-"""Q-network in numpy, the form that actors act with; `torch_network` has the form that learns.
+"""Q-network in numpy, used by actors; `torch_network` has the form used by learners.
 
 Shapes: `B` states, `D` features, `A` actions. Each hidden layer is linear, layer-normalised, then ReLU. With the
 paper's learning rate of 0.002 the normalisation bounds activations, and so values far from the data.
@@ -83,7 +83,7 @@ def check(parameters: Parameters, state_size: int, actions: int) -> None:
 
 
 def sha256(parameters: Parameters) -> str:
-    """Return the hex digest of names, shapes and values, independent of the order of names."""
+    """Return the hex digest of the parameters' names, shapes and values, whatever the order of names."""
     digest = hashlib.sha256()
     for name in sorted(parameters):
         value = np.ascontiguousarray(parameters[name], dtype="<f4")
@@ -98,7 +98,7 @@ def _he_uniform(rng: np.random.Generator, fan_out: int, fan_in: int) -> np.ndarr
 
 
 def _row_means(x: np.ndarray) -> np.ndarray:
-    """Return the means of rows, `(B, 1)`, without the checks of `mean`, which take longer than the sum itself."""
+    """Return the mean of each row, `(B, 1)`, without the checks of `np.mean`, which take longer than the sum."""
     return np.add.reduce(x, 1, keepdims=True) / np.float32(x.shape[1])
 
 
@@ -108,7 +108,7 @@ def depth(parameters: Parameters) -> int:
 
 
 def _shapes(parameters: Parameters, state_size: int, actions: int) -> dict[str, tuple[int, ...]]:
-    """Return names and shapes of a network with as many hidden layers; widths are those of its biases."""
+    """Return the names and shapes of a network with these hidden layers; the sizes of its biases give the widths."""
     shapes: dict[str, tuple[int, ...]] = {}
     fan_in = state_size
     for i in range(depth(parameters)):

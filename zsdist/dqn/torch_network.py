@@ -1,4 +1,4 @@
-"""Q-network in PyTorch, the form that learns; `network` computes the same in numpy."""
+"""Q-network in PyTorch, used by learners; `network` computes the same in numpy."""
 
 import torch
 from torch.nn import functional
@@ -13,8 +13,8 @@ class QNetwork(torch.nn.Module):
     Attributes:
         names: names of the parameters.
         tensors: the parameters, in the order of `names`.
-        hidden_layers: weight, bias, scale and shift of the normalisation, of each hidden layer.
-        output_layer: weight and bias.
+        hidden_layers: weight and bias of each hidden layer, and scale and shift of its normalisation.
+        output_layer: weight and bias of the output layer.
     """
 
     def __init__(self, parameters: Parameters) -> None:
@@ -47,5 +47,5 @@ def policy_network(parameters: Parameters) -> QNetwork:
 
 
 def target_network(parameters: Parameters) -> QNetwork:
-    """Return the network that targets are computed from, Q'(s, a; theta^-); takes no gradient: Eq. (9)."""
+    """Return the network that computes the targets, Q'(s, a; theta^-), without gradients: Eq. (9)."""
     return QNetwork(parameters).requires_grad_(False)

@@ -1,7 +1,7 @@
 """Belief map of one car: log-odds of occupancy on the fine grid, from rays with uncertainty.
 
-Views add up. A surface that one view misses is added by the next, and a surface that is not there is removed by later
-views through it, so that no single view decides.
+The evidence of all views is summed. A surface that one view misses is added by the next. A surface that does not exist
+is removed by later views through it. So no single view decides.
 """
 
 import math
@@ -33,16 +33,16 @@ class BeliefMap:
         """Update the belief with one view.
 
         The view gives the distribution of each ray's length. For a fine cell at distance d, p is the probability that
-        the ray goes on beyond the cell, and h the probability that it ends in the cell or up to `THICKNESS_M` before
-        it. If the ray ended earlier, nothing is learned. The cell's log-odds change by log(h / p), clipped to `-PASS`
-        and `HIT`, times h + p, the probability that the ray tells of the cell. So a far surface of which little but the
-        direction is certain closes the cells in which it is more likely than not, and not every cell in which it may
-        be.
+        the ray continues beyond the cell, and h the probability that it ends in the cell or up to `THICKNESS_M` before
+        it. A ray that ends earlier carries no information about the cell. The cell's log-odds change by log(h / p),
+        clipped to `-PASS` and `HIT`, times h + p, the probability that the ray carries information about the cell.
+        So a far surface at an uncertain distance occupies only the cells in which it probably lies, not every cell in
+        which it may lie.
 
         Args:
             pose: pose of the car's centre; the ground under the car becomes free.
             view: rays as distributions over distance; a view without rays changes nothing else.
-            camera_forward_m: distance of the camera ahead of the centre.
+            camera_forward_m: distance of the camera ahead of the car's centre.
         """
         camera_x = pose.x_m + camera_forward_m * math.cos(pose.heading_rad)
         camera_y = pose.y_m + camera_forward_m * math.sin(pose.heading_rad)
@@ -82,13 +82,13 @@ class BeliefMap:
         return self._log_odds > above
 
     def seen(self) -> np.ndarray:
-        """Return the fine cells that some view has told of, `(fine_size, fine_size)` bool."""
+        """Return the fine cells observed by at least one view or marked as free, `(fine_size, fine_size)` bool."""
         return self._seen.copy()
 
 
 @compiled()
 def _below(values: np.ndarray, limit: float) -> int:
-    """Return the number of values below a limit, its index in ascending values; without the branches of a bisection."""
+    """Return the number of ascending values below a limit. A count needs none of the branches of a bisection."""
     count = 0
     for index in range(len(values)):
         count += 1 if values[index] < limit else 0
@@ -97,9 +97,9 @@ def _below(values: np.ndarray, limit: float) -> int:
 
 @compiled()
 def _bin(edges: np.ndarray, distance: float) -> tuple[int, float]:
-    """Return the upper edge of the bin in which a distance lies, and the share of the bin that lies below it.
+    """Return the index of the upper edge of a distance's bin, and the share of the bin that lies below the distance.
 
-    Probability is spread evenly over a bin.
+    The share is also the share of the bin's probability, which is spread evenly over the bin.
     """
     last = len(edges) - 1
     if distance <= edges[0]:
@@ -152,7 +152,7 @@ def _update(
             angle = math.atan2(left, ahead)
             if abs(angle) > field:
                 continue
-            spread = half / distance  # near cells are wider than a ray: the ray that raises the log-odds most counts
+            spread = half / distance  # a near cell spans several rays: the one that raises the log-odds most counts
             first = min(_below(descending, -(angle + spread)), rays - 1)
             last = max(_below(descending, -(angle - spread)) - 1, 0)
             if last < first:  # between two rays: the nearer one
@@ -166,8 +166,9 @@ def _update(
             near, near_share = _bin(edges, distance - THICKNESS_M)
             for ray in range(first, last + 1):
                 end = ends[ray]
-                beyond = end[far - 1] + far_share * (end[far] - end[far - 1])  # it has ended in the cell or before it
-                before = end[near - 1] + near_share * (end[near] - end[near - 1])  # it has ended before the surface
+                # Probabilities that the ray ends in the cell or before it, and that it ends before the surface.
+                beyond = end[far - 1] + far_share * (end[far] - end[far - 1])
+                before = end[near - 1] + near_share * (end[near] - end[near - 1])
                 odds = math.log(max(beyond - before, TINY) / max(1.0 - beyond, TINY))
                 change = max(change, (1.0 - before) * min(max(odds, -PASS), HIT))
                 learned = max(learned, 1.0 - before)

@@ -33,7 +33,7 @@ def erosion(bitmap: np.ndarray, radius: int) -> np.ndarray:
 
     Args:
         bitmap: `(size, words)`; outside the grid all cells count as set.
-        radius: of the diamond, in steps between cells that share a side.
+        radius: radius of the diamond, in steps between cells that share a side.
 
     Returns:
         `(size, words)`; bits beyond the last fine cell are undefined.

@@ -1,4 +1,4 @@
-"""Cost to go to one target, repaired when the map changes: one view changes few moves, so no search starts anew.
+"""Cost to go to one target, repaired when the map changes. One view changes few moves, so no search starts anew.
 
 A move is a pair of state and action; its number is `ACTIONS * state + action`.
 """
@@ -15,25 +15,25 @@ class CostField:
     """Cost to go from every state to one target, on one map after another.
 
     Args:
-        targets: `[iy, ix]` `(cells, cells)` bool.
+        targets: `[iy, ix]` `(cells, cells)` bool, cells of the target.
         action_costs: `(8, 5)`, by heading before the action, above 0.
 
     Attributes:
-        targets: as given.
+        targets: cells of the target, `[iy, ix]` `(cells, cells)` bool.
     """
 
     def __init__(self, targets: np.ndarray, action_costs: np.ndarray) -> None:
         self.targets = targets
         self._action_costs = np.asarray(action_costs, dtype=np.float64)
-        self._blocked: np.ndarray | None = None  # of the last map
-        self._cost: np.ndarray  # on the last map
+        self._blocked: np.ndarray | None = None  # blocked moves of the last map
+        self._cost: np.ndarray  # least costs on the last map, float32
         self._exact = np.where(np.repeat(targets.ravel(), HEADINGS), 0.0, np.inf)
 
     def costs_on(self, blocked: np.ndarray) -> np.ndarray:
         """Return the least cost from every state to the target on a map.
 
         Args:
-            blocked: `(cells, cells, 8, 5)` bool, contiguous; must not change before the next call.
+            blocked: `(cells, cells, 8, 5)` bool, blocked moves; contiguous; must not change before the next call.
 
         Returns:
             `[iy, ix, heading]` `(cells, cells, 8)` float32; infinite where no path leads to the target.
@@ -41,7 +41,7 @@ class CostField:
         if blocked is self._blocked:
             return self._cost
         cells, new = len(blocked), blocked.ravel()
-        if self._blocked is None:  # as after a map with everything blocked; only moves into a target matter then
+        if self._blocked is None:  # as if everything had been blocked before; only moves into a target matter then
             changed = _moves_into(self.targets.ravel(), predecessors_or_self(cells))
         else:
             old = self._blocked.ravel()
@@ -56,7 +56,7 @@ class CostField:
 
 @compiled()
 def _moves_into(targets: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Return the moves that end in a target; `before` is of `lattice.predecessors_or_self`."""
+    """Return the moves that end in a target; `before` is the table `lattice.predecessors_or_self`."""
     leading, count = np.empty(before.size, np.int32), 0
     for cell in np.flatnonzero(targets):
         for state in range(HEADINGS * cell, HEADINGS * (cell + 1)):
@@ -68,7 +68,7 @@ def _moves_into(targets: np.ndarray, before: np.ndarray) -> np.ndarray:
 
 @compiled()
 def _changed_moves(old_words: np.ndarray, new_words: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Return the moves in which two maps differ; the words hold the same bytes, eight to a word."""
+    """Return the moves in which two maps differ; the words hold the same bytes as the maps, eight to a word."""
     changed, count = np.empty(len(new), np.int32), 0
     for word in range(len(new_words)):
         if old_words[word] != new_words[word]:
@@ -89,18 +89,18 @@ def _repair(
 ) -> None:
     """Update costs in place after some moves were blocked or unblocked. The cost of a target is 0 and stays 0.
 
-    First, states lose their cost if no unblocked move supports it any more, directly or through other states that lost
-    theirs. Then new costs spread from the neighbours of these states and through the moves that were unblocked, in the
-    order of costs, in bands as wide as the least action cost: no action leads from a state of a band to another state
-    of the same band, so that each state is expanded once.
+    First, a state loses its cost if no unblocked move supports that cost any more, directly or through other states
+    that lost theirs. Then new costs spread from the neighbours of these states and through the moves that were
+    unblocked. They spread in ascending order, in bands as wide as the least action cost. No action leads from a state
+    of a band to another state of the same band, so each state is expanded once.
 
     Args:
-        cost: `(states,)` of the map before the changes, written.
-        blocked: `(states * 5,)` bool, present map.
-        changed: moves in which the present map differs from the one before.
+        cost: `(states,)` float64, costs on the map before the changes; updated in place.
+        blocked: `(states * 5,)` bool, moves that are blocked on the present map.
+        changed: `(n,)` int32, moves in which the present map differs from the one before.
         action_costs: `(8, 5)`, by heading before the action.
-        before: of `lattice.predecessors_or_self`.
-        after: of `lattice.successors_or_self`.
+        before: table `lattice.predecessors_or_self`.
+        after: table `lattice.successors_or_self`.
     """
     states = len(before)
     suspects, suspected = np.empty(len(changed) + ACTIONS * states, np.int32), 0

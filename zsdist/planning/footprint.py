@@ -19,7 +19,7 @@ MARGIN_M = 0.10
 ACTIONS = len(Action)
 TURNS = (0, 1, -1, 2, -2)  # turn of each action in eighths of a full turn, counter-clockwise
 ADVANCES = (1, 1, 1, 0, 0)  # cells that each action advances after its turn
-_STEPS = [tuple(step) for step in STEPS.tolist()]  # plain numbers: reading those of an array takes ten times as long
+_STEPS = [tuple(step) for step in STEPS.tolist()]  # plain numbers: to read them from an array takes ten times as long
 
 CELLS_PER_WORD = 64  # cells of a row in one word of bits
 _BATCH_CELLS = 32  # cells of a row that are tested together: their surroundings fit into a word of 64 bits

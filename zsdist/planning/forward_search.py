@@ -13,12 +13,12 @@ def path_lengths_from(blocked: np.ndarray, state: LatticeState, action_costs: np
     """Return the length of the shortest free path from a state into each cell.
 
     Args:
-        blocked: `(cells, cells, 8, 5)` bool.
+        blocked: `(cells, cells, 8, 5)` bool, blocked moves.
         state: start of the paths.
         action_costs: `(8, 5)`, by heading before the action, metres.
 
     Returns:
-        `(cells, cells)` metres; infinite where no free path leads.
+        `[iy, ix]` `(cells, cells)` float64, metres; infinite where no free path leads.
     """
     cells, start = len(blocked), flat_state(state, len(blocked))
     return _least_cost_of_cells(blocked.ravel(), successors_or_self(cells), action_costs, start).reshape(cells, cells)
@@ -31,12 +31,12 @@ def spread_costs(
     """Write to `cost` the least cost from a state to every state that costs no more than `limit`.
 
     Args:
-        blocked: `(states * 5,)` bool, of flat states.
-        after: of `lattice.successors_or_self`.
+        blocked: `(states * 5,)` bool, blocked moves, by flat state and action.
+        after: table `lattice.successors_or_self`.
         action_costs: `(8, 5)`, by heading before the action.
-        start: flat state.
-        limit: the most that a path may cost.
-        cost: `(states,)`, written; infinite before.
+        start: flat state in which all paths begin.
+        limit: greatest cost of a path.
+        cost: `(states,)`, infinite before the call; written in place.
     """
     width = action_costs.min()  # no action leads from a state of a band of costs to another state of the same band
     front = np.empty(len(after) + 1, np.uint32)  # states that are still to be expanded

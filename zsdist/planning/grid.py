@@ -28,8 +28,8 @@ class Grid:
     Attributes:
         cells: cells per side, `m`.
         blocks: blocks per side.
-        cell_size_m: side of a cell.
-        arena_m: side of the walled arena, which has the same centre as the grid.
+        cell_size_m: side of a cell, in metres.
+        arena_m: side of the walled arena, in metres; it has the same centre as the grid.
 
     Raises:
         ConfigError: the sizes do not fit together.
@@ -57,27 +57,27 @@ class Grid:
 
     @cached_property
     def side_m(self) -> float:
-        """Side of the planning grid."""
+        """Side of the planning grid, in metres."""
         return self.cells * self.cell_size_m
 
     @cached_property
     def block_size(self) -> int:
-        """Cells along the side of a block."""
+        """Number of cells along the side of a block."""
         return self.cells // self.blocks
 
     @cached_property
     def fine_m(self) -> float:
-        """Side of a fine cell."""
+        """Side of a fine cell, in metres."""
         return self.cell_size_m / FINE_PER_CELL
 
     @cached_property
     def fine_size(self) -> int:
-        """Fine cells per side of the arena."""
+        """Number of fine cells per side of the arena."""
         return round(self.arena_m / self.fine_m)
 
     @cached_property
     def fine_border(self) -> int:
-        """Fine cells between the arena's wall and the first cell."""
+        """Number of fine cells between the arena's wall and the first cell."""
         return (self.fine_size - FINE_PER_CELL * self.cells) // 2
 
     def contains(self, x_m: float, y_m: float) -> bool:

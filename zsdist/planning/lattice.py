@@ -25,7 +25,7 @@ def successors(cells: int) -> np.ndarray:
 
 @cache
 def predecessors(cells: int) -> np.ndarray:
-    """Return the state from which each action leads here, `(cells * cells * 8, 5)` int32, read-only."""
+    """Return the state from which each action leads to a state, `(cells * cells * 8, 5)` int32, read-only."""
     iy, ix, heading = np.indices((cells, cells, HEADINGS)).reshape(3, -1, 1)
     advances = np.array(ADVANCES)
     before = (heading - np.array(TURNS)) % HEADINGS
@@ -43,7 +43,7 @@ def successors_or_self(cells: int) -> np.ndarray:
 
 @cache
 def predecessors_or_self(cells: int) -> np.ndarray:
-    """Return `predecessors` as uint32, with the state itself for an action that would lead here from off the grid."""
+    """Return `predecessors` as uint32, with the state itself for an action that would start off the grid."""
     return _with_self(predecessors(cells))
 
 

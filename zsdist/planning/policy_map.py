@@ -32,7 +32,7 @@ class PolicyMap:
         self._pool: dict[LatticeState, Action] = {}
 
     def add(self, state: LatticeState, action: Action) -> None:
-        """Add the advice at one pose to the explored policy. Eq. (13): it is the union of the advice over all poses."""
+        """Add the advised action at a pose to the explored policy. Eq. (13): the union of the advice over all poses."""
         self._pool[state] = action
 
     def explored(self, state: LatticeState) -> Action | None:
@@ -42,14 +42,14 @@ class PolicyMap:
     def overall(
         self, state: LatticeState, block_explored: bool, unexplored: Callable[[], Action | None]
     ) -> tuple[Action | None, bool]:
-        """Return the global policy's action, and whether it is the explored policy's. Eq. (17): the union of both.
+        """Return the global policy's action, and whether the explored policy gave it. Eq. (17): the union of both.
 
-        Deviation: in explored blocks the advice counts at poses for which there is some; at other poses, and in blocks
-        that are not explored, the potential field guides.
+        Deviation: in an explored block the advice is followed at poses that have advice. At all other poses the
+        potential field is followed.
 
         Args:
             state: pose on the lattice.
-            block_explored: whether enough of its block has been seen.
+            block_explored: whether enough of the block around the pose has been seen.
             unexplored: function that returns the potential field's action.
         """
         if block_explored and (action := self._pool.get(state)) is not None:

@@ -9,17 +9,17 @@ from zsdist.types import Action
 
 BODY_M = 0.645  # half the car's width and a margin, subtracted from distances to the car's centre
 NEAREST_M = 0.05  # least distance to an obstacle: the repulsion has a pole at 0
-IN_PLACE = 0.15  # penalty of a turn in place, in cosines: it must point this much better than an advance
+IN_PLACE = 0.15  # penalty of a turn in place, as a cosine: it must point this much better than an advance
 _TURN_OF = tuple(zip(Action, TURNS, strict=True))
 
 
 def attraction(distance_m: float, k_att: float) -> float:
-    """Return U_att, which grows with the square of the distance to the goal. Eq. (14)."""
+    """Return the potential U_att, which grows with the square of the distance to the goal. Eq. (14)."""
     return 0.5 * k_att * distance_m**2
 
 
 def repulsion(distance_m: float, k_rep: float, influence_m: float) -> float:
-    """Return U_rep of the nearest obstacle at `distance_m`, 0 beyond its influence distance. Eq. (15)."""
+    """Return the potential U_rep of the nearest obstacle, 0 beyond its influence distance. Eq. (15)."""
     if distance_m > influence_m:
         return 0.0
     return 0.5 * k_rep * (1.0 / distance_m - 1.0 / influence_m) ** 2
@@ -39,20 +39,20 @@ def force(
 ) -> np.ndarray:
     """Return the force on the car, `(2,)`. Eq. (16): F = -grad U, U the sum of attraction and repulsion.
 
-    Deviation: by default the attraction is conic (of constant size, the usual remedy for a quadratic one, which far
-    from the goal outweighs every obstacle); the distance to an obstacle is measured from the car's body; and positions
-    that the car has visited repel it by `k_trail`, since otherwise it stays in the first local minimum.
-    `conic=False, k_trail=0` is the paper's field.
+    Deviation: by default the attraction is conic, which means of constant size. A quadratic one outweighs every
+    obstacle far from the goal. The distance to an obstacle is measured from the car's body. Positions that the car has
+    visited repel it by `k_trail`, since otherwise it stays in the first local minimum. `conic=False, k_trail=0` is the
+    paper's field, except that distances are measured from the body.
 
     Args:
-        position: centre of the car.
-        target: point that attracts.
-        obstacles: `(N, 2)` points of believed surfaces.
+        position: centre of the car `(x_m, y_m)`.
+        target: point `(x_m, y_m)` that attracts.
+        obstacles: `(N, 2)` points of believed surfaces, metres.
         k_att: constant of the attraction.
         k_rep: constant of the repulsion.
-        influence_m: distance within which obstacles repel.
+        influence_m: distance within which obstacles and the trail repel.
         conic: whether the attraction has constant size.
-        trail: `(M, 2)` visited positions, each repeated as often as it was visited.
+        trail: `(M, 2)` visited positions, metres, each repeated as often as it was visited.
         k_trail: constant of the trail's repulsion.
     """
     here = np.asarray(position, np.float64)
@@ -85,7 +85,7 @@ def action_along(
         direction: `(2,)` of any length.
         heading_rad: heading of the car.
         mask: `(5,)` bool, allowed actions.
-        reluctance: `(5,)` penalty of each action, in cosines (such as for visits to the state in which it ends).
+        reluctance: `(5,)` penalty of each action, as a cosine, such as for visits to the state in which it ends.
     """
     bearing = math.atan2(direction[1], direction[0]) - heading_rad
     penalties: list[float] = [0.0] * len(_TURN_OF) if reluctance is None else reluctance.tolist()

@@ -1,8 +1,8 @@
 """Reachability on the planning lattice with one bit per state, computed for whole rows of cells at once.
 
-A word holds 64 cells of a row, bit j its j-th. A set of cells is `(words, cells)` uint64, indexed by word of a row and
-by row; a set of states is `(8, words, cells)`, one such table for each heading. Bits beyond the last cell of a row are
-blocked, and in no set.
+A word holds 64 cells of a row, one a bit. A set of cells is `(words, cells)` uint64, indexed by word of a row and by
+row. A set of states is `(8, words, cells)`, one set of cells for each heading. Bits beyond the last cell of a row are
+blocked and belong to no set.
 """
 
 from functools import cached_property
@@ -17,7 +17,7 @@ from zsdist.types import LatticeState
 
 _STEPS = np.asarray(STEPS)
 _TURNS = np.array(TURNS)
-_MOVING = sum(ADVANCES)  # number of actions that end in another cell; they come first
+_MOVING = sum(ADVANCES)  # number of actions that end in another cell; these are the first ones
 assert ADVANCES == (1,) * _MOVING + (0,) * (ACTIONS - _MOVING)
 
 
@@ -56,7 +56,7 @@ class BlockedMoves:
         return np.array([word >> state.ix % CELLS_PER_WORD & 1 for word in words], np.bool_)
 
     def where(self, states: np.ndarray, otherwise: "BlockedMoves") -> "BlockedMoves":
-        """Return these moves in a set of states, and those of `otherwise` in all other states."""
+        """Return the set with these moves in a set of states, and with those of `otherwise` in all other states."""
         differ = (self.words ^ otherwise.words) & states[:, None]
         return BlockedMoves(otherwise.words ^ differ)
 
@@ -65,13 +65,13 @@ class BlockedMoves:
         return _states_reaching(self.words, cells)
 
     def blocking_exits_from(self, states: np.ndarray) -> "BlockedMoves":
-        """Return a set in which moves that end outside a set of states are blocked too."""
+        """Return this set with the moves added that end outside a set of states."""
         return BlockedMoves(_blocking_exits(self.words, states))
 
 
 @compiled()
 def pack_states(flags: np.ndarray) -> np.ndarray:
-    """Return `(planes, words, cells)` of `(cells, cells, planes)` bool; bits beyond a row's last cell are 0.
+    """Return flags `(cells, cells, planes)` as bits `(planes, words, cells)`; bits beyond a row's last cell are 0.
 
     A plane is a heading, or a pair of heading and action.
     """

@@ -1,7 +1,7 @@
-"""Shortest paths over (cell, heading), and the viable states, from which the car can keep going.
+"""Shortest paths over (cell, heading), and the viable states, from which the car can keep driving.
 
-Both use `blocked`, `[iy, ix, heading, action]` `(cells, cells, 8, 5)` bool, of `FootprintTable.blocked`. The car has no
-reverse gear, so the graph is directed: costs to go are found from the goal against the direction of travel.
+Both use `blocked`, `[iy, ix, heading, action]` `(cells, cells, 8, 5)` bool, from `FootprintTable.blocked`. The car has
+no reverse gear, so the graph is directed: costs to go are found from the goal against the direction of travel.
 """
 
 import math
@@ -17,8 +17,8 @@ from zsdist.planning.lattice import flat_state, lattice_state, predecessors, suc
 from zsdist.types import Action, LatticeState
 
 STEPS_COST = np.ones((HEADINGS, ACTIONS))  # cost of each action from each heading, counted in actions
-_ACTION_TIE_M = 1e-3  # cost of an action on top of its metres: of equally long paths the one of fewer actions wins,
-_TURN_TIE_M = 2e-4  # and of those the one that turns through fewer eighths
+_ACTION_TIE_M = 1e-3  # cost of an action on top of its metres: the fewest actions win among equally long paths
+_TURN_TIE_M = 2e-4  # cost of an eighth of a turn: the fewest turns win among paths equal in length and actions
 
 _ENDS = (np.arange(HEADINGS)[:, None] + np.array(TURNS)) % HEADINGS
 _ADVANCED = np.hypot(STEPS[_ENDS, 0], STEPS[_ENDS, 1]) * ADVANCES  # by heading before the action, in sides of a cell
@@ -32,7 +32,7 @@ class LatticePath(NamedTuple):
 
 
 def metres_cost(grid: Grid) -> np.ndarray:
-    """Return the cost of each action from each heading, `(8, 5)` float64: metres driven, and about a millimetre.
+    """Return the cost of each action from each heading, `(8, 5)` float64: metres driven plus about a millimetre.
 
     The millimetre prefers fewer actions and fewer turns among paths of equal length, and keeps turns in place from
     being free; `length_m` gives the length of a path without it.
@@ -89,7 +89,7 @@ def path(cost: np.ndarray, blocked: np.ndarray, start: LatticeState, action_cost
 def flat_path(
     cost: np.ndarray, blocked: np.ndarray, start: LatticeState, action_costs: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return `path` as flat states `(n,)` int32 and actions `(n - 1,)` int8."""
+    """Return the path of `path` as flat states `(n,)` int32 and actions `(n - 1,)` int8."""
     if not math.isfinite(cost[start.iy, start.ix, start.heading]):
         raise ValueError(f"no path leads from {start} to the goal")
     cells = len(blocked)
@@ -109,11 +109,11 @@ def length_m(states: list[LatticeState], cell_size_m: float) -> float:
 
 
 def viable_states(blocked: np.ndarray) -> np.ndarray:
-    """Return the states from which the car can keep going for ever without a blocked action (the viability kernel).
+    """Return the states from which the car can keep driving forever without a blocked action (the viability kernel).
 
     This is the largest set in which every state has an unblocked action that ends in the set. Without a reverse gear
-    some free states lead into dead ends only; an action that ends outside this set must not be taken. Turning in place
-    for ever counts as going on, so the goal need not be reachable from a viable state: see `cost_to_go`.
+    some free states lead into dead ends only, so an action that ends outside this set must not be taken. Turning in
+    place forever counts as driving, so the goal need not be reachable from a viable state; for that see `cost_to_go`.
 
     Args:
         blocked: `(cells, cells, 8, 5)` bool.
@@ -129,7 +129,7 @@ def viable_states(blocked: np.ndarray) -> np.ndarray:
 def _follow(
     cost: np.ndarray, blocked: np.ndarray, action_costs: np.ndarray, after: np.ndarray, start: int
 ) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Return the states and actions from the start down the costs, and whether a goal cell was reached."""
+    """Return the states and actions that descend the costs from the start, and whether a goal cell was reached."""
     states, actions = np.empty(len(cost), np.int32), np.empty(len(cost), np.int8)
     count, state = 0, start
     states[0] = start
@@ -151,7 +151,7 @@ def _follow(
 
 @compiled()
 def _viable(blocked: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Return the states that are left when states without an action into another such state are removed repeatedly."""
+    """Return the states left after repeated removal of states without an unblocked action into a remaining state."""
     count, actions = before.shape
     left = np.zeros(count, dtype=np.int8)  # unblocked actions that end in a state not removed
     dead, found = np.empty(count, dtype=np.int32), 0  # removed states

@@ -4,11 +4,11 @@ from typing import Protocol
 
 
 class Frame(Protocol):
-    """Numbered frame of one (stream, actor, epoch); see the attributes of `Push` and `Records`."""
+    """Numbered frame of one (stream, actor, epoch)."""
 
     @property
     def stream(self) -> str:
-        """Stream of the actor."""
+        """Name of the stream: a level, or a stream of records."""
 
     @property
     def actor(self) -> str:

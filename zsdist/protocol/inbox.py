@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 from zsdist.protocol.frames import Frame
 from zsdist.types import Ack, Level
 
-HOLD_FRAMES = 256  # frames from the next expected one on that are held; later ones are refused and sent again
+HOLD_FRAMES = 256  # number of frames, from the next expected one on, that are held; later ones are refused
 ACK_EVERY_FRAMES = 8
 ACK_AFTER_S = 0.02
 HEARTBEAT_S = 0.25
@@ -26,13 +26,13 @@ class _Stream(Generic[AnyFrame]):
 
     Attributes:
         epoch: number of the epoch.
-        received: frames delivered, which is the number of the next expected frame.
+        received: number of frames delivered, which is the sequence number of the next expected frame.
         produced: running total at the last delivered frame.
         declared: highest running total in any frame received.
         granted: highest credit announced; None while it is unlimited.
         state: "open", "closed" by its last frame, or "abandoned".
-        held: frames that arrived out of order, by number.
-        unacknowledged: frames received since the last acknowledgement.
+        held: frames that arrived out of order, by sequence number.
+        unacknowledged: number of frames received since the last acknowledgement.
         receipt_s: time of the first frame since the last acknowledgement.
         heartbeat_s: time of the next heartbeat; None: at once.
     """
@@ -50,7 +50,7 @@ class _Stream(Generic[AnyFrame]):
 
 
 class Inbox(Generic[AnyFrame]):
-    """Receiver of one stream from any number of actors.
+    """Receiver of the frames of one stream from any number of actors.
 
     Attributes:
         stream: `Level` or name of the stream.
@@ -59,8 +59,8 @@ class Inbox(Generic[AnyFrame]):
         refused: number of refused frames by reason.
         abandoned_at_most: upper bound of the transitions (or records) that were produced in abandoned epochs and never
             delivered: granted minus delivered.
-        abandoned_unlimited: epochs that were abandoned while their credit was unlimited. For these, `abandoned_at_most`
-            includes only what their frames declared.
+        abandoned_unlimited: number of epochs that were abandoned while their credit was unlimited. For these,
+            `abandoned_at_most` includes only the totals that their frames declared.
     """
 
     def __init__(self, stream: Level | str, *, sender_epoch: int = 0, hold_frames: int = HOLD_FRAMES) -> None:
@@ -69,7 +69,7 @@ class Inbox(Generic[AnyFrame]):
         Args:
             stream: `Level` or name of the stream.
             sender_epoch: incarnation of the receiving role.
-            hold_frames: frames from the next expected one on that are held until those before them arrive.
+            hold_frames: number of frames, from the next expected one on, that are held until those before them arrive.
         """
         self.stream = stream
         self.sender_epoch = sender_epoch
@@ -135,11 +135,11 @@ class Inbox(Generic[AnyFrame]):
     def acks(self, now: float, credit: Callable[[str, int], int | None]) -> list[Ack]:
         """Return the acknowledgements that are due.
 
-        They confirm all delivered frames, which are never sent again: store these before.
+        They confirm all delivered frames, which are never sent again; so store the frames before this call.
 
         Args:
             now: current time in seconds.
-            credit: returns the absolute total that an open (actor, epoch) may produce; None: unlimited.
+            credit: function that returns the absolute total that an open (actor, epoch) may produce; None: unlimited.
         """
         acks = []
         for actor, stream in self._streams.items():
@@ -157,13 +157,13 @@ class Inbox(Generic[AnyFrame]):
         return None if time_s == _NEVER else time_s
 
     def state(self) -> dict[str, Any]:
-        """Return the state for a checkpoint as JSON, without frames held out of order, since they are sent again."""
+        """Return the state for a checkpoint as plain data, without frames held out of order: they are sent again."""
         current = {actor: {name: getattr(stream, name) for name in _KEPT} for actor, stream in self._streams.items()}
         totals = {name: getattr(self, name) for name in _TOTALS}
         return {"stream": str(self.stream), "current": current, "refused": dict(self.refused), **totals}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Continue from a state that `state` returned."""
+        """Restore what `state` returned."""
         self._streams = {actor: _Stream(**kept) for actor, kept in state["current"].items()}
         self.refused = Counter(state["refused"])
         for name in _TOTALS:

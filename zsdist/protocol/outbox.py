@@ -1,8 +1,8 @@
 """Sending half of the push protocol: numbers, window, resending and credit. It uses no socket and no clock.
 
-A frame is kept until it is acknowledged and sent again after a time, so that nothing is lost whatever the transport
-does. By the numbers the receiver recognises duplicates. Credit limits production: it is reserved before a step or an
-option begins, so that everything that is produced may be sent.
+A frame is kept, and sent again after a time, until it is acknowledged, so that nothing is lost whatever the transport
+does. The receiver recognises duplicates by the frames' numbers. Credit limits production: it is reserved before a step
+or an option begins, so that everything that is produced may be sent.
 """
 
 from collections import deque
@@ -68,8 +68,8 @@ class Outbox:
             resend_after_s: age at which an unacknowledged frame is sent again; doubles with each sending, up to
                 `BACKOFF_MAX` times this.
             give_up_after_s: longest time without progress at a receiver that is alive.
-            make_frame: makes the message of a frame, such as `Push`, from stream, actor, epoch, sequence, produced,
-                closes and the tuple of items.
+            make_frame: function that makes a frame's message, such as `Push`, from stream, actor, epoch, sequence,
+                produced, closes and the tuple of items.
         """
         self.stream = stream
         self.actor = actor
@@ -86,7 +86,7 @@ class Outbox:
         self._waiting_count = 0
         self._waiting_since_s: float | None = None
         self._flight: deque[_Flight] = deque()
-        self._sequence = 0  # of the next frame
+        self._sequence = 0  # number of the next frame
         self._claimed = 0  # credit that is reserved, waiting or produced
         self._closing = False
         self._closed = False  # true once the closing frame is numbered
@@ -165,10 +165,10 @@ class Outbox:
             return
         replaced = ack.sender_epoch > self._sender_epoch
         if replaced or self._heard_s is None or now - self._heard_s > SILENCE_S:
-            self._stalled_since_s = now  # the time while it was away does not count
+            self._stalled_since_s = now  # the time during which the receiver was away does not count
             for flight in self._flight:
                 flight.sendings = min(flight.sendings, 1)
-                if replaced:  # it has no frame that its predecessor did not acknowledge
+                if replaced:  # the new receiver lacks all frames that its predecessor did not acknowledge
                     flight.sent_s = min(flight.sent_s, now - self._resend_after_s)
         if ack.received > acknowledged:
             for _ in range(ack.received - acknowledged):
@@ -193,13 +193,13 @@ class Outbox:
         return max(now, min(times)) if times else None
 
     def stuck(self, now: float) -> bool:
-        """Return whether a receiver that is alive makes no progress for too long, so that the run must end."""
+        """Return whether a live receiver has made no progress for too long, so that the run must end."""
         if not self._flight or self._heard_s is None or now - self._heard_s > SILENCE_S:
             return False
         return now - self._stalled_since_s > self._give_up_after_s
 
     def statistics(self) -> dict[str, int]:
-        """Return counts of transitions (or records), or of frames where the name says so."""
+        """Return counts of transitions (or records), and of frames under names that end in `_frames`."""
         return {
             "produced": self.produced,
             "waiting": self._waiting_count,
@@ -232,7 +232,7 @@ class Outbox:
         return self._resend_after_s * min(2.0 ** (flight.sendings - 1), BACKOFF_MAX)
 
     def _ripe(self, now: float) -> bool:
-        """Return whether a frame should be numbered now."""
+        """Return whether a frame should be made of the waiting items now."""
         if self._closed:
             return False
         if self._closing or self._waiting_count >= self._combine:
@@ -240,7 +240,7 @@ class Outbox:
         return self._waiting_since_s is not None and now >= self._waiting_since_s + LINGER_S
 
     def _number(self, now: float) -> Frame:
-        """Make the next frame of the items that wait."""
+        """Return the next numbered frame, made of waiting items."""
         items: list[Item] = []
         count = 0
         while self._waiting and (not items or count + _count(self._waiting[0]) <= MAX_COUNT):

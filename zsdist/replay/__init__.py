@@ -1,1 +1,1 @@
-"""Replay memory of one level: ring buffer, priorities, adaptive sizes, journal, and limit on updates per insert."""
+"""Replay memory of one level: ring buffer, priorities, adaptive sizes, journal, and the limit on updates per insert."""

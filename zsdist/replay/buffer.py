@@ -1,8 +1,8 @@
 """Ring buffer of transitions by column, with uniform sampling or sampling by priority.
 
 Each row holds a state and the next state. Sharing states between rows would not lower the memory bound: a trajectory
-of one transition has two states, so a ring of shared states needs as many, and indices besides. States are half
-floats, the format in which they travel. 20,000 rows of 120 features take 10 MiB.
+of one transition has two states, so a ring of shared states needs as many of them, plus indices. States are half
+floats, the format in which they are sent. 20,000 rows of 120 features take 10 MiB.
 """
 
 from collections.abc import Sequence
@@ -44,14 +44,14 @@ _DTYPES = {
 
 
 class RingBuffer:
-    """Ring of the newest `capacity` transitions; inserting and sampling cost what they move, never the capacity.
+    """Ring of the newest `capacity` transitions. The cost of insertion and sampling does not depend on the capacity.
 
     Args:
         state_size: features of a state, `D`.
         actions: number of actions, `A`.
-        capacity: transitions held at most.
-        n_step: most transitions of a trajectory that make up one stored return (`zsdist.replay.n_step_returns`).
-        priorities: of `capacity` rows, to sample by; None: sample uniformly.
+        capacity: most transitions held at once.
+        n_step: most transitions of a trajectory that one stored return covers (`zsdist.replay.n_step_returns`).
+        priorities: priorities of `capacity` rows, to sample by; None: uniform sampling.
     """
 
     def __init__(
@@ -76,12 +76,12 @@ class RingBuffer:
 
     @property
     def oldest_version(self) -> int | None:
-        """Version of the weights that chose the oldest stored transition; None: nothing is stored."""
+        """Version of the weights that acted in the oldest transition held; None: nothing is held."""
         return int(self._columns["versions"][(self._head - self._size) % self.capacity]) if self._size else None
 
     @property
     def oldest_age_versions(self) -> int | None:
-        """Weight versions between the newest transition stored so far and the oldest held; None: nothing is held."""
+        """Weight versions from the oldest transition held to the newest ever stored; None: nothing is held."""
         oldest = self.oldest_version
         return None if oldest is None else self._newest_version - oldest
 
@@ -89,9 +89,9 @@ class RingBuffer:
         """Store the valid transitions of `trajectories`, in order; they overwrite the oldest.
 
         Returns:
-            `(stored, rejected)`: the number stored, and the numbers rejected by reason (`REASONS`); together they are
-            the number offered. If any shape or dtype is not the buffer's, all are rejected; float32 states are
-            accepted and rounded.
+            `(stored, rejected)`: the number stored, and the numbers rejected by reason (`REASONS`). Their sum is the
+            number offered. If any shape or dtype differs from the buffer's, all are rejected, except that float32
+            states are accepted and rounded.
         """
         offered = count_transitions(trajectories)
         if not offered:
@@ -118,7 +118,7 @@ class RingBuffer:
         Args:
             rng: source of randomness.
             batch_size: transitions of a batch.
-            batches: number of batches to draw, returned one after the other as one.
+            batches: number of batches to draw; they are returned concatenated.
 
         Raises:
             ValueError: nothing is stored.
@@ -140,8 +140,8 @@ class RingBuffer:
         """Set the priorities of rows from new errors; rows that were overwritten since are skipped.
 
         Args:
-            serials: `(B,)` int64, of a batch.
-            errors: `(B,)` float32, finite and 0 or more.
+            serials: `(B,)` int64, serials of a sampled batch.
+            errors: `(B,)` float32, absolute temporal-difference errors, finite.
 
         Returns:
             The number of rows that are still held.
@@ -169,11 +169,11 @@ class RingBuffer:
         self._columns, self.capacity, self._size, self._head = columns, capacity, kept, kept % capacity
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return a copy of all rows in place; a restored buffer then draws the same with an equal generator."""
+        """Return a copy of all rows in ring order; a restored buffer draws the same rows with an equal generator."""
         return {name: column[: self._size].copy() for name, column in self._columns.items()} | self.layout()
 
     def layout(self) -> dict[str, np.ndarray]:
-        """Return the part of `state` that is not rows; `rows_since` returns rows piece by piece."""
+        """Return `state` without the rows; `rows_since` returns the rows piece by piece."""
         arrays = {
             "capacity": np.array(self.capacity, np.int64),
             "head": np.array(self._head, np.int64),
@@ -185,14 +185,14 @@ class RingBuffer:
         return arrays
 
     def rows_since(self, serial: int) -> dict[str, np.ndarray]:
-        """Return a copy of the stored rows of this serial or later, oldest first."""
+        """Return a copy of the stored rows with this serial or a later one, oldest first."""
         count = min(self._size, self._written - serial)
         first = (self._head - count) % self.capacity
         parts = (slice(first, first + count), slice(0, max(0, first + count - self.capacity)))
         return {name: np.concatenate([column[part] for part in parts]) for name, column in self._columns.items()}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Restore a `state()`; rows of a state without priorities get the priority of new rows.
+        """Restore what `state` returned; rows of a state without priorities get the priority of new rows.
 
         Raises:
             RunError: an entry is missing or belongs to a buffer of other shapes.
@@ -233,7 +233,7 @@ class RingBuffer:
         assert (columns["next_masks"].any(axis=1) | (columns["discounts"] == 0)).all()
 
     def _malformed(self, trajectories: Trajectories, offered: int) -> str | None:
-        """Return the reason to reject all transitions together; None: shapes and dtypes are right."""
+        """Return the reason to reject all transitions; None: shapes and dtypes are correct."""
         rows = offered + len(trajectories)
         shapes = {"states": (rows, self._state_size), "masks": (rows, self._actions)}
         for name, dtype in _DTYPES.items():
@@ -272,7 +272,7 @@ class RingBuffer:
         return valid, rejected
 
     def _write(self, offer: "_Offer", accepted: np.ndarray) -> None:
-        """Copy accepted transitions, at most the capacity, to the head and on from row 0 after the last row."""
+        """Write the accepted transitions, at most the capacity, from the head on, and from row 0 after the last row."""
         written = 0
         while written < len(accepted):
             part = accepted[written : written + self.capacity - self._head]
@@ -297,13 +297,13 @@ class RingBuffer:
 
 
 class _Offer(NamedTuple):
-    """Trajectories joined: `n` transitions, and one state more than transitions for each trajectory.
+    """Joined trajectories of `n` transitions; each trajectory has one state more than transitions.
 
     Attributes:
         states: `(n + k, D)` float16, of all `k` trajectories.
-        masks: `(n + k, A)` bool.
+        masks: `(n + k, A)` bool, actions allowed in each state.
         rows: `(n,)` int64, row of each transition's state among all states.
-        successors: `(n,)` int64, row of its next state; any row if it is not `known`.
+        successors: `(n,)` int64, row of the transition's next state; arbitrary if it is not `known`.
         known: `(n,)` bool, whether the successor lies within the trajectory.
         versions: `(n,)` int64, version of the weights that acted.
         columns: the other columns of `Trajectory`, `(n,)` each.
@@ -319,7 +319,7 @@ class _Offer(NamedTuple):
 
     @classmethod
     def of(cls, trajectories: Trajectories) -> Self:
-        """Locate each transition's states among all states of well-formed trajectories."""
+        """Return well-formed trajectories with the rows of each transition's states among all states."""
         lengths = trajectories.lengths
         ends = lengths.cumsum()
         before = np.arange(len(lengths))  # each trajectory before this one has one more state than transitions
@@ -337,7 +337,7 @@ class _Offer(NamedTuple):
         )
 
     def with_n_step_returns(self, steps: int, valid: np.ndarray) -> Self:
-        """Return these transitions with rewards, discounts and successors over up to `steps` valid ones."""
+        """Return these transitions with rewards, discounts and successors that span up to `steps` valid transitions."""
         rewards, discounts, successors = n_step_returns.n_step(
             steps, self.rows, self.successors, self.columns["rewards"], self.columns["discounts"], valid
         )

@@ -1,11 +1,11 @@
-"""Journal on disk of all that a replay has accepted: what was acknowledged survives the process, `kill -9` included.
+"""Journal on disk of everything that a replay has accepted. Acknowledged data survives the process, even `kill -9`.
 
-A journal has a base, a log, and pieces. The base is the state at one moment without the rows of the ring; the log holds
-the records since then, in order. Once the log is long enough, a new base replaces both, and the rows that the log
-brought become one more piece. A piece is never rewritten; it is removed as a whole once none of its rows is held any
-more, so that the cost of a ring depends on the rows written, not on the rows held.
+A journal has a base, a log, and pieces. The base is the state at one moment without the rows of the ring. The log holds
+the records since then, in order. Once the log is long enough, a new base replaces both, and the rows from the log
+become one more piece. A piece is never rewritten. It is removed as a whole once the ring holds none of its rows. So the
+cost depends on the rows written, not on the rows held.
 
-Records are handed to the operating system before anything is acknowledged, and survive the death of the process. They
+Records are handed to the operating system before they are acknowledged, so they survive the death of the process. They
 are not forced onto the disk: a machine that loses power may lose the last of them.
 """
 
@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from zsdist.errors import RunError
 
-# A log of this length is folded into a new base; reading a log of so many records takes a fraction of a second.
+# A log of this length is merged into a new base; a log of so many records is read in a fraction of a second.
 COMPACT_BYTES = 16 * 2**20
 COMPACT_RECORDS = 512
 
@@ -32,7 +32,7 @@ class JournalContent(NamedTuple):
     """Content of a journal.
 
     Attributes:
-        base: the newest base.
+        base: newest base.
         pieces: pieces of rows that belong to it, oldest first.
         records: records since the base, oldest first.
     """
@@ -46,7 +46,7 @@ class Journal:
     """Base, log and pieces of one writer, in a folder of its own.
 
     Args:
-        folder: created if missing; `recover` returns the content of a journal that is there.
+        folder: folder of the journal, created if missing; `recover` returns the content of one that exists.
 
     Raises:
         RunError: the folder cannot be created.
@@ -67,7 +67,7 @@ class Journal:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of base, log and pieces."""
+        """Size of base, log and pieces in bytes."""
         return self._base_bytes + self._log_bytes + sum(self._pieces.values())
 
     @property
@@ -78,8 +78,8 @@ class Journal:
     def recover(self) -> JournalContent | None:
         """Return the newest base, its pieces and the complete records after it; None if there is no base.
 
-        A last record that the death of its writer left incomplete is cut off: it was never acknowledged. New records
-        follow the others.
+        An incomplete last record, which its writer left when it died, is cut off: it was never acknowledged. New
+        records are appended to the others.
 
         Raises:
             RunError: a file cannot be read or cut.
@@ -89,7 +89,7 @@ class Journal:
             return None
         self._generation = generations[-1]
         try:
-            self._remove(lambda path: _generation(path) > self._generation)  # belongs to a base that was never finished
+            self._remove(lambda path: _generation(path) > self._generation)  # files of a base that was never finished
             self._pieces = {path: path.stat().st_size for path in sorted(self._folder.glob("*.piece"))}
             base, pieces = self._path("base").read_bytes(), [path.read_bytes() for path in self._pieces]
             self._open_log()
@@ -105,9 +105,9 @@ class Journal:
         """Start a new generation from `base`; remove the old base and log, and pieces that are no longer needed.
 
         Args:
-            base: the state without the rows in pieces.
-            piece: the rows that the log brought; empty: none.
-            end: serial of the first row after the piece; rows are numbered through all pieces.
+            base: state without the rows in pieces.
+            piece: rows from the log; empty: none.
+            end: serial of the first row after the piece; the numbers of rows continue through all pieces.
             oldest: serial of the oldest row that is needed; pieces that end there or earlier are removed.
 
         Raises:
@@ -173,7 +173,7 @@ class Journal:
 
 
 def _generation(path: Path) -> int:
-    """Return the generation of a base, log or piece: the number of bases begun until then."""
+    """Return the generation of a base, log or piece: the number of bases begun before or with it."""
     return int(path.stem.split("-")[0])
 
 

@@ -6,9 +6,10 @@ With `r` updates per insert, two bounds hold once `min_size` transitions are sto
 2. stored + granted but not yet inserted <= (updates + 1) / r + band + grain * streams: the actors run no further ahead
    of the learner.
 
-Each open stream is granted at least one `grain` ahead of what it inserted; all streams share the `band` on top of that.
+Each open stream is granted at least one `grain` beyond what it inserted. All streams share the `band` on top of that.
 So whenever the learner must wait, every open stream has an unused grain, even if all the others use none of theirs, and
-one side can always proceed. Before `min_size` is reached nothing is limited; credit in use at that moment comes on top.
+one side can always proceed. Before `min_size` is reached nothing is limited; credit in use at that moment is added to
+the second bound.
 """
 
 from dataclasses import dataclass
@@ -25,31 +26,31 @@ class _Stream:
     """Counts of transitions of one stream."""
 
     inserted: int = 0
-    granted: int = 0  # in all
+    granted: int = 0  # total since the opening
 
     @property
     def ahead(self) -> int:
-        """Transitions granted and not yet inserted."""
+        """Number of transitions granted and not yet inserted."""
         return max(self.granted - self.inserted, 0)
 
 
 class Limiter:
-    """Count inserts and updates of one level; grant credit to streams and batches to the learner.
+    """Count the inserts and updates of one level. Grant credit to streams and batches to the learner.
 
-    A stream is one actor's epoch. Its credit is the total number of transitions it may produce from its opening on. The
-    credit never falls while the stream is open; unused credit returns to the others when it closes.
+    A stream is one actor's epoch. Its credit is the total number of transitions it may produce since it was opened. The
+    credit never falls while the stream is open. When it closes, its unused credit returns to the others.
 
     Args:
         updates_per_insert: learner updates per stored transition, `r`.
         min_size: transitions to store before anything is limited or learned.
-        grain: transitions a stream must be able to produce at once (cars of an actor times the longest option).
-        band: transitions granted ahead beyond a grain each, shared by all streams; it hides the latency of credit, and
+        grain: transitions that a stream must be able to produce at once (cars of an actor times the longest option).
+        band: transitions granted beyond one grain a stream, shared by all streams. It hides the latency of credit, and
             should be at least the largest batch (Table 2: 256).
 
     Attributes:
-        patience: batches that the learner may wait for before the actors have used half of the band.
-        stored: transitions stored so far.
-        updates: batches handed out so far.
+        patience: number of updates that half of the band allows; the learner may wait for that many batches.
+        stored: number of transitions stored so far.
+        updates: number of batches handed out so far.
 
     Raises:
         ConfigError: a count is out of range.
@@ -96,7 +97,7 @@ class Limiter:
 
     @property
     def allowed(self) -> int:
-        """Batches that the learner may take now, one for each update."""
+        """Number of batches that the learner may take now, one for each update."""
         ratio = self._ratio  # as integers: a product of fractions takes longer than sampling a batch
         return max(0, ratio.numerator * self.stored // ratio.denominator - self.updates) if self.limited else 0
 
@@ -110,7 +111,7 @@ class Limiter:
         self._stale = True
 
     def resume_at(self, updates: int) -> None:
-        """Set the number of batches handed out so far, by this limiter's predecessor."""
+        """Set the number of batches that this limiter's predecessor has handed out."""
         self.updates = updates
         self._stale = True
 
@@ -130,7 +131,7 @@ class Limiter:
         return {"stored": self.stored, "updates": self.updates, "streams": streams}
 
     def restore(self, state: dict[str, Any], *, same_run: bool) -> None:
-        """Restore a `state()`, with its streams only in the same run, since epochs end with a run."""
+        """Restore what `state` returned; its streams only in the same run, since epochs end with a run."""
         self.stored, self.updates = int(state["stored"]), int(state["updates"])
         self._streams = {name: _Stream(*counts) for name, counts in state["streams"].items()} if same_run else {}
         self._stale = True

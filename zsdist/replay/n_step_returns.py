@@ -13,19 +13,19 @@ def n_step(
     discounts: np.ndarray,
     usable: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the n-step returns (Sutton 1988) of transitions: each becomes one over up to `steps` transitions.
+    """Return n-step transitions (Sutton 1988): each one-step transition is extended to span up to `steps` of them.
 
-    To `(s, r_1, gamma_1, s')` the transition that begins in s' is joined: the reward becomes `r_1 + gamma_1 r_2`,
-    the discount `gamma_1 gamma_2`, the successor that of the second, and so on. Joining stops where a discount is 0
-    (the end of an episode), where no transition begins (the end of a trajectory) and before one that is not usable.
-    Actions on the way are taken as recorded: there is no off-policy correction.
+    A transition `(s, r_1, gamma_1, s')` is joined with the one that begins in s'. The reward becomes
+    `r_1 + gamma_1 r_2`, the discount `gamma_1 gamma_2`, and the successor is the second one's; and so on. Joining stops
+    where a discount is 0 (the end of an episode), where no transition begins (the end of a trajectory), and before a
+    transition that is not usable. There is no off-policy correction for the actions in between.
 
     Args:
-        steps: most transitions to join, 1 or more.
+        steps: most transitions to join, at least 1.
         rows: `(n,)` int, row of each transition's state among all states, unique.
-        successors: `(n,)` int, row of its next state.
-        rewards: `(n,)` float32.
-        discounts: `(n,)` float32.
+        successors: `(n,)` int, row of each transition's next state.
+        rewards: `(n,)` float32, one-step rewards.
+        discounts: `(n,)` float32, one-step discounts.
         usable: `(n,)` bool, transitions that may be joined.
 
     Returns:

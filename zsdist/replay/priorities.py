@@ -10,7 +10,7 @@ _SMALLEST_WEIGHT = float(np.finfo(np.float32).tiny)  # so that no weight is roun
 
 
 class SumTree:
-    """`size` numbers, initially 0, and a binary tree of their sums; finding or setting one costs the tree's depth."""
+    """Binary tree of the sums of `size` numbers, initially 0. To find or set one costs the depth of the tree."""
 
     def __init__(self, size: int) -> None:
         self._leaves = 1 << max(size - 1, 0).bit_length()
@@ -26,7 +26,7 @@ class SumTree:
         return numbers
 
     def __setitem__(self, index: np.ndarray, values: np.ndarray | float) -> None:
-        """Set numbers, 0 or more; of values for the same index the last one counts."""
+        """Set numbers to values of 0 or more; the last of several values for one index counts."""
         nodes = self._leaves + index
         self._sums[nodes] = values
         while len(nodes) and nodes[0] > 1:  # all nodes are equally deep
@@ -34,7 +34,7 @@ class SumTree:
             self._sums[nodes] = self._sums[2 * nodes] + self._sums[2 * nodes + 1]
 
     def find(self, masses: np.ndarray) -> np.ndarray:
-        """Return the index of the number in which each mass falls when the numbers are laid end to end, `(B,)`.
+        """Return the index of the number into which each mass falls, with the numbers laid end to end, `(B,)` int64.
 
         Args:
             masses: `(B,)` float64 from 0 to below `total`, which must not be 0.
@@ -51,15 +51,15 @@ class SumTree:
 
 
 class RowPriorities:
-    """Priorities of a ring's rows, to which their probabilities of being drawn are proportional.
+    """Priorities of a ring's rows; the probability that a row is drawn is proportional to its priority.
 
-    The priority of a row is `(|error| + SMALLEST_ERROR) ** exponent` with its error in the last update that used it;
-    until its first update it is the largest priority so far.
+    The priority of a row is `(|error| + SMALLEST_ERROR) ** exponent`, with its error in the last update that used it.
+    Before its first update, it is the largest priority so far.
 
     Args:
-        capacity: rows.
-        exponent: the paper's alpha, 0 (uniform) to 1 (in proportion to the error).
-        importance: the paper's beta, share of the sampling bias that the weights correct, 0 (nothing) to 1 (all).
+        capacity: number of rows.
+        exponent: the paper's alpha, 0 (uniform) to 1 (proportional to the error).
+        importance: the paper's beta, the share of the sampling bias that the weights correct, 0 (nothing) to 1 (all).
 
     Attributes:
         largest: largest priority so far.
@@ -80,7 +80,7 @@ class RowPriorities:
         Args:
             rng: source of randomness.
             count: rows to draw, `B`.
-            size: rows in use.
+            size: number of rows in use.
 
         Returns:
             Rows `(B,)` int64 and importance weights `(B,)` float32: `(size * probability) ** -importance`, scaled so
@@ -98,7 +98,7 @@ class RowPriorities:
         self.largest = max(self.largest, float(priorities.max(initial=0.0)))
 
     def get(self, rows: np.ndarray) -> np.ndarray:
-        """Return the priorities of rows."""
+        """Return the priorities of rows, `(n,)` float64."""
         return self._tree[rows]
 
     def resize(self, capacity: int, priorities: np.ndarray) -> None:

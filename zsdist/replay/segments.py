@@ -10,12 +10,12 @@ Columns = Mapping[str, np.ndarray]
 
 
 def join(layout: Columns, size: int, pieces: Iterable[tuple[int, Columns]]) -> dict[str, np.ndarray]:
-    """Return the `RingBuffer.state` of the moment in which the ring had this `RingBuffer.layout`.
+    """Return the `RingBuffer.state` that belongs to a `RingBuffer.layout`.
 
     Args:
-        layout: capacity, head, rows written, and all else that is not rows.
+        layout: capacity, head, number of rows written, and everything else except the rows.
         size: number of stored rows.
-        pieces: serial of the first row, and the rows, of each piece; rows older than the stored ones are skipped.
+        pieces: serial of the first row of each piece, and its rows; rows older than the stored ones are skipped.
 
     Raises:
         RunError: rows are missing.

@@ -1,4 +1,4 @@
-"""Sizes of replay buffer and batch, adapted to the returns (Eqs. 21 to 23 with Table 2's rates)."""
+"""Sizes of replay buffer and batch, adapted to the returns (Eqs. 21 to 23, with the rates of Table 2)."""
 
 import math
 from collections import deque
@@ -11,14 +11,14 @@ def cumulative_average_reward(reward_sum: float, actions: int) -> float:
     """Return R_avg, the mean paper reward of all actions so far: Eq. (21).
 
     Args:
-        reward_sum: sum of the rewards of all actions, with those for goal and collisions.
+        reward_sum: sum of the rewards of all actions, including those for goal and collisions.
         actions: number of actions, at least 1.
     """
     return reward_sum / actions
 
 
 def buffer_size(size_min: int, size_max: int, average: float, target: float) -> int:
-    """Return B_size, the transitions that the buffer should hold: Eq. (22).
+    """Return B_size, the number of transitions that the buffer should hold: Eq. (22).
 
     Deviation: the ratio is that of `progress`, which is never below 0 and also right for a negative target.
     """
@@ -26,7 +26,7 @@ def buffer_size(size_min: int, size_max: int, average: float, target: float) -> 
 
 
 def batch_size(batch_min: int, batch_max: int, average: float, target: float) -> int:
-    """Return b_size, the transitions that a batch should have: Eq. (23).
+    """Return b_size, the number of transitions that a batch should have: Eq. (23).
 
     Deviation: the ratio is that of `progress`, which is never below 0 and also right for a negative target.
     """
@@ -34,7 +34,7 @@ def batch_size(batch_min: int, batch_max: int, average: float, target: float) ->
 
 
 def progress(average: float, target: float) -> float:
-    """Return the progress of `average` towards `target`, in [0, 1]: monotonic in the average, 1 from the target on.
+    """Return the progress of `average` towards `target`, in [0, 1]: it grows with the average, up to 1 at the target.
 
     For a positive target it is average / target, clipped. For a negative target that quotient would grow as the average
     gets worse, so it is target / average.
@@ -72,8 +72,8 @@ class RewardAverages:
         """Add one finished episode.
 
         Args:
-            paper_return: sum over the episode of the paper's reward (target distance, obstacles, goal).
-            actions: number of its actions.
+            paper_return: sum of the paper's reward (target distance, obstacles, goal) over the episode.
+            actions: number of actions of the episode.
 
         Raises:
             ValueError: the return is not finite, or the count is negative.
@@ -89,37 +89,38 @@ class RewardAverages:
         return {"reward_sum": self._reward_sum, "actions": self._actions, "returns": list(self._returns)}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore a `state()`."""
+        """Restore what `state` returned."""
         self._reward_sum, self._actions = float(state["reward_sum"]), int(state["actions"])
         self._returns = deque(state["returns"], maxlen=self._returns.maxlen)
 
 
 class AdaptiveSizing:
-    """Move both sizes towards those that the mean return calls for, by at most Table 2's rates.
+    """Move both sizes towards those that the mean return calls for, by at most the rates of Table 2.
 
-    Once in `adjust_every_episodes` finished episodes a size grows to at most size / `grow_rate` if wanted / size is
-    above `grow_threshold`, and shrinks to at least size * `shrink_rate` if wanted / size is below `shrink_threshold`.
+    Both are adjusted once in `adjust_every_episodes` finished episodes. A size grows to at most size / `grow_rate` if
+    wanted / size is above `grow_threshold`, and shrinks to at least size * `shrink_rate` if wanted / size is below
+    `shrink_threshold`.
 
     Deviation: `buffer_size` and `batch_size` get the mean return of the last episodes, because the mean over all
     actions since the start hardly moves after a while.
 
     Attributes:
-        size: transitions the buffer may hold now.
-        batch_size: transitions a batch has now.
+        size: number of transitions that the buffer may hold.
+        batch_size: number of transitions of a batch.
     """
 
     def __init__(self, config: ReplayConfig) -> None:
         self._config = config
         self.size = config.size_initial
         self.batch_size = config.batch_initial
-        self._adjustments = 0  # made, or skipped for lack of a mean return
+        self._adjustments = 0  # adjustments made, or skipped for lack of a mean return
 
     def adjust(self, finished: int, mean_return: float | None) -> bool:
         """Adjust the sizes if another `adjust_every_episodes` have finished; return whether a size changed.
 
         Args:
             finished: finished episodes of the whole run; a number not above an earlier one changes nothing.
-            mean_return: mean paper return of the last of them; None: unknown, the sizes stay.
+            mean_return: mean paper return of the last ones; None: unknown, and the sizes stay.
 
         Raises:
             ValueError: the mean is not finite.
@@ -143,7 +144,7 @@ class AdaptiveSizing:
         return {"size": self.size, "batch_size": self.batch_size, "adjustments": self._adjustments}
 
     def restore(self, state: dict[str, int]) -> None:
-        """Restore a `state()`; sizes outside the present bounds move to the nearest allowed ones."""
+        """Restore what `state` returned; sizes outside the present bounds move to the nearest allowed ones."""
         config = self._config
         self.size = min(max(int(state["size"]), config.size_min), config.size_max)
         self.batch_size = min(max(int(state["batch_size"]), config.batch_min), config.batch_max)

@@ -1,4 +1,4 @@
-"""Access control of a hub with certificates, in the terms of `Transport`; what no grant names is refused."""
+"""Access control of a hub with certificates, in terms of `Transport`; everything that no grant allows is refused."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -11,16 +11,16 @@ RETAINED = "@retained/"  # prefix of the tokens of keys with a retained value; `
 class Grant:
     """Rights of the holder of one certificate, as patterns of keys.
 
-    A pattern in use must lie within a granted one; a pattern that reaches beyond is refused as a whole.
+    A pattern in use must lie within a granted one; a pattern that reaches beyond it is refused as a whole.
 
     Attributes:
         name: common name of the certificate.
-        publish: keys under which it may publish, without retained values.
-        subscribe: keys to which it may subscribe, retained values included.
-        serve: keys under which it may answer requests and keep retained values.
-        request: keys under which it may request.
-        alive: liveliness tokens that it may hold.
-        watch: liveliness tokens that it may watch.
+        publish: keys under which the holder may publish, without retained values.
+        subscribe: keys to which the holder may subscribe, including retained values.
+        serve: keys under which the holder may answer requests and keep retained values.
+        request: keys under which the holder may send requests.
+        alive: liveliness tokens that the holder may hold.
+        watch: liveliness tokens that the holder may watch.
     """
 
     name: str
@@ -33,7 +33,7 @@ class Grant:
 
 
 def settings(grants: Iterable[Grant]) -> dict[str, Any]:
-    """Return zenoh's `access_control` for a hub: deny by default, one subject and one policy for each grant."""
+    """Return zenoh's setting `access_control` for a hub: deny by default, a subject and a policy for each grant."""
     rules: list[dict[str, Any]] = []
     policies, subjects = [], []
     for grant in grants:
@@ -51,7 +51,7 @@ def settings(grants: Iterable[Grant]) -> dict[str, Any]:
 
 
 def _rules(grant: Grant) -> Iterable[dict[str, Any]]:
-    """Yield a grant as zenoh's rules; `ingress` is from the holder to the hub, `egress` from the hub to the holder."""
+    """Yield zenoh's rules of a grant; `ingress` is from the holder to the hub, `egress` from the hub to the holder."""
     subscribed, kept = (tuple(RETAINED + key for key in keys) for keys in (grant.subscribe, grant.serve))
     for flow, messages, keys in (
         ("ingress", ("put",), grant.publish),

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Message:
-    """Bytes received under a key; only a request has `reply`, and only its first call has an effect."""
+    """Bytes received under a key. Only a request has a `reply`, and only its first call has an effect."""
 
     key: str
     payload: bytes
@@ -27,15 +27,15 @@ class Mailbox:
 
     Attributes:
         dropped: number of messages that did not fit.
-        peak_bytes: most bytes that have waited at once.
+        peak_bytes: greatest number of bytes that have waited at once.
     """
 
     def __init__(self, max_bytes: int, wake: Callable[[], None] | None = None) -> None:
         """Make an empty mailbox.
 
         Args:
-            max_bytes: of keys and payloads that may wait.
-            wake: called after each message, from the thread of the sender.
+            max_bytes: most bytes of keys and payloads that may wait.
+            wake: function that is called after each message, on the thread of the sender.
         """
         self.dropped = 0
         self.peak_bytes = 0
@@ -72,17 +72,17 @@ class Mailbox:
 
 
 class Transport(ABC):
-    """Best-effort transport of bytes between roles; the protocol above sends again what must not be lost."""
+    """Best-effort transport of bytes between roles; the protocol above it repeats messages that must not be lost."""
 
     @abstractmethod
     def publish(self, key: str, payload: bytes, *, retained: bool = False, json: bool = False) -> None:
-        """Send to all subscribers. It never waits for a receiver: if a queue is full, the message is dropped.
+        """Send a message to all subscribers, never waiting for one: if a queue is full, the message is dropped.
 
         Args:
-            key: of the message.
-            payload: content; it is copied.
-            retained: later subscribers get the last value of this key too, as long as this transport is open.
-            json: the payload is JSON text, and is labelled as such for other programs.
+            key: key of the message.
+            payload: content of the message; it is copied.
+            retained: whether later subscribers get the last value of this key too, as long as this transport is open.
+            json: whether the payload is JSON text, which is labelled as such for other programs.
         """
 
     @abstractmethod
@@ -103,7 +103,7 @@ class Transport(ABC):
 
     @abstractmethod
     def watch_alive(self, pattern: str, mailbox: Mailbox) -> None:
-        """Put `b"1"` into `mailbox` for each matching token that exists or appears, `b"0"` if it disappears."""
+        """Put `b"1"` into `mailbox` for each matching token that exists or appears, `b"0"` for each that disappears."""
 
     @abstractmethod
     def close(self) -> None:

@@ -1,7 +1,7 @@
 """Certificates of a hub and its clients, signed by one authority.
 
 A folder holds `ca.pem` and `ca.key`, and for each common name NAME the files `NAME.pem` and `NAME.key`. A client proves
-by its key that it owns the certificate. The hub decides by the common name what the client may do (`access`).
+with its key that it owns the certificate. The common name determines the client's rights at the hub (`access`).
 """
 
 import datetime
@@ -27,7 +27,7 @@ from zsdist.errors import TransportError
 
 AUTHORITY = "ca"
 MOST_DAYS = 36_500
-CLOCK_DIFFERENCE = datetime.timedelta(minutes=10)  # between machines: certificates are valid from so long ago
+CLOCK_DIFFERENCE = datetime.timedelta(minutes=10)  # between machines: certificates are backdated by it
 _HASH = hashes.SHA256()
 _SERVER, _CLIENT = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
 
@@ -43,7 +43,7 @@ class Identity:
 
     @classmethod
     def load(cls, folder: str | Path, name: str) -> "Identity":
-        """Return the identity `name` in a folder of certificates once it is checked.
+        """Return the identity `name` from a folder of certificates, checked.
 
         Raises:
             TransportError: a file is missing, unreadable or out of date, or the files do not belong together.
@@ -71,7 +71,7 @@ class Identity:
         return identity
 
     def days_left(self) -> int:
-        """Return the days until the certificate or that of the authority expires."""
+        """Return the number of days until the certificate or the authority's certificate expires."""
         ends = min(_read(path).not_valid_after_utc for path in (self.authority, self.certificate))
         return (ends - datetime.datetime.now(datetime.UTC)).days
 
@@ -85,14 +85,14 @@ class Identity:
 
 
 def make(folder: Path, server: str, clients: Iterable[str], hosts: Sequence[str], days: int) -> list[str]:
-    """Make the certificates that are missing in a folder: of the authority, the server and each client.
+    """Make the certificates that a folder lacks: those of the authority, the server and each client.
 
     Args:
-        folder: of the certificates; only its owner may read it.
-        server: common name that accepts connections; it may connect too.
-        clients: common names that may only connect.
+        folder: folder of the certificates; only its owner may read it.
+        server: common name of the process that accepts connections; it may connect too.
+        clients: common names of processes that may only connect.
         hosts: names and addresses under which the server is reached.
-        days: validity, at most `MOST_DAYS`.
+        days: validity in days, at most `MOST_DAYS`.
 
     Returns:
         The names of the certificates made; existing ones are left unchanged.
@@ -110,7 +110,7 @@ def make(folder: Path, server: str, clients: Iterable[str], hosts: Sequence[str]
             _write(folder, AUTHORITY, _builder(AUTHORITY, AUTHORITY, key, days, authority=True).sign(key, _HASH), key)
             made.append(AUTHORITY)
         authority = _read(folder / f"{AUTHORITY}.pem")
-        # a key that cannot sign belongs to no authority, so this cast only leaves out what `make` never writes
+        # this cast only excludes keys that cannot sign, which `make` never writes for an authority
         authority_key = cast(CertificateIssuerPrivateKeyTypes, _read_key(folder / f"{AUTHORITY}.key"))
         for name in (server, *clients):
             if not (folder / f"{name}.pem").exists():
@@ -151,8 +151,8 @@ def _builder(
 
 
 def _purposes(authority: x509.Certificate, hosts: Sequence[str]) -> list[x509.ExtensionType]:
-    """Return the purposes of a certificate: to connect, and if it has hosts, to accept connections under these."""
-    authority_key = cast(CertificateIssuerPublicKeyTypes, authority.public_key())  # it has signed its certificate
+    """Return the extensions for a certificate's purposes: to connect, and with hosts also to accept connections."""
+    authority_key = cast(CertificateIssuerPublicKeyTypes, authority.public_key())  # it signed its own certificate
     signer = x509.AuthorityKeyIdentifier.from_issuer_public_key(authority_key)
     if not hosts:
         return [signer, x509.ExtendedKeyUsage([_CLIENT])]
@@ -171,7 +171,7 @@ def _host(host: str) -> x509.GeneralName:
 
 
 def _write(folder: Path, name: str, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> None:
-    """Write key and certificate. The key is written first and for its owner alone: no certificate is without a key."""
+    """Write key and certificate. The key comes first, readable by its owner only, so no certificate lacks its key."""
     private = key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )

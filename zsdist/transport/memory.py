@@ -1,4 +1,4 @@
-"""Transport within one process: messages are in the mailboxes when the call returns, in a fixed order."""
+"""Transport within one process: when a call returns, its messages are in the mailboxes, in a fixed order."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -15,7 +15,7 @@ class MemoryBroker:
         self.transports: list[MemoryTransport] = []
 
     def retained(self, pattern: str) -> list[Message]:
-        """Return the last retained value of each matching key, in the order of the keys' first publication."""
+        """Return the last retained value of each matching key, in the order of their first publication."""
         last: dict[str, Message] = {}
         for transport in self.transports:
             last |= {key: message for key, message in transport.kept.items() if matches(pattern, key)}
@@ -26,9 +26,9 @@ class MemoryTransport(Transport):
     """Access of one role to a `MemoryBroker`.
 
     Attributes:
-        name: of the role, for error messages.
+        name: name of the role, for error messages.
         kept: last retained message by key.
-        tokens: keys of liveliness tokens.
+        tokens: keys of the liveliness tokens that the role holds.
         subscriptions, services, watches: patterns with their mailboxes.
     """
 

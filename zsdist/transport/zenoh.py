@@ -1,8 +1,8 @@
 """Transport between processes: clients of a zenoh router that runs in Python, the hub.
 
-A full queue drops messages instead of blocking. In zenoh's blocking mode, a receiver that stalls has its connection
-closed and silently loses what waits, so the protocol above has to make up for losses in any case. Shared memory is off,
-since it may silently drop messages when a receiver stalls.
+A full queue drops messages instead of blocking. In zenoh's blocking mode, the connection of a stalled receiver is
+closed and the waiting messages are silently lost, so the protocol above has to make up for losses in any case. Shared
+memory is off, since it may silently drop messages when a receiver stalls.
 """
 
 import json as json_codec
@@ -22,7 +22,7 @@ from zsdist.transport.base import Mailbox, Message, Transport
 from zsdist.transport.certificates import Identity
 
 CONNECT_TIMEOUT_S = 3.0
-LEASE_S = 5.0  # after which a process that hangs counts as gone; a killed one is noticed at once
+LEASE_S = 5.0  # time after which a process that hangs counts as gone; a killed one is noticed at once
 PORTS_TRIED = 100
 _RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
 _STAMP_IDENTITY = 8  # bytes
@@ -33,7 +33,7 @@ class ZenohHub:
     """Router to which all clients of a run connect.
 
     Attributes:
-        endpoint: where it listens, such as `tcp/127.0.0.1:7447`. The port differs from the wanted one if that is taken.
+        endpoint: address at which it listens, such as `tcp/127.0.0.1:7447`; its port is the first free one.
     """
 
     def __init__(
@@ -47,10 +47,10 @@ class ZenohHub:
         """Listen at `endpoint`, or at the next free port above it.
 
         Args:
-            endpoint: such as `tcp/127.0.0.1:7447`, or `tls/HOST:7447` with an identity.
+            endpoint: wanted address, such as `tcp/127.0.0.1:7447`, or `tls/HOST:7447` with an identity.
             identity: certificate of the hub; it then accepts only clients with a certificate of its authority.
-            grants: rights of these clients, without which they have none; without an identity all clients have all.
-            ports_tried: number of ports from that of `endpoint` on.
+            grants: rights of these clients, who have no others; without an identity all clients have all rights.
+            ports_tried: number of ports to try, from that of `endpoint` on.
 
         Raises:
             TransportError: the endpoint is malformed or cannot be used, or none of the ports is free.
@@ -82,7 +82,7 @@ class ZenohHub:
 
 
 class ZenohTransport(Transport):
-    """Client of a hub. It reconnects by itself; while the hub is away, everything except retained values is lost."""
+    """Client of a hub. It reconnects by itself; while the hub is away, all messages except retained values are lost."""
 
     def __init__(
         self, endpoint: str, identity: Identity | None = None, *, connect_timeout_s: float = CONNECT_TIMEOUT_S
@@ -90,9 +90,9 @@ class ZenohTransport(Transport):
         """Connect to the hub at `endpoint`.
 
         Args:
-            endpoint: of the hub.
+            endpoint: address of the hub.
             identity: certificate of the client, for a `tls/` endpoint.
-            connect_timeout_s: time to keep trying.
+            connect_timeout_s: seconds for which the connection is tried.
 
         Raises:
             TransportError: no hub answers in time, the endpoint is malformed, or one side does not accept the
@@ -145,7 +145,7 @@ class ZenohTransport(Transport):
             if sample.attachment is None or newest.is_new(key, sample.attachment.to_bytes()):
                 self._put(mailbox, Message(key, sample.payload.to_bytes()))
 
-        def appeared(token: zenoh.Sample) -> None:  # a publisher exists, appears, or reconnects
+        def appeared(token: zenoh.Sample) -> None:  # called when a publisher exists, appears, or reconnects
             if token.kind == zenoh.SampleKind.PUT and self._open.is_set():
                 key = str(token.key_expr).removeprefix(RETAINED)
                 self._session.get(key, _direct(replied), congestion_control=_DROP)
@@ -215,7 +215,7 @@ class ZenohTransport(Transport):
 
         def reply(payload: bytes) -> None:
             if waiting:
-                with waiting.pop() as open_query:  # its end tells the client that no further reply follows
+                with waiting.pop() as open_query:  # closing the query tells the client that no further reply follows
                     self._try(lambda: open_query.reply(open_query.key_expr, payload), str(open_query.key_expr))
 
         return reply
@@ -239,7 +239,7 @@ class ZenohTransport(Transport):
 
 @dataclass(frozen=True)
 class _Retained:
-    """Last value of a key, and the stamp by which receivers recognise it: sender, then number."""
+    """Last value of a key, and the stamp by which receivers recognise it: identity of the sender, then number."""
 
     number: int
     stamp: bytes
@@ -248,14 +248,14 @@ class _Retained:
 
 
 class _Newest:
-    """Distinguishes new retained values from known ones; used from zenoh's threads."""
+    """Filter that tells new retained values from known ones; zenoh's threads share it."""
 
     def __init__(self) -> None:
         self._stamps: dict[str, bytes] = {}
         self._lock = threading.Lock()
 
     def is_new(self, key: str, stamp: bytes) -> bool:
-        """Return whether a value is newer than all of the same sender; the value of another sender is always new."""
+        """Return whether a value is newer than the last one of its sender; a value of another sender is always new."""
         with self._lock:
             last = self._stamps.get(key, b"")
             if last[:_STAMP_IDENTITY] == stamp[:_STAMP_IDENTITY] and stamp <= last:
@@ -303,7 +303,7 @@ def _config(
 
 
 def _secure(identity: Identity | None, grants: Sequence[Grant], end: str) -> dict[str, Any]:
-    """Return settings with which both ends check the other's certificate; that of the hub must be for its host."""
+    """Return settings with which each end checks the other's certificate; the hub's must be for the hub's host."""
     if identity is None:
         return {}
     tls = {
@@ -327,7 +327,7 @@ def _direct(callback: Callable[[Any], None]) -> "zenoh.handlers.Callback[Any]":
 
 
 def _split(endpoint: str) -> tuple[str, int]:
-    """Return protocol and host, and the port, of an endpoint."""
+    """Return the address (protocol and host) and the port of an endpoint."""
     address, _, port = endpoint.rpartition(":")
     if "/" not in address or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65_536:
         raise TransportError(f"endpoint is {endpoint!r}; allowed is PROTOCOL/HOST:PORT, such as tcp/127.0.0.1:7447")

@@ -1,4 +1,4 @@
-"""Export of networks to files that onnxruntime runs: built once with torch, cached, shared by all processes."""
+"""Export of networks to files for onnxruntime. A file is built once with torch, cached and shared by all processes."""
 
 import hashlib
 import logging
@@ -37,7 +37,7 @@ def file_sha256(path: Path) -> str:
 def cached_session(name: str, build: Callable[[Path], None]) -> onnxruntime.InferenceSession:
     """Return a session of the network `name` from the cache; build it with `build(path)` if it is missing.
 
-    Several processes may build at once: each writes its own file and renames it, so that no process reads half a file.
+    Several processes may build at once: each writes its own file and renames it, so no process reads a partial file.
 
     Raises:
         WeightsError: the cache cannot be written, or the cached file is damaged.
@@ -80,15 +80,15 @@ def export(
     """Write `module` as an ONNX file with a free batch size, and check its outputs on `example` against torch.
 
     Args:
-        module: the network; it takes one tensor.
-        example: `(B, ...)` an input of the dtype that the network takes.
+        module: network with one tensor as input.
+        example: `(B, ...)` input of the dtype that the network expects.
         path: file to write.
         input_name: name of the input.
         outputs: names of the outputs, in order.
-        free: names of the leading axes of the input that may have any length; of each output only the first may.
+        free: names of the leading axes of the input that may have any length; in an output only the first one may.
 
     Raises:
-        WeightsError: the file computes something else than `module`.
+        WeightsError: the outputs of the file differ from those of `module`.
     """
     import torch
 

@@ -1,4 +1,4 @@
-"""Identity of the vision model that a policy was trained with; each checkpoint stores it and it is checked at load."""
+"""Identity of the vision model that a policy was trained with; checkpoints store it, and loading checks it."""
 
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol, Self
@@ -16,7 +16,7 @@ class VisionHashes(Protocol):
 
 @dataclass(frozen=True)
 class VisionIdentity:
-    """Names and hashes of the encoder and of the network on it.
+    """Names and hashes of an encoder and of the head on it, or of a student.
 
     Attributes:
         encoder: name of the encoder.
@@ -32,7 +32,7 @@ class VisionIdentity:
 
     @classmethod
     def of(cls, visual_act: VisionHashes, network: str) -> Self:
-        """Return the identity of a loaded model; `network` is the setting `config.vision.network`."""
+        """Return the identity of a loaded visual-act model; `network` is the setting `config.vision.network`."""
         return cls(visual_act.encoder_name, visual_act.encoder_sha256, network, visual_act.weights_sha256)
 
     @classmethod
@@ -49,16 +49,16 @@ class VisionIdentity:
         return asdict(self)
 
     def check(self, policy: str, here: "VisionIdentity") -> str | None:
-        """Compare the vision that a policy was trained with (this one) with the vision loaded here.
+        """Compare the vision model that a policy was trained with (this identity) with the one loaded here.
 
-        Two students may differ in `encoder_sha256`: a student has no encoder besides its own weights.
+        Two students may differ in `encoder_sha256`, since a student has no encoder besides its own weights.
 
         Args:
-            policy: name of the policy in messages.
-            here: the vision that the policy would use here.
+            policy: name of the policy, for messages.
+            here: identity of the vision model loaded here, which the policy would use.
 
         Returns:
-            One line for the user if the head or student differs on the same encoder, else None.
+            One line for the user if only the head or student differs; None if nothing differs.
 
         Raises:
             WeightsError: the encoder here is another one.

@@ -1,6 +1,6 @@
-"""Masks of Algorithm 1: parts of a picture that are hidden in turn, and the reward labels of the rest.
+"""Masks of Algorithm 1: parts of a picture that are hidden one at a time, and reward labels of the remaining scene.
 
-The source of a picture does not matter here: the simulator and a data set of photographs provide the same arrays.
+The source of a picture does not matter: the simulator and a data set of photographs provide the same arrays.
 """
 
 from dataclasses import dataclass
@@ -10,12 +10,12 @@ import numpy as np
 from zsdist.vision.labels import nearest, openness, reward_label
 
 MOST_MASKS = 16
-TRIVIAL_SHARE = 0.002  # of the picture's pixels; smaller masks are left out
-GREATEST_SHARE = 0.9  # larger masks are left out: a picture hidden almost whole has no content
+TRIVIAL_SHARE = 0.002  # share of the picture's pixels; smaller masks are left out
+GREATEST_SHARE = 0.9  # larger masks are left out: a picture that is hidden almost whole has no content
 CHANGED_REWARD = 0.05  # a label that differs by more counts as changed
 BACKGROUND_WEIGHT = 0.5  # weight of the R_i of a background mask; that of an object is 1
-_GROUND_PATCHES = 3  # left, middle and right
-_NEAREST_SHARE = 0.02  # of an object's pixels are ignored as too near: measured depths have stray values
+_GROUND_PATCHES = 3  # number of patches: left, middle and right
+_NEAREST_SHARE = 0.02  # share of an object's nearest pixels to ignore: measured depths have stray values
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class MaskedView:
         image: `(px, px, 3)` uint8.
         ray_distance_m: `(R,)` float32.
         ray_dynamic: `(R,)` bool.
-        masks: masks of this picture.
-        scene_hash: as in the views without masks; it groups the pictures of one scene.
+        masks: masks of this picture, each to be used alone.
+        scene_hash: hash that groups the pictures of one scene, as in the views without masks.
     """
 
     image: np.ndarray
@@ -59,11 +59,11 @@ class MaskedExamples:
     """Encoded masked pictures of a set of originals.
 
     Attributes:
-        tokens: `(M, side, side, features)` float16.
+        tokens: `(M, side, side, features)` float16, tokens of the masked pictures.
         image: `(M,)` int64, index of the original of each masked picture.
-        ray_distance_m: `(M, R)` float32, of the scene without the hidden object; that of the original for background.
-        ray_dynamic: `(M, R)` bool, likewise.
-        background: `(M,)` bool.
+        ray_distance_m: `(M, R)` float32, distances without the hidden object; for background those of the original.
+        ray_dynamic: `(M, R)` bool, whether a ray meets an object of a kind that moves, in the same scene.
+        background: `(M,)` bool, whether the mask hides background.
     """
 
     tokens: np.ndarray
@@ -77,7 +77,7 @@ class MaskedExamples:
 
 
 def hide(image: np.ndarray, hidden: np.ndarray) -> np.ndarray:
-    """Return the picture `(px, px, 3)` uint8 with the `hidden` `(px, px)` pixels in the mean colour of the others.
+    """Return the picture `(px, px, 3)` uint8 with the pixels `hidden` `(px, px)` in the mean colour of the others.
 
     A flat patch has no texture that an encoder could take for an object. The mean keeps the overall colour and
     brightness of the picture, which black does not; inpainting the background would need a model of its own.
@@ -106,8 +106,8 @@ def choose_masks(
         instances: `(px, px)` int, number of the object that each pixel shows; below 0: none.
         distance_m: `(px, px)` horizontal distance of the surface that each pixel shows; infinite if unknown.
         ground: `(px, px)` bool, ground that is drivable.
-        sky: `(px, px)` bool.
-        range_m: range of the camera.
+        sky: `(px, px)` bool, whether a pixel shows the sky.
+        range_m: range of the camera, in metres.
 
     Returns:
         Masks of the objects by number, the largest first, and masks of the background.
@@ -133,25 +133,25 @@ def rewards(
     progress: np.ndarray,
     goal_distance_m: np.ndarray,
 ) -> np.ndarray:
-    """Return R, or R_i, `(B, 3)`, from the truth of a scene and a goal.
+    """Return the reward labels R, or R_i of a masked scene, `(B, 3)`, from the truth of scenes and a goal each.
 
     Args:
-        ray_distance_m: `(B, R)`.
-        ray_dynamic: `(B, R)` bool.
-        ray_angles_rad: `(R,)`.
-        progress: `(B, 3)`, from `labels.progress`.
-        goal_distance_m: `(B,)`.
+        ray_distance_m: `(B, R)`, true distances along the rays.
+        ray_dynamic: `(B, R)` bool, whether a ray meets an object of a kind that moves.
+        ray_angles_rad: `(R,)`, angles of the rays, left positive.
+        progress: `(B, 3)`, progress towards the goal in each direction, from `labels.progress`.
+        goal_distance_m: `(B,)`, distances to the goals.
     """
     clearance_m, dynamic = nearest(ray_distance_m, ray_dynamic, ray_angles_rad)
     return reward_label(openness(clearance_m, dynamic, goal_distance_m[:, None]), progress)
 
 
 def labels_changed(rewards_without: np.ndarray, rewards_with: np.ndarray) -> np.ndarray:
-    """Return the actions for which a masked picture is a positive sample, `(..., 3)` bool; else it is a negative one.
+    """Return the actions for which a masked picture is a positive sample, `(..., 3)` bool; for others it is negative.
 
     Args:
-        rewards_without: R_i `(..., 3)`, of the scene without the masked object.
-        rewards_with: R `(..., 3)`.
+        rewards_without: R_i `(..., 3)`, reward labels without the masked object.
+        rewards_with: R `(..., 3)`, reward labels with it.
     """
     return np.abs(rewards_without - rewards_with) > CHANGED_REWARD
 

@@ -1,7 +1,7 @@
-"""Cache of readings of pictures by the state where they were taken, for all runs of a user on a machine.
+"""Cache of readings of pictures, by scene and lattice state, for all runs of a user on a machine.
 
-The cache is one file of fixed size, mapped into memory, in sets of a few slots. Slots have no locks: each carries a
-checksum. A slot that is torn, by two writers at once or by a crash in the middle of a write, counts as empty.
+The cache is one file of fixed size, mapped into memory and divided into sets of a few slots. A slot has a checksum and
+no lock. A slot that is torn, by two writers at once or by a crash during a write, counts as empty.
 """
 
 import errno
@@ -19,29 +19,29 @@ from zsdist.types import LatticeState
 from zsdist.vision.rays import BINS, RAYS
 from zsdist.vision.visual_act import Reading
 
-SHAPES = ((3, BINS), (3,), (RAYS, BINS))  # of the parts of one picture's `Reading`
+SHAPES = ((3, BINS), (3,), (RAYS, BINS))  # shapes of the parts of one picture's `Reading`
 LENGTHS = tuple(int(np.prod(shape)) for shape in SHAPES)
 _PARTS = [slice(sum(LENGTHS[:part]), sum(LENGTHS[: part + 1])) for part in range(len(LENGTHS))]
 KEY_BYTES, CHECK_BYTES = 16, 8
 HEAD_BYTES = KEY_BYTES + CHECK_BYTES
 SLOT_BYTES = HEAD_BYTES + 2 * sum(LENGTHS)
-WAYS = 4  # slots of a set
+WAYS = 4  # number of slots of a set
 SET_BYTES = WAYS * SLOT_BYTES
 PREFIX = f"zsdist-readings-{os.getuid()}-"
 
 
 class ReadingCache:
-    """Readings by (vision, scene, cell, heading), in float16, in a file of at most `size_bytes`.
+    """Readings by (vision model, scene, cell, heading), in float16, in a file of at most `size_bytes`.
 
     The file is in the machine's folder for temporary files: several machines may share any other folder, and their
     mapped pages do not agree. The file stays, so that a later or parallel run in the same scenes finds the readings.
-    Its space is reserved when it is created, since a mapped file on a full disk kills its writer. An unused file of
-    another size is removed, so that a user has one file unless runs with different sizes are active at once: each
-    process holds a shared lock on its file, which ends with the process.
+    Its space is reserved when it is created, since a mapped file on a full disk kills its writer. Each process holds a
+    shared lock on its file, which ends with the process. An unused file of another size is removed, so a user has one
+    file unless runs with different sizes are active at once.
 
     Args:
-        size_bytes: size of the file.
-        vision: everything that a reading depends on besides scene and state; readings of another vision are not found.
+        size_bytes: greatest size of the file in bytes.
+        vision: text that names everything else that a reading depends on; readings with another text are not found.
 
     Raises:
         ConfigError: `size_bytes` is too small for one set of slots.

@@ -1,12 +1,12 @@
-"""Scores of a reading of images: the action that it would choose, and the rays that it would put on the map."""
+"""Scores of the vision model's outputs: the best action that they imply, and the distances along rays."""
 
 import numpy as np
 
 MISS_M = (1.5, 2.5)  # a miss: the true distance is below the first, the predicted one above the second
 FALSE_ALARM_M = (3.5, 2.0)  # a false alarm: the true distance is above the first, the predicted one below the second
-NEAR_OBJECT_M = 2.5  # an object counts if its nearest point in view is nearer
-UNSEEN_BEYOND_M = 1.0  # an object is unseen if every prediction along its rays is too long by more
-LEAST_RAYS = 2  # an object that fewer rays meet does not count: it is too narrow, or too little of it is in view
+NEAR_OBJECT_M = 2.5  # an object counts if its nearest point in view is nearer than this
+UNSEEN_BEYOND_M = 1.0  # an object is unseen if all predictions along its rays are too long by more than this
+LEAST_RAYS = 2  # an object on fewer rays does not count: it is too narrow, or too little of it is in view
 
 
 def action_scores(predicted: np.ndarray, labels: np.ndarray) -> dict[str, float]:
@@ -36,12 +36,12 @@ def ray_scores(predicted_m: np.ndarray, true_m: np.ndarray) -> dict[str, float]:
 
 
 def calibration(quantile_m: np.ndarray, true_m: np.ndarray, range_m: float) -> dict[str, float]:
-    """Return how often the truth lies below a quantile; a calibrated reading gives the share of the quantile.
+    """Return how often the truth lies below a quantile; for a calibrated model that is the quantile's share.
 
     Args:
-        quantile_m: `(N, R)` a quantile of the predicted distances, at most `range_m`.
-        true_m: `(N, R)`, capped at `range_m`.
-        range_m: range of the camera.
+        quantile_m: `(N, R)`, quantile of the predicted distances, at most `range_m`.
+        true_m: `(N, R)`, true distances, capped at `range_m`.
+        range_m: range of the camera, in metres.
 
     Returns:
         `short`: the share over rays whose quantile is below the range, NaN if there is none; `all`: the share over all
@@ -92,8 +92,8 @@ def depth_rays_m(
     Args:
         depth_m: `(..., px, px)` along the camera's axis; infinite or beyond the range where there is no surface.
         rays: number of groups of pixel columns.
-        field_of_view_rad: of the square image.
-        camera_height_m: above the ground.
+        field_of_view_rad: field of view of the square image.
+        camera_height_m: height of the camera above the ground.
         range_m: horizontal distance beyond which a ray is free.
         sight_m: height above which nothing obstructs the car.
 
@@ -101,7 +101,7 @@ def depth_rays_m(
         `(..., rays)` horizontal distances in metres, at most `range_m`.
     """
     px = depth_m.shape[-1]
-    slope = np.tan(field_of_view_rad / 2) * (1 - 2 * (np.arange(px) + 0.5) / px)  # of rows up, of columns left
+    slope = np.tan(field_of_view_rad / 2) * (1 - 2 * (np.arange(px) + 0.5) / px)  # rows up, columns left
     depth_m = np.where(np.isfinite(depth_m), depth_m, 1e3)
     height = camera_height_m + depth_m * slope[:, None]
     # the ground at the far end of a pixel seems higher than zero, by at most one pixel's extent

@@ -47,11 +47,11 @@ class Reading(NamedTuple):
 
 
 class Observation(NamedTuple):
-    """Attention of the head on B images, and embeddings of the attended parts in the space of words.
+    """Attention of the head on B images, and embeddings of the attended parts in text space.
 
     Attributes:
-        attention: `(B, 3, side * side)` of the actions forward, left and right; each sums to 1.
-        embeddings: `(B, 4, D)` of unit length: I_0 of the whole image, I_1 to I_3 under each action's attention.
+        attention: `(B, 3, side * side)`, attention of the actions forward, left and right; each sums to 1.
+        embeddings: `(B, 4, D)`, unit vectors: I_0 of the whole image, I_1 to I_3 under each action's attention.
     """
 
     attention: np.ndarray
@@ -61,8 +61,8 @@ class Observation(NamedTuple):
 class VisualAct:
     """Encoder and head, or the student, which needs no encoder. Use `VisualAct.load`.
 
-    The three attributes below identify the vision that a policy is trained with. A student is its own encoder: its
-    name is `STUDENT_NAME`, and both hashes are those of its weights.
+    The three attributes below identify the vision model that a policy is trained with. A student is its own encoder:
+    its name is `STUDENT_NAME`, and both hashes are those of its weights.
 
     Args:
         weights: folder of weights; only the file of the network in use is read.
@@ -110,12 +110,12 @@ class VisualAct:
         return cls(weights, encoder, config.ray_quantile)
 
     def __call__(self, images: np.ndarray, goal_bearing_rad: np.ndarray, goal_distance_m: np.ndarray) -> list[View]:
-        """Return the view of each image: `views` of `read`.
+        """Return the view of each image.
 
         Args:
             images: `(B, px, px, 3)` uint8.
             goal_bearing_rad: `(B,)` direction of the goal from the car's heading, left positive.
-            goal_distance_m: `(B,)`.
+            goal_distance_m: `(B,)`, distance to the goal.
 
         Raises:
             ImageError: `images` has another shape or dtype.
@@ -196,7 +196,7 @@ class VisualAct:
 
 
 def _code() -> str:
-    """Return a short hash of the networks' source files: the same weights in other code are another network."""
+    """Return a short hash of the networks' source files, since the same weights in other code are another network."""
     here = Path(__file__).parent
     sources = (*sorted((here / "models").glob("*.py")), here / "labels.py", here / "rays.py")
     return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:8]

@@ -1,7 +1,7 @@
 """Folder of vision weights: its files, their origin and their integrity.
 
 `visual_act.json` holds the encoder and camera that the weights are for, how they were made, and the SHA-256 of each
-file beside it; a file that it does not name does not count. Only files that are asked for are read. Each stage of the
+other file; a file that it does not name is ignored. A file is read only when it is requested. Each stage of the
 training appends its figures to `training.jsonl`: one JSON object per epoch, with the keys "stage", "epoch" and others.
 """
 
@@ -31,7 +31,7 @@ CAMERA_KEYS = ("field_of_view_deg", "range_m", "height_m")
 
 @dataclass(frozen=True)
 class WeightsFolder:
-    """Folder of weights whose metadata is loaded. Use `read` or `write` to make one.
+    """Folder of weights with its metadata. Use `read` or `write` to make one.
 
     Attributes:
         path: path of the folder.
@@ -56,7 +56,7 @@ class WeightsFolder:
         return self.metadata["files"][file]
 
     def content(self, file: str) -> bytes:
-        """Return the bytes of `file`; raise `WeightsError` if it is missing or its hash is not that of the metadata."""
+        """Return the bytes of `file`; raise `WeightsError` if it is missing or its hash differs from the metadata's."""
         allowed, path = self.sha256(file), self.path / file
         try:
             content = path.read_bytes()
@@ -81,7 +81,7 @@ class WeightsFolder:
             raise WeightsError(f"history {path} is damaged: {error}") from error
 
     def check_camera(self, camera: CameraConfig) -> None:
-        """Raise `WeightsError` unless the weights were trained for such a camera."""
+        """Raise `WeightsError` unless the weights were trained for a camera with these settings."""
         for key in CAMERA_KEYS:
             if self.metadata["camera"][key] != getattr(camera, key):
                 raise WeightsError(
@@ -105,7 +105,7 @@ def locate(weights: str) -> Path:
 
 
 def read(path: Path) -> WeightsFolder:
-    """Return the folder at `path`; its files are read when they are asked for.
+    """Return the folder at `path`; its files are read when they are requested.
 
     Raises:
         WeightsError: the metadata is missing, damaged, incomplete or of another version.
@@ -137,12 +137,12 @@ def write(path: Path, modules: Mapping[str, bytes], metadata: Mapping[str, Any])
     """Write a folder of weights, or replace the files of an existing one; its history stays.
 
     Each file is replaced atomically and the metadata is written last, so that an interruption leaves a folder that is
-    either whole or refused.
+    either complete or refused.
 
     Args:
         path: path of the folder; created if it does not exist.
         modules: content of each file by its name.
-        metadata: as in `WeightsFolder`, without "version" and "files".
+        metadata: metadata as in `WeightsFolder`, without "version" and "files".
 
     Raises:
         WeightsError: the folder cannot be written.

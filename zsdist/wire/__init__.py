@@ -1,1 +1,1 @@
-"""Messages between roles, their bytes, and the keys under which they travel; without any input or output."""
+"""Messages between roles, their bytes, and the keys under which they are sent; without any input or output."""

@@ -1,7 +1,7 @@
-"""Check that a message arrived under the key of its sender.
+"""Check that a message arrived under the key that belongs to its sender.
 
-A hub with certificates lets each certificate use certain keys only. A message's statement about its sender can
-therefore be trusted if the key agrees with it.
+A hub with certificates lets each certificate use only certain keys. So the sender that a message names can be trusted
+if the key agrees with it.
 """
 
 from collections.abc import Callable, Mapping
@@ -27,7 +27,7 @@ from zsdist.wire.messages import (
 
 
 def require(key: str, run: str, message: AnyMessage) -> None:
-    """Raise `DecodeError` with the reason `key` unless `message` may travel under `key` in the run `run`."""
+    """Raise `DecodeError` with the reason `key` unless `message` may be sent under `key` in the run `run`."""
     parsed = keys.parse(key)
     kind, fields = _ADDRESSES[type(message)](message)
     if parsed is None or (parsed.run, parsed.kind) != (run, kind):
@@ -38,7 +38,7 @@ def require(key: str, run: str, message: AnyMessage) -> None:
 
 
 def _of_records(message: Records) -> tuple[str, dict[str, Any]]:
-    """Return the kind of key and its fields."""
+    """Return the kind of key for records, and its fields."""
     if message.stream == EPISODES:
         return "episodes", {"actor": message.actor, "epoch": message.epoch}
     return "evaluation", {"actor": message.actor}

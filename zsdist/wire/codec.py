@@ -38,7 +38,7 @@ Columns = dict[str, np.ndarray]
 Expected = TypeVar("Expected", bound=AnyMessage)
 
 MIB = 2**20
-MAX_COUNT = 2**62  # sequence numbers, totals, epochs and versions are below it
+MAX_COUNT = 2**62  # upper bound, excluded, of sequence numbers, totals, epochs and versions
 _LEVELS = tuple(str(level) for level in Level)
 _RECORD_STREAMS = (EPISODES, EVALUATION)
 _PARAMETER = re.compile(r"[A-Za-z0-9._/-]{1,200}")
@@ -49,12 +49,12 @@ class _Kind:
     """Encoding of one type of message.
 
     Attributes:
-        number: identifies the type on the wire.
-        limit: most bytes that its content may have once inflated.
-        split: returns JSON fields and columns of a message.
-        check: raises `DecodeError` unless fields and columns are valid.
-        build: makes the message from fields and columns that have passed `check`.
-        packing: of the content, see `zsdist.wire.frame`.
+        number: number of the type on the wire.
+        limit: most bytes of the content after decompression.
+        split: function that returns the JSON fields and columns of a message.
+        check: function that raises `DecodeError` unless fields and columns are valid.
+        build: function that returns the message from fields and columns that have passed `check`.
+        packing: packing of the content, see `zsdist.wire.frame`.
     """
 
     number: int
@@ -69,7 +69,7 @@ def encode(message: AnyMessage, *, packing: int | None = None) -> bytes:
     """Return the bytes of a message.
 
     Args:
-        message: to be sent.
+        message: message to send.
         packing: `PLAIN` or `ZSTD` of `zsdist.wire.frame`; None: the packing of its type.
 
     Raises:
@@ -97,10 +97,10 @@ def decode(payload: bytes, *, expect: type | tuple[type, ...] | None = None) -> 
 
     Args:
         payload: any bytes.
-        expect: types of message that are allowed; others are refused before anything is inflated.
+        expect: allowed types of message; others are refused before decompression; None: all types.
 
     Raises:
-        DecodeError: the bytes are not a valid message; `reason` says why in a word.
+        DecodeError: the bytes are not a valid message; `reason` gives the reason in a word.
     """
     number = frame.read_kind(payload)
     if number not in _BY_NUMBER:

@@ -1,8 +1,8 @@
 """Conversion of trajectories and batches to columns and back, and checks of such columns.
 
-States travel as float16: 11 significant bits, magnitudes up to 65504, and values below 6e-8 are rounded to zero. With
-every transport both ends use the rounded values, and rounding again changes nothing. Rewards and discounts are float32.
-Masks are packed, eight to a byte.
+States are sent as float16: 11 significant bits, magnitudes up to 65504, and values below 6e-8 are rounded to zero. With
+every transport, both ends use the rounded values, and a second rounding changes nothing. Rewards and discounts are
+float32. Masks are packed, eight to a byte.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ from zsdist.types import NO_GUIDE, Behaviour, Level, StoredBatch, Trajectories, 
 
 MAX_ACTIONS = 64
 MAX_STATE_SIZE = 65_536
-MAX_VERSION = 2**62  # weight versions are below it
+MAX_VERSION = 2**62  # upper bound, excluded, of weight versions
 
 Schema = Mapping[str, tuple[np.dtype, int]]  # dtype and number of dimensions by name
 
@@ -51,7 +51,7 @@ PRIORITY_COLUMNS: Schema = {"serials": (np.dtype("int64"), 1), "errors": (np.dty
 
 
 def from_trajectories(trajectories: Sequence[Trajectory], level: Level) -> tuple[dict[str, np.ndarray], int]:
-    """Return the columns of trajectories, one after the other, and the number of actions; raise `DecodeError`."""
+    """Return the joined columns of trajectories, and the number of actions; raise `DecodeError` if they are invalid."""
     if not trajectories:
         return {}, 0
     state_size, actions = trajectories[0].states.shape[-1], trajectories[0].masks.shape[-1]
@@ -105,7 +105,7 @@ def check_trajectories(columns: Mapping[str, np.ndarray], actions: int) -> int:
     successors = columns["successors"] + (ends - lengths).repeat(lengths)  # indices among all transitions
     if (successors <= np.arange(transitions)).any() or (successors > ends.repeat(lengths)).any():
         raise DecodeError("successor", "outside its trajectory, or not after its transition")
-    if (successors[1:] < successors[:-1]).any():  # those of the next trajectory are larger anyway
+    if (successors[1:] < successors[:-1]).any():  # successors in the next trajectory are larger anyway
         raise DecodeError("successor", "decreasing")
     return transitions
 
@@ -120,7 +120,7 @@ def to_trajectories(columns: Mapping[str, np.ndarray], actions: int, level: Leve
 
 
 def from_batch(batch: StoredBatch) -> tuple[dict[str, np.ndarray], int]:
-    """Return the columns of a batch and its number of actions; raise `DecodeError`."""
+    """Return the columns of a batch and its number of actions; raise `DecodeError` if a dtype or value is invalid."""
     columns = {
         name: _to_wire_dtype(getattr(batch, name), name, dtype.type)
         for name, (dtype, _) in BATCH_COLUMNS.items()
@@ -153,7 +153,7 @@ def check_batch(columns: Mapping[str, np.ndarray], actions: int) -> None:
 
 
 def check_priorities(columns: Mapping[str, np.ndarray]) -> None:
-    """Raise `DecodeError` unless the columns are valid errors of one row or more."""
+    """Raise `DecodeError` unless the columns are valid priorities of one row or more."""
     require_columns(columns, PRIORITY_COLUMNS)
     rows = len(columns["serials"])
     if not rows:
@@ -199,7 +199,7 @@ def require_finite(column: np.ndarray, name: str) -> None:
 
 
 def _to_wire_dtype(column: np.ndarray, name: str, dtype: type) -> np.ndarray:
-    """Return a column in the dtype it travels in; raise `DecodeError` if a value changes by more than rounding."""
+    """Return a column in the dtype it is sent in; raise `DecodeError` if a value changes by more than rounding."""
     if column.dtype == dtype:
         return column
     if not np.issubdtype(dtype, np.floating):

@@ -3,14 +3,14 @@
 Layout, little-endian:
 
     magic (4) | version (1) | kind (1) | packing (1) | zero (1) | size of the body (4) | CRC-32 of all other bytes (4)
-    body: packing 0: the content; packing 1: one zstd frame of it that declares the content's size
+    body: packing 0: the content; packing 1: one zstd frame of the content that declares its size
     content: size of the JSON (4) | JSON | columns, each padded with zeros to a multiple of 8 bytes
 
 The JSON is `{"meta": ..., "columns": [[name, dtype, shape], ...]}`, padded with spaces so that the columns begin at a
 multiple of 8 bytes and can be read in place, without a copy of each.
 
-`unpack` trusts no byte: it raises `DecodeError` and nothing else, and inflates nothing before the declared size is
-found to be within the limit.
+`unpack` trusts no byte: the only error it raises is `DecodeError`, and it decompresses nothing before it has checked
+that the declared size is within the limit.
 """
 
 import json
@@ -35,7 +35,7 @@ MAX_COLUMN_NAME = 200
 
 _HEADER = struct.Struct("<4sBBBBII")
 _SIZE = struct.Struct("<I")
-_CHECKED = _HEADER.size - _SIZE.size  # bytes of the header that the checksum covers: all before itself
+_CHECKED = _HEADER.size - _SIZE.size  # bytes of the header that the checksum covers: all before the checksum
 _PACKING_AT = 6  # offset of the packing in the header
 _ALIGNMENT = 8  # bytes of the largest item of a column
 _ZSTD_LEVEL = 1  # level 3 gains under 3.5 % here
@@ -49,14 +49,14 @@ def pack(kind: int, meta: dict[str, Any], columns: Mapping[str, np.ndarray], lim
     """Return the bytes of a message.
 
     Args:
-        kind: number of its type, 0 to 255.
+        kind: number of the message's type, 0 to 255.
         meta: JSON object.
         columns: arrays by name.
         limit: most bytes that the content may have.
         packing: `PLAIN` or `ZSTD`.
 
     Raises:
-        DecodeError: the receiver would refuse it: too large, a dtype that is not allowed, or not JSON.
+        DecodeError: the receiver would refuse the message: too large, a dtype that is not allowed, or not JSON.
     """
     descriptions = []
     parts: list[bytes | memoryview] = [b""]
@@ -79,11 +79,11 @@ def pack(kind: int, meta: dict[str, Any], columns: Mapping[str, np.ndarray], lim
     checksum = zlib.crc32(header)
     for part in parts:
         checksum = zlib.crc32(part, checksum)
-    return b"".join((header, _SIZE.pack(checksum), *parts))  # the one copy
+    return b"".join((header, _SIZE.pack(checksum), *parts))  # the only copy
 
 
 def seal(kind: int, body: bytes, packing: int = ZSTD, *, version: int = VERSION) -> bytes:
-    """Return a message whose body is packed already, with its header and checksum."""
+    """Return a message with header and checksum for a body that is already packed."""
     header = _header(kind, len(body), packing, version)
     return b"".join((header, _SIZE.pack(zlib.crc32(body, zlib.crc32(header))), body))
 
@@ -113,11 +113,11 @@ def read_kind(payload: bytes) -> int:
 
 
 def unpack(payload: bytes, limit: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return meta object and columns of a message whose header `read_kind` has checked.
+    """Return the meta object and the columns of a message whose header `read_kind` has checked.
 
     Args:
         payload: the whole message.
-        limit: most bytes that its content may have.
+        limit: most bytes of the content after decompression.
 
     Returns:
         The meta object, and the columns by name. They are parts of one buffer that belongs to the caller.
@@ -181,7 +181,7 @@ def require_json(value: object) -> None:
 
 
 def _copied(body: memoryview, limit: int) -> bytearray:
-    """Return a copy of content that travelled plain."""
+    """Return a copy of content that was sent uncompressed."""
     if len(body) > limit:
         raise DecodeError("size", f"{len(body)} bytes; allowed are at most {limit}")
     return bytearray(body)

@@ -1,4 +1,4 @@
-"""Keys under which the messages of a run travel. Every key begins with `zsdist/{run}/`.
+"""Keys under which the messages of a run are sent. Every key begins with `zsdist/{run}/`.
 
 A role is named by its kind, such as `actor`, and its id, a number or a level: `actor` and `3`, `learner` and `low`. A
 field called `actor` holds both, `actor-3`. A function that gets `ANY` in place of a name returns a pattern that matches
@@ -51,27 +51,27 @@ def is_name(text: str) -> bool:
 
 
 def push(run: str, level: Level | str, actor: str, epoch: int | str) -> str:
-    """Return the key of trajectories of one actor and level, to the replay."""
+    """Return the key of the trajectories of one actor and level, actor to replay."""
     return _join(run, "push", level, actor, epoch)
 
 
 def episodes(run: str, actor: str, epoch: int | str) -> str:
-    """Return the key of an actor's records of finished episodes, to the scheduler."""
+    """Return the key of an actor's records of finished episodes, actor to scheduler."""
     return _join(run, "episodes", actor, epoch)
 
 
 def ack(run: str, actor: str) -> str:
-    """Return the key of acknowledgements and credit for all streams of an actor."""
+    """Return the key of acknowledgements and credit for all streams of an actor, receivers to actor."""
     return _join(run, "ack", actor)
 
 
 def sample(run: str, level: Level | str, shard: int = 0) -> str:
-    """Return the key of requests for batches to a shard of the replay; shard 0 has the key of an undivided one."""
+    """Return the key of requests for batches to a shard of the replay; shard 0 has the key of an unsharded replay."""
     return _join(run, "sample", level, *((shard,) if shard else ()))
 
 
 def priority(run: str, level: Level | str, shard: int = 0) -> str:
-    """Return the key of priorities of sampled transitions, learner to a shard of the replay."""
+    """Return the key of the priorities of sampled transitions, learner to a shard of the replay."""
     return _join(run, "priority", level, *((shard,) if shard else ()))
 
 
@@ -86,7 +86,7 @@ def candidate(run: str, level: Level | str, name: str) -> str:
 
 
 def evaluation(run: str, actor: str) -> str:
-    """Return the key of jobs for greedy drives, scheduler to actor, and of their results, actor to scheduler."""
+    """Return the key of requests for greedy drives, scheduler to actor, and of their results, actor to scheduler."""
     return _join(run, "evaluation", actor)
 
 
@@ -96,12 +96,12 @@ def control(run: str, role: str) -> str:
 
 
 def stats(run: str, role: str, identifier: str) -> str:
-    """Return the key of a role's statistics, JSON, at least once a second."""
+    """Return the key of a role's statistics, which are JSON and sent at least once a second."""
     return _join(run, "stats", role, identifier)
 
 
 def events(run: str) -> str:
-    """Return the key of events for the log, JSON."""
+    """Return the key of events for the log, which are JSON."""
     return _join(run, "events")
 
 

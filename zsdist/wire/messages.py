@@ -1,7 +1,7 @@
 """Messages between roles, one frozen dataclass each.
 
 `sender_epoch` is the incarnation of the sending role. A receiver ignores messages of an incarnation older than the
-newest it has heard, so a process that was replaced and wakes up again does no harm.
+newest it has received, so a process that was replaced and wakes up again does no harm.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from zsdist.types import Ack, Level, Parameters, StoredBatch, Trajectory, Weight
 
 EPISODES = "episodes"  # stream of records of finished episodes
 EVALUATION = "evaluation"  # stream of results of greedy drives
-MAX_BATCHES = 16  # in a reply
+MAX_BATCHES = 16  # most batches in a reply
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Push:
 
 @dataclass(frozen=True)
 class Records:
-    """Numbered frame of JSON records, actor to scheduler; acknowledged like a `Push`, whose other attributes it shares.
+    """Numbered frame of JSON records, actor to scheduler, acknowledged like a `Push`; other attributes as there.
 
     Attributes:
         stream: `EPISODES` or `EVALUATION`.
@@ -74,8 +74,8 @@ class SampleRequest:
     """Request of a learner for batches.
 
     Attributes:
-        updates: updates that the learner has made so far.
-        batches: most batches that it accepts, 1 to `MAX_BATCHES`.
+        updates: number of updates that the learner has made so far.
+        batches: most batches that the learner accepts, 1 to `MAX_BATCHES`.
     """
 
     sender_epoch: int
@@ -86,12 +86,12 @@ class SampleRequest:
 
 @dataclass(frozen=True)
 class SampleReply:
-    """Reply of the replay.
+    """Reply of the replay to a `SampleRequest`.
 
     Attributes:
-        batch: the sampled transitions; None if too few are stored, or the learner is ahead of the data.
-        held: transitions that the replay holds.
-        waited_s: time until the request could be served.
+        batch: sampled transitions; None if too few are stored, or if the learner is ahead of the data.
+        held: number of transitions that the replay holds.
+        waited_s: seconds until the request could be served.
         batches: number of batches that were available, which are equal parts of `batch`.
     """
 
@@ -123,7 +123,7 @@ class WeightsMessage:
 
     Attributes:
         merge: number of promotions so far.
-        sha256: hash of the parameters.
+        sha256: hash of the parameters, from `zsdist.dqn.network.sha256`.
         made_s: unix seconds at which this version was made, by the learner's clock.
     """
 
@@ -136,7 +136,7 @@ class WeightsMessage:
 
 @dataclass(frozen=True)
 class Candidate:
-    """Parameters of the candidate `name` for promotion in merge number `merge`."""
+    """Parameters of the candidate `name` in the merge with number `merge`."""
 
     sender_epoch: int
     level: Level
@@ -147,7 +147,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Orders:
-    """Orders of the scheduler to a role: the complete wanted state, a JSON object, sent again from time to time."""
+    """Orders of the scheduler to a role: the complete wanted state as a JSON object, sent again from time to time."""
 
     sender_epoch: int
     role: str
@@ -156,7 +156,7 @@ class Orders:
 
 @dataclass(frozen=True)
 class Jobs:
-    """Greedy drives that an actor should make for the scheduler: the complete wanted state, a JSON object."""
+    """Greedy drives that the scheduler wants from an actor: the complete wanted state as a JSON object."""
 
     sender_epoch: int
     actor: str
@@ -165,7 +165,7 @@ class Jobs:
 
 @dataclass(frozen=True)
 class State:
-    """Checkpoint of a role: `meta` is a JSON object, and `arrays` are kept bit for bit, NaN and infinity included."""
+    """Checkpoint of a role: `meta` is a JSON object, and `arrays` stay bit-identical, including NaN and infinity."""
 
     role: str
     meta: dict[str, Any]

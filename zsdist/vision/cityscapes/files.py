@@ -45,11 +45,11 @@ class Calibration:
     """Calibration of the left camera, in pixels, metres and radians.
 
     Attributes:
-        fx_px, fy_px: focal lengths.
+        fx_px, fy_px: horizontal and vertical focal length.
         u0_px, v0_px: column and row of the optical axis.
-        baseline_m: distance between the two cameras.
-        pitch_rad: pitch of the axis, positive downwards.
-        height_m: height above the ground.
+        baseline_m: distance between the two cameras of the stereo pair.
+        pitch_rad: pitch of the optical axis, positive downwards.
+        height_m: height of the camera above the ground.
     """
 
     fx_px: float
@@ -69,9 +69,9 @@ class CityscapesFrame:
         name: `<city>_<sequence>_<frame>`.
         picture: `(H, W, 3)` uint8, RGB.
         labels: `(H, W)` int32, the data set's label of each pixel.
-        objects: `(H, W)` int32, a number for each standing or moving object, -1 for none. Objects with an instance
-            number keep it; each polygon of the others is an object.
-        depth_m: `(H, W)` float32, along the camera's axis; infinite if not measured.
+        objects: `(H, W)` int32, number of the standing or moving object at each pixel; -1: none. It is the data set's
+            instance number, or, for labels without instances, the number of the polygon.
+        depth_m: `(H, W)` float32, depth along the camera's axis; infinite if not measured.
         calibration: calibration of the camera.
     """
 
@@ -104,7 +104,7 @@ def read_frame(picture: Path) -> CityscapesFrame:
     """Return the frame of a picture that `frames` found.
 
     Raises:
-        DataError: a file is missing, damaged, or does not fit the others.
+        DataError: a file is missing or damaged, or does not match the others.
     """
     name = picture.name.removesuffix(_PICTURE)
     if not re.fullmatch(r".+_\d{6}_\d{6}", name):
@@ -142,7 +142,7 @@ def _objects(polygons: list[tuple[str, np.ndarray]], instances: np.ndarray, labe
 
 
 def _polygons(path: Path) -> list[tuple[str, np.ndarray]]:
-    """Return label and corners `(K, 2)` int32 of each polygon."""
+    """Return the label and the corners `(K, 2)` int32, in pixels, of each polygon."""
     objects = _json(path, "objects")["objects"]
     try:
         return [
@@ -188,7 +188,7 @@ def _json(path: Path, *keys: str) -> dict[str, Any]:
 
 
 def _png(path: Path, dtype: type, channels: int) -> np.ndarray:
-    """Return a PNG image, `(H, W)` or `(H, W, 3)`; raise `DataError` unless the file is whole and of this type."""
+    """Return a PNG image, `(H, W)` or `(H, W, 3)` BGR; raise `DataError` unless the file is whole and of this type."""
     try:
         data = path.read_bytes()
     except OSError as error:

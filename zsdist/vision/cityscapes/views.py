@@ -39,10 +39,11 @@ from zsdist.vision.masks import Mask, MaskedView, choose_masks
 from zsdist.vision.rays import RAYS
 
 SCALE = 5.0
-SIGHT_HEIGHT_M = 1.5  # in metres of the street: objects above it, such as a tree crown, do not obstruct
-_FINER = 4  # pixels of the level view per pixel of the picture, along a side: for thin objects and a smooth picture
-_LEAST_PIXELS, _LEAST_SHARE = 8, 0.03  # of a ray's hits, needed at a distance or nearer: fewer are stray stereo values
-_UNLABELLED_SHARE = 0.5  # of a ray's view; with more unlabelled pixels its content is unknown
+SIGHT_HEIGHT_M = 1.5  # in metres of the street: parts of objects above it, such as a tree crown, do not obstruct
+_FINER = 4  # pixels of the level view per pixel of the picture, along a side: keeps thin objects, smooths the picture
+# A ray's distance needs so many pixels, and such a share of its hits, at it or nearer: fewer are stray stereo values.
+_LEAST_PIXELS, _LEAST_SHARE = 8, 0.03
+_UNLABELLED_SHARE = 0.5  # share of a ray's pixels; with more unlabelled ones its content is unknown
 _OUTSIDE = -1  # label of pixels outside the frame
 
 
@@ -70,16 +71,16 @@ def cityscapes_views(
 ) -> Iterator[CityView]:
     """Yield pictures of the frames `first` to `first + count` in a random order, the same for the same arguments.
 
-    Frames with a ray that covers mostly unlabelled pixels are left out. There are fewer pictures if the split ends.
+    Frames with a ray of mostly unlabelled pixels are skipped. If the split ends, there are fewer pictures.
 
     Args:
         folder: root of a Cityscapes copy.
         split: "train" or "val".
-        count: number of frames, so of pictures at most.
+        count: number of frames, which is the greatest number of pictures.
         seed: seed of the order.
         camera: resolution, field of view and range.
-        scale: metres of the street per metre of the car.
-        first: number of the first frame in that order; it allows several callers to share one order.
+        scale: metres of street that count as one metre.
+        first: number of the first frame in the random order, so that several callers can share one order.
 
     Raises:
         DataError: the folder or one of its files is not as expected.
@@ -94,7 +95,7 @@ def cityscapes_masked_views(
 ) -> Iterator[MaskedView]:
     """Yield the same pictures with their masks; arguments and errors as in `cityscapes_views`.
 
-    The part of the scene behind an object is unknown. The truth without the object uses the remaining pixels alone.
+    The scene behind an object is unknown, so the truth without the object comes from the remaining pixels alone.
     """
     for level in _levels(folder, split, range(first, first + count), seed, camera, scale):
         whole = level.truth()
@@ -110,16 +111,16 @@ def cityscapes_masked_views(
 
 @dataclass(frozen=True)
 class _LevelView:
-    """View of a level camera on a frame, in arrays `(n, n)` with n of `_FINER` times the picture's size.
+    """Frame as a level camera sees it, in arrays `(n, n)`, where n is `_FINER` times the picture's size.
 
     Attributes:
         name: name of the frame.
         image: `(size_px, size_px, 3)` uint8.
-        labels: labels of the data set, or `_OUTSIDE`.
-        objects: as in `CityscapesFrame.objects`.
-        distance_m: horizontal distance over the scale; infinite if unknown.
-        obstructs: whether a standing or moving object below `SIGHT_HEIGHT_M` is there.
-        range_m: range of the camera.
+        labels: label of each pixel in the data set, or `_OUTSIDE`.
+        objects: object at each pixel, as in `CityscapesFrame.objects`.
+        distance_m: horizontal distance divided by the scale; infinite if unknown.
+        obstructs: whether a pixel shows a standing or moving object below `SIGHT_HEIGHT_M`.
+        range_m: range of the camera, in metres.
     """
 
     name: str
@@ -136,7 +137,7 @@ class _LevelView:
         return hashlib.sha256(self.name.rpartition("_")[0].encode()).hexdigest()[:16]
 
     def truth(self, without: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return distance `(R,)` float32 and "dynamic" `(R,)` bool of each ray, ignoring the object `without`."""
+        """Return each ray's distance `(R,)` float32, in m, and "dynamic" `(R,)` bool, ignoring the object `without`."""
         distance_m, dynamic = np.full(RAYS, self.range_m, np.float32), np.zeros(RAYS, bool)
         for ray, columns in enumerate(np.array_split(np.arange(self.labels.shape[1]), RAYS)):
             view = slice(None), slice(columns[0], columns[-1] + 1)
@@ -177,7 +178,7 @@ def _levels(
 
 
 def _level_view(frame: CityscapesFrame, camera: CameraConfig, scale: float) -> _LevelView:
-    """Return a frame as a level camera would have taken it, with distances from stereo, else from the ground.
+    """Return a frame as a level camera would have taken it, with distances from stereo, or else from the ground.
 
     A pixel of the level view has the direction `(1, right, down)`. An object without a stereo measurement is as far
     away as the ground below it in its column, whose distance follows from the camera's height.

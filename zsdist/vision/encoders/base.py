@@ -21,12 +21,13 @@ class Encoder(Protocol):
     encoder we train one.
 
     Attributes:
-        name: such as "efficientnet-lite0/block10" or "clip/vit-b-32".
-        sha256: of the image tower's weights file, 64 hexadecimal digits.
-        text_sha256: likewise of the text tower, which is loaded at first use; both towers may be in one file.
-        input_px: side of the square images that it takes without resampling.
-        side: tokens in a row and in a column.
-        features: width of a token.
+        name: name of the encoder, such as "efficientnet-lite0/block10" or "clip/vit-b-32".
+        sha256: SHA-256 of the image tower's weights file, 64 hexadecimal digits.
+        text_sha256: SHA-256 of the text tower's weights file; the tower is loaded at first use. Both towers may be in
+            one file.
+        input_px: side in pixels of the square images that need no resampling.
+        side: number of tokens in a row and in a column.
+        features: number of features of a token.
     """
 
     name: str
@@ -37,7 +38,7 @@ class Encoder(Protocol):
 
     @property
     def text_sha256(self) -> str:
-        """SHA-256 as above; raises as `embed_texts`."""
+        """SHA-256 of the text tower's weights file; raises like `embed_texts`."""
 
     def tokens(self, images: np.ndarray) -> np.ndarray:
         """Return tokens `(B, side, side, features)` float32 of images `(B, px, px, 3)` uint8, from the top left."""
@@ -69,7 +70,7 @@ def similarity(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    """Return vectors `(..., D)` at unit length; raise `ValueError` if one is zero or not finite."""
+    """Return vectors `(..., D)` scaled to unit length; raise `ValueError` if one is zero or not finite."""
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
     if not (np.isfinite(lengths) & (lengths > 0)).all():
         raise ValueError("a vector has no direction; allowed are finite vectors other than zero")
@@ -91,7 +92,7 @@ def check_texts(texts: Sequence[str]) -> list[str]:
 
 
 def run_text_tower(tokenizer: "Tokenizer", tower: "InferenceSession", texts: list[str]) -> np.ndarray:
-    """Return embeddings `(N, D)` float32 of texts by a tower from "ids" to "embedding", some texts at a time."""
+    """Return embeddings `(N, D)` float32 of texts from a tower with input "ids" and output "embedding", in batches."""
     parts: list[np.ndarray] = []
     for begin in range(0, len(texts), TEXTS_AT_ONCE):
         encoded = tokenizer.encode_batch(texts[begin : begin + TEXTS_AT_ONCE])
@@ -101,7 +102,7 @@ def run_text_tower(tokenizer: "Tokenizer", tower: "InferenceSession", texts: lis
 
 
 def resample(images: np.ndarray, size_px: int) -> np.ndarray:
-    """Return square images at another size, `(B, size_px, size_px, 3)` uint8; a new pixel is the mean of its area."""
+    """Return square images at another size, `(B, size_px, size_px, 3)` uint8; a new pixel is a mean over its area."""
     side = images.shape[1]
     if side == size_px:
         return images
@@ -111,7 +112,7 @@ def resample(images: np.ndarray, size_px: int) -> np.ndarray:
 
 
 def _coverage(old: int, new: int) -> np.ndarray:
-    """Return weights `(new, old)` of old pixels in new ones along a row: triangles as wide as the coarser grid."""
+    """Return weights `(new, old)` of old pixels in new ones along a row: triangles twice as wide as a coarser pixel."""
     centres = (np.arange(new) + 0.5) * old / new
     distance = np.abs(centres[:, None] - (np.arange(old) + 0.5)) / max(1.0, old / new)
     weights = np.clip(1 - distance, 0, None)

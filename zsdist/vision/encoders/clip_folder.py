@@ -50,7 +50,7 @@ class ClipFolder:
         return self._run("tokens", images)
 
     def embed_images(self, images: np.ndarray) -> np.ndarray:
-        """Return CLIP's own embeddings `(B, D)` float32 of images, of unit length; raises as `tokens`."""
+        """Return CLIP's own embeddings `(B, D)` float32 of images, of unit length; raises like `tokens`."""
         return self._run("embedding", images)
 
     def embed_texts(self, texts: Sequence[str]) -> np.ndarray:
@@ -89,7 +89,7 @@ class ClipFolder:
 
 
 class ClipTextEncoder:
-    """Tokenizer and text tower of a folder; `cached` is the prefix of the exported tower's name."""
+    """Tokenizer and text tower of a CLIP folder; `cached` is the prefix of the exported tower's name."""
 
     def __init__(self, folder: Path, cached: str) -> None:
         self._clip, self._weights = read_folder(folder)
@@ -97,7 +97,7 @@ class ClipTextEncoder:
         self._session: onnxruntime.InferenceSession = cached_session(f"{cached}-text-{self._end}", self._build)
 
     def embed(self, texts: list[str]) -> np.ndarray:
-        """Return embeddings `(N, D)` float32 of unit length."""
+        """Return embeddings `(N, D)` float32 of texts, of unit length."""
         return run_text_tower(self._tokenizer, self._session, texts)
 
     def _build(self, out: Path) -> None:

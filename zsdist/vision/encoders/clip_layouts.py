@@ -1,4 +1,4 @@
-"""Reader of the two folder layouts of CLIP models into one description.
+"""Reader of the two folder layouts of CLIP models; both give one form of description.
 
 open_clip: `open_clip_config.json`, `open_clip_model.safetensors`; files of a tokenizer unless it is CLIP's own.
 Hugging Face: `config.json`, `model.safetensors`, `preprocessor_config.json`; `tokenizer.json`, or `vocab.json` with
@@ -15,7 +15,7 @@ from zsdist.errors import WeightsError
 
 
 class Layout(StrEnum):
-    """Library whose names the files and weights have."""
+    """Library that defines the names of files and weights."""
 
     OPEN_CLIP = "open_clip"
     HUGGING_FACE = "huggingface"
@@ -52,7 +52,7 @@ HUGGING_FACE_TEXT = HUGGING_FACE_TOWER | {
 
 @dataclass(frozen=True)
 class TowerShape:
-    """Shape of a transformer; `inner` is the width inside a layer, `activation` is "gelu" or "quick_gelu"."""
+    """Shape of a transformer; `inner` is the width of a layer's hidden part, `activation` is "gelu" or "quick_gelu"."""
 
     layers: int
     width: int
@@ -67,16 +67,16 @@ class Clip:
     """Description of a CLIP model without its weights.
 
     Attributes:
-        layout: library whose names the weights have.
-        image_px: side of the images.
-        patch_px: side of a patch.
-        mean: mean of red, green and blue, between 0 and 1, in the training.
-        std: standard deviation of the same.
-        vision: image tower.
-        text: text tower.
-        context: tokens of the longest text, begin and end marks included.
-        vocabulary: number of tokens.
-        dimensions: of the space that both towers map to.
+        layout: library that defines the names of the weights.
+        image_px: side of the images in pixels.
+        patch_px: side of a patch in pixels.
+        mean: mean of red, green and blue in the training pictures, 0 to 1.
+        std: standard deviation of red, green and blue in the training pictures.
+        vision: shape of the image tower.
+        text: shape of the text tower.
+        context: number of tokens of the longest text, begin and end marks included.
+        vocabulary: number of different tokens.
+        dimensions: number of dimensions of the space that both towers map to.
         standard_tokenizer: whether the tokenizer is the one that CLIP was published with.
     """
 

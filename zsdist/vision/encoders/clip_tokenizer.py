@@ -1,4 +1,4 @@
-"""Tokenizer of a CLIP folder, made with the `tokenizers` library alone."""
+"""Tokenizer of a CLIP folder, built with the `tokenizers` library alone."""
 
 import gzip
 import json
@@ -19,7 +19,7 @@ WORDS = r"'s|'t|'re|'ve|'m|'ll|'d|[\p{L}]+|[\p{N}]|[^\s\p{L}\p{N}]+"
 
 
 def read_tokenizer(folder: Path, clip: Clip) -> tuple["Tokenizer", int]:
-    """Return the folder's tokenizer, which cuts and pads texts to one length, and the number that ends a text.
+    """Return the folder's tokenizer, which truncates and pads texts, and the number of the token that ends a text.
 
     `tokenizer.json` takes precedence over `vocab.json` with `merges.txt`. An open_clip folder may have neither: its
     standard vocabulary is in the package open_clip_torch.
@@ -70,7 +70,7 @@ def _pair(line: str) -> tuple[str, str]:
 
 
 def _byte_pairs(vocabulary: dict[str, int], pairs: list[tuple[str, str]], begin: str, end: str) -> "Tokenizer":
-    """Return a byte-pair tokenizer of lower-case words that puts a text between two marks."""
+    """Return a byte-pair tokenizer of lower-cased words that puts a begin mark and an end mark around a text."""
     from tokenizers import Regex, Tokenizer, models, normalizers, pre_tokenizers, processors
 
     tokenizer = Tokenizer(models.BPE(vocabulary, pairs, unk_token=end, end_of_word_suffix="</w>"))
@@ -95,7 +95,7 @@ def _standard_file(folder: Path) -> Path:
 
 
 def _standard(path: Path) -> "Tokenizer":
-    """Return CLIP's own tokenizer: bytes, bytes that end a word, then the result of each pair, then the two marks."""
+    """Return CLIP's own tokenizer. Its tokens are bytes, bytes that end a word, merged pairs, and the two marks."""
     printable = [*range(ord("!"), ord("~") + 1), *range(ord("¡"), ord("¬") + 1), *range(ord("®"), ord("ÿ") + 1)]
     signs = [chr(byte) for byte in printable] + [chr(256 + index) for index in range(256 - len(printable))]
     begin, end = "<start_of_text>", "<end_of_text>"

@@ -15,7 +15,7 @@ Tower = TypeVar("Tower", bound=nn.Module)
 LARGEST_BYTES = 2_000_000_000
 """Greatest size of one tower's weights: a file of the export format holds no more."""
 
-OPEN_CLIP_NAMES = (  # parts of weight names: open_clip's, and Hugging Face's, which are used here
+OPEN_CLIP_NAMES = (  # parts of weight names: open_clip's, and the Hugging Face's that are used here
     ("transformer.resblocks.", "encoder.layers."),
     (".ln_1.", ".layer_norm1."),
     (".ln_2.", ".layer_norm2."),
@@ -33,7 +33,7 @@ OPEN_CLIP_NAMES = (  # parts of weight names: open_clip's, and Hugging Face's, w
 
 
 class Layer(nn.Module):
-    """Layer of a transformer with norms first; `bias` `(L, L)` is added to the attention scores."""
+    """Transformer layer with normalisation first; `bias` `(L, L)` is added to the attention scores."""
 
     def __init__(self, shape: TowerShape) -> None:
         super().__init__()
@@ -79,7 +79,7 @@ class ImageTower(nn.Module):
         self.register_buffer("std", torch.tensor(clip.std), persistent=False)
 
     def forward(self, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the tokens after the last norm, and the embedding of the class token."""
+        """Return the patch tokens after the last normalisation, and the embedding of the class token."""
         x = self.patches(((images.float() / 255 - self.mean) / self.std).permute(0, 3, 1, 2))
         x = x.flatten(2).transpose(1, 2)
         first = self.embeddings["class_embedding"].expand(x.shape[0], 1, -1)
@@ -108,7 +108,7 @@ class TextTower(nn.Module):
         self.register_buffer("later", later, persistent=False)  # masks the attention to later tokens
 
     def forward(self, ids: torch.Tensor) -> torch.Tensor:
-        """Return embeddings; tokens after a text's first end mark have no effect."""
+        """Return embeddings `(N, D)`; tokens after a text's first end mark have no effect."""
         length = ids.shape[1]
         x = self.words(ids) + self.positions.weight[:length]
         for layer in self.layers:
@@ -130,7 +130,7 @@ def image_tower(clip: Clip, weights: Path) -> ImageTower:
 
 
 def text_tower(clip: Clip, weights: Path, end: int) -> TextTower:
-    """Return the text tower with its weights, for the end mark `end` of the tokenizer; raises as `image_tower`."""
+    """Return the text tower with its weights, for the tokenizer's end mark `end`; raises like `image_tower`."""
     names = {
         "embeddings.token_embedding.": "words.",
         "embeddings.position_embedding.": "positions.",
@@ -182,7 +182,7 @@ def _renamed(weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """Return weights of open_clip under Hugging Face's names."""
     renamed = {}
     for name, tensor in weights.items():
-        name = name.removeprefix("text.")  # of open_clip's class with two separate towers
+        name = name.removeprefix("text.")  # prefix in open_clip's class with two separate towers
         tower = "vision_model." if name.startswith("visual.") else "text_model."
         part = name.removeprefix("visual.")
         if name == "visual.proj":

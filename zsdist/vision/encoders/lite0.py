@@ -1,7 +1,7 @@
 """Default image encoder: EfficientNet-Lite0, pretrained on ImageNet, from two registry packages.
 
 The trunk ends after the eleventh block, with 112 features at each of 14 x 14 positions. Tokens keep left and right
-apart, which one embedding of the whole image does not.
+apart, unlike one embedding of the whole image.
 """
 
 from collections.abc import Sequence
@@ -63,11 +63,11 @@ class EfficientNetLite0:
 
     @property
     def text_sha256(self) -> str:
-        """SHA-256 of MiniLM's weights file in hexadecimal; raises as `embed_texts`."""
+        """SHA-256 of MiniLM's weights file in hexadecimal; raises like `embed_texts`."""
         return self._text_tower().sha256
 
     def native_projection(self) -> None:
-        """Return None: the two towers were trained apart, so we train the map between them."""
+        """Return None: the two towers were trained separately, so this project trains the map between them."""
         return
 
     def _text_tower(self) -> MiniLm:
@@ -86,7 +86,7 @@ def weights_file() -> Path:
 
 
 def _build(weights: Path, out: Path) -> None:
-    """Export the trunk, with its preprocessing, and check it against torch."""
+    """Export the trunk with its preprocessing, and check it against torch."""
     import torch
 
     example = np.random.default_rng(0).integers(0, 256, (1, INPUT_PX, INPUT_PX, 3), np.uint8)

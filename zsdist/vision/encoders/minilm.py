@@ -62,7 +62,7 @@ def _build(folder: Path, out: Path) -> None:
 
 
 def _tower(folder: Path) -> "torch.nn.Module":
-    """Return a BERT with the mean over tokens without padding; its parameters are named as in the weights file."""
+    """Return a BERT that averages its tokens without padding; its parameters are named as in the weights file."""
     import torch
     from safetensors.torch import load_file
     from torch import nn
@@ -76,7 +76,7 @@ def _tower(folder: Path) -> "torch.nn.Module":
     width, heads, epsilon = about["hidden_size"], about["num_attention_heads"], about["layer_norm_eps"]
 
     class Joined(nn.Module):
-        """Output of a block, mapped and added to the block's input."""
+        """Linear map of a block's output, added to the block's input and normalised."""
 
         def __init__(self, inner: int) -> None:
             super().__init__()

@@ -1,4 +1,4 @@
-"""Calibration of a trained network: one temperature fits the width of its distributions of distance to its errors."""
+"""Calibration of a trained network: a temperature fits the width of its distance distributions to its errors."""
 
 import numpy as np
 import torch
@@ -9,7 +9,7 @@ from zsdist.vision.rays import RANGE_M, quantile_m
 from zsdist.vision.scores import calibration
 from zsdist.vision.training.examples import Examples
 
-SHARE = 0.1  # of the quantile that is calibrated: the truth should lie below it as often
+SHARE = 0.1  # share of the calibrated quantile: the truth should lie below it this often
 TEMPERATURES = np.geomspace(0.125, 8.0, 61)  # candidates, 7% apart
 _BATCH = 64
 
@@ -19,8 +19,8 @@ def fit(logits: Tensor, true_m: np.ndarray) -> float:
 
     It is the one of `TEMPERATURES` whose share of truths below the quantile `SHARE` is nearest to `SHARE`. Only rays
     whose quantile is below the range count: nothing can lie below a quantile that is free. The temperature of maximum
-    likelihood differs: it fits the whole distribution, in which the middle, and labels wider than their bin, weigh more
-    than the near end, of which the map is built.
+    likelihood differs. It fits the whole distribution, in which the middle, and labels wider than their bin, weigh more
+    than the near end, while the map is built from the near end.
 
     Args:
         logits: `(..., BINS)`, before any temperature, of pictures that were not trained on.
@@ -51,9 +51,9 @@ def calibrate(network: nn.Module, examples: Examples) -> None:
     """Set the temperatures of a head or a student from pictures on which it was not trained.
 
     Args:
-        network: has the buffers `clearance_temperature` and `rays_temperature`, and returns a `HeadOutput` of raw
-            logits.
-        examples: their `tokens` are the input of the network.
+        network: head or student with the buffers `clearance_temperature` and `rays_temperature`; it returns a
+            `HeadOutput` of raw logits.
+        examples: examples whose `tokens` are the input of the network.
     """
     clearance_m, _ = nearest(examples.ray_distance_m, examples.ray_dynamic, examples.ray_angles_rad)
     clearance, rays = _logits(network, examples)

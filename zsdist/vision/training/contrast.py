@@ -1,6 +1,6 @@
 """Contrast of Algorithm 1, lines 10 to 18: masked pictures, and the rewards that change with the hidden object.
 
-The attention error is computed beside it: masks also show where in the picture each action should look.
+The attention error is computed here too, since masks also show to which tokens each action should attend.
 """
 
 import numpy as np
@@ -15,24 +15,24 @@ from zsdist.vision.training.examples import Examples
 from zsdist.vision.training.losses import Form, attention_error, contrastive_loss
 
 BATCH = 32  # originals per step, each with all its masked pictures
-ATTENTION_WEIGHT = 5.0  # of the attention error beside L_c
-_SKY_SHARE = 0.3  # of the uppermost row that a background must cover to count as sky
+ATTENTION_WEIGHT = 5.0  # weight of the attention error, which is added to L_c
+_SKY_SHARE = 0.3  # share of the uppermost row that a background must cover to count as sky
 _UNTOUCHED, _TOUCHED = (
     0.27,
     0.93,
 )  # shares of a token's greatest change: coverage is 0 below the first, 1 above the second
-_AT_ONCE = 256  # pictures projected at a time
+_AT_ONCE = 256  # number of pictures projected at once
 
 
 class Contrast:
     """Contrastive loss of random batches of originals and their masked pictures under a frozen projection.
 
     Args:
-        projection: maps each token to text space, ours or that of the encoder; it is not trained.
-        originals: the unmasked pictures, with their truth.
-        masked: their masked versions.
+        projection: trained projection or the encoder's own, from tokens to text space; it stays frozen here.
+        originals: unmasked pictures with their truth.
+        masked: masked versions of the originals.
         form: form of the samples in `losses.contrastive_loss`.
-        batch: originals in a batch.
+        batch: number of originals in a batch.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Contrast:
             row[:count] = order[start : start + count]
 
     def loss(self, head: VisualActHead, rng: np.random.Generator) -> torch.Tensor:
-        """Return L_c plus the weighted attention error, a scalar; goals are new and half of the originals mirrored."""
+        """Return L_c plus the weighted attention error, a scalar, with new goals and half of the originals mirrored."""
         chosen = rng.choice(len(self._rows), min(self._batch, len(self._rows)), replace=False)
         images, rows = self._with_masks[chosen], self._rows[chosen]
         is_positive, present = self.samples(images, rows, *random_goals(len(images), rng))
@@ -92,10 +92,10 @@ class Contrast:
         """Return the actions for which each masked picture is a positive sample, and which masked pictures exist.
 
         Args:
-            images: `(B,)` originals.
-            rows: `(B, M)` their masked pictures, -1 for none.
-            bearing_rad: `(B,)` of a goal for each original, the same for its masked pictures.
-            goal_distance_m: `(B,)`.
+            images: `(B,)`, indices of originals.
+            rows: `(B, M)`, indices of their masked pictures; -1: none.
+            bearing_rad: `(B,)`, bearing of a goal for each original, the same for its masked pictures.
+            goal_distance_m: `(B,)`, distance of this goal.
 
         Returns:
             `(B, 3, M)` bool, and `(B, M)` bool.
@@ -117,7 +117,7 @@ class Contrast:
         return (labels_changed(parts, whole[:, None]) & present[..., None]).transpose(0, 2, 1), present
 
     def _embed(self, tokens: np.ndarray) -> torch.Tensor:
-        """Return means of the projected tokens, `(N, D)`, not normalised."""
+        """Return the mean of each picture's projected tokens, `(N, D)`, not normalised."""
         parts = []
         with torch.no_grad():
             for start in range(0, len(tokens), _AT_ONCE):
@@ -127,10 +127,10 @@ class Contrast:
 
 
 def mask_coverage(tokens: np.ndarray, masked: MaskedExamples) -> np.ndarray:
-    """Return the coverage of each token by a mask, `(M, side * side)` float16, 0 to 1: its change relative to the most.
+    """Return the coverage of tokens by masks, `(M, side * side)` float16, 0 to 1, from each token's relative change.
 
     Args:
-        tokens: `(N, side, side, F)` of the originals.
+        tokens: `(N, side, side, F)`, tokens of the originals.
         masked: masked pictures of these originals.
     """
     scale = 1 / np.maximum(np.asarray(tokens[:256], np.float32).std((0, 1, 2)), 1e-6)
@@ -146,15 +146,15 @@ def mask_coverage(tokens: np.ndarray, masked: MaskedExamples) -> np.ndarray:
 
 
 def attention_targets(cover: np.ndarray, positive: np.ndarray, background: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return tokens that each action should attend to, `(B, 3, T)`, and that none should, `(B, T)`, both 0 to 1.
+    """Return the tokens that each action should attend to, `(B, 3, T)`, and those that none should, `(B, T)`, 0 to 1.
 
     An action should attend to objects that change its reward; if there are none, to the sky, which resembles neither
     obstacles nor ground. No action should attend to empty ground.
 
     Args:
-        cover: `(B, M, side, side)` coverage of each mask.
+        cover: `(B, M, side, side)`, coverage of each token by each mask.
         positive: `(B, 3, M)` bool, actions for which a mask is a positive sample.
-        background: `(B, M)` bool.
+        background: `(B, M)` bool, masks of the background.
     """
     sky = background & (cover[:, :, 0].mean(-1) > _SKY_SHARE)
     below = np.arange(cover.shape[2]) >= cover.shape[2] // 2

@@ -14,10 +14,10 @@ class Examples:
     """Encoded views with their truth.
 
     Attributes:
-        tokens: `(N, side, side, features)` float16.
-        ray_distance_m: `(N, R)` float32, capped at the camera's range.
+        tokens: `(N, side, side, features)` float16, tokens of the pictures.
+        ray_distance_m: `(N, R)` float32, true distances, capped at the camera's range.
         ray_dynamic: `(N, R)` bool, whether the ray meets an object of a kind that moves.
-        ray_angles_rad: `(R,)` float32.
+        ray_angles_rad: `(R,)` float32, angles of the rays, left positive.
         images: `(N, 128, 128, 3)` uint8, the pictures resampled for the student network; None: not kept.
     """
 
@@ -32,7 +32,7 @@ class Examples:
 
 
 def token_spread(tokens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and standard deviation of each feature, both `(features,)` float32, over about 500 of the pictures.
+    """Return mean and standard deviation of each feature, both `(features,)` float32, over about 500 pictures.
 
     Args:
         tokens: `(N, side, side, features)`; may be mapped from disk.
@@ -56,7 +56,7 @@ class Targets:
 
 
 def targets(examples: Examples, index: np.ndarray, mirrored: np.ndarray, rng: np.random.Generator) -> Targets:
-    """Return the views `index` with labels and random goals; where `mirrored` `(B,)` is true, left and right swap.
+    """Return the views `index` `(B,)` with labels and random goals; they are mirrored where `mirrored` `(B,)` is true.
 
     The tokens of a mirrored image are nearly the mirrored tokens, so no image needs to be encoded twice.
     """

@@ -1,7 +1,7 @@
 """Training of the visual-act head on tokens that are computed once: Algorithm 1 of the paper.
 
-Deviation: the encoder stays frozen and only the head learns; R_p follows from the predicted clearance and kind of
-obstacle and from the given goal (`labels.reward_label`), and rays are learned beside it.
+Deviation: the encoder stays frozen and only the head learns. R_p is computed from the predicted clearance and kind of
+obstacle and from the given goal (`labels.reward_label`). The head also learns distances along rays.
 """
 
 import math
@@ -30,10 +30,10 @@ CONTRAST_WEIGHT = 0.1  # lambda of the total loss
 def loss(
     network: nn.Module, batch: Targets, contrast: torch.Tensor | None = None
 ) -> tuple[torch.Tensor, dict[str, float]]:
-    """Return the loss of a batch, and its parts as numbers: the sum of L_a, L_c, and the losses of what R_p is made of.
+    """Return the loss of a batch, and its parts as numbers: the sum of L_a, L_c, and the losses of R_p's ingredients.
 
     Args:
-        network: head, or student with pictures in the place of tokens.
+        network: head, or student with pictures in place of tokens.
         batch: inputs and labels.
         contrast: L_c; None: without.
     """
@@ -71,17 +71,17 @@ def train(
     time_used: Callable[[], float],
     contrast: "Contrast | None" = None,
 ) -> Trainer:
-    """Return a trainer of `head`: each `next` is an epoch, and the end loads the best weights on `validation`.
+    """Return a trainer of `head`. Each `next` is one epoch; the end loads the best weights on `validation`.
 
     In each epoch the views come in a new order, half of them mirrored.
 
     Args:
-        head: from `new_head`; trained in place.
+        head: head from `new_head`; trained in place.
         examples: training views.
         validation: views of scenes that are not among `examples`.
         recipe: settings of the training.
-        rng: decides orders, mirrors, goals and pairs to contrast.
-        time_used: returns the used share of the time budget.
+        rng: source of orders, mirrors, goals and pairs to contrast.
+        time_used: function that returns the used share of the time budget.
         contrast: contrast of the actions' attention; None: without.
     """
 

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 RANKED_WEIGHT = 0.3
-TEMPERATURE = 0.1  # of the contrast
+TEMPERATURE = 0.1  # tau of the contrast
 
 Form = Literal["difference", "literal"]
 
@@ -17,8 +17,8 @@ def action_losses(predicted: Tensor, labels: Tensor) -> Tensor:
     The norm is divided by the root of the batch size, so that it does not grow with the batch.
 
     Args:
-        predicted: `(B, 3)`, R_p.
-        labels: `(B, 3)`, R.
+        predicted: `(B, 3)`, predicted rewards R_p.
+        labels: `(B, 3)`, reward labels R.
     """
     return ((predicted - labels).square().mean(0) + 1e-8).sqrt()  # the root has no gradient at zero
 
@@ -44,7 +44,7 @@ def kind_loss(logits: Tensor, dynamic: Tensor, present: Tensor) -> Tensor:
     Args:
         logits: `(B, 3)`.
         dynamic: `(B, 3)`, 1 if the kind of the obstacle moves.
-        present: `(B, 3)` bool.
+        present: `(B, 3)` bool, directions with an obstacle.
     """
     each = torch.nn.functional.binary_cross_entropy_with_logits(logits, dynamic, reduction="none")
     return (each * present).sum() / present.sum().clamp(min=1)
@@ -79,16 +79,16 @@ def contrastive_loss(
     Deviation: a sample is by default the difference `E - E_i` of the embeddings of the picture and of the masked
     picture, which is the contribution of the hidden object. The literal sample is `E_i` itself: it pulls I_a towards a
     picture in which the object that matters to the action is hidden, and so away from the object. Both forms are kept
-    for comparison: of two heads of one seed in wild pictures, I_a was nearest to the object in direction a in 0.75 to
-    0.93 of them by kind with the difference, in 0.45 to 0.77 with the literal form.
+    for comparison, with two heads of one seed on wild pictures. I_a was nearest to the object in direction a in 0.75
+    to 0.93 of the pictures, depending on the kind, with the difference, and in 0.45 to 0.77 with the literal form.
 
     Args:
         anchors: `(B, 3, D)`, I_1 to I_3.
         original: `(B, D)`, E, the mean of the projected tokens (not normalised in the difference form).
-        masked: `(B, M, D)`, E_i likewise.
+        masked: `(B, M, D)`, E_i, the same mean for each masked picture.
         positive: `(B, 3, M)` bool, actions for which the label of the masked picture has changed.
         negative: `(B, 3, M)` bool, actions for which it has not; padding is neither.
-        weight: `(B, M)`, of each sample among the negative ones; less than 1 for the background.
+        weight: `(B, M)`, weight of each sample among the negative ones; less than 1 for the background.
         form: form of the samples.
         temperature: tau.
     """
@@ -106,10 +106,9 @@ def attention_error(attention: Tensor, wanted: Tensor, unwanted: Tensor) -> Tens
     """Return the distance of the attention from its targets, a scalar: the "attention matrix error" of Sec. 3.2.
 
     It is the mean of `-log` of the attention on wanted tokens, over the actions that have any, plus the mean of `-log`
-    of the attention outside unwanted tokens. It is used beside L_c, which compares embeddings and alone leaves much of
-    the attention on the ground: among ten settings of L_c none brought the similarity of I_1 to I_3 to the ground's
-    word below that of I_0 in more than 0.77 of wild pictures; with this error added it was 0.84 to 0.86 of the same
-    pictures.
+    of the attention outside unwanted tokens. It is added to L_c, which compares embeddings and alone leaves much of
+    the attention on the ground. With ten settings of L_c alone, the similarity of I_1 to I_3 to the ground's word was
+    below that of I_0 in at most 0.77 of wild pictures. With this error added, it was below in 0.84 to 0.86 of them.
 
     Args:
         attention: `(B, 3, T)`, each sums to 1.

@@ -28,10 +28,10 @@ CELLS_A_PICTURE = 24  # cells drawn per picture; rare concepts are drawn as ofte
 
 @dataclass(frozen=True)
 class WordExamples:
-    """Encoded pictures with their contents; `side` is that of the encoder's tokens.
+    """Encoded pictures with their contents; `side` is the encoder's number of tokens along a side.
 
     Attributes:
-        tokens: `(N, side, side, features)` float16.
+        tokens: `(N, side, side, features)` float16, tokens of the pictures.
         cells: `(N, 14, 14, C)` float16, shares of `vocabulary.CONCEPTS` in each cell, `CaptionedView.cells`.
         captions: `(N, D)` float16, `Encoder.embed_texts` of the captions.
         dominant: `(N,)` int64, index of the dominant kind; -1: none.
@@ -59,7 +59,7 @@ class WordRecipe(Recipe):
     """Settings of the training of a projection.
 
     Attributes:
-        temperature: of the cosines.
+        temperature: divisor of the cosines.
         captions, kinds, cells: weights of the three losses.
         word_noise: length of the noise on a drawn word, whose own length is 1.
         exclude_kinds: kinds that are excluded from the training, both pictures and words; used to measure how well
@@ -95,18 +95,18 @@ def train(
     rng: np.random.Generator,
     time_used: Callable[[], float],
 ) -> Trainer:
-    """Return a trainer of `projection`: each `next` is an epoch, and the end loads the best weights on `validation`.
+    """Return a trainer of `projection`. Each `next` is one epoch; the end loads the best weights on `validation`.
 
     In each epoch half of the pictures are mirrored; their captions are left out, since they name left and right.
 
     Args:
-        projection: from `new_projection`; trained in place.
+        projection: projection from `new_projection`; trained in place.
         examples: training pictures.
         validation: pictures of scenes that are not among `examples`.
-        vocabulary: with all training words.
+        vocabulary: vocabulary with all training words.
         recipe: settings of the training.
-        rng: decides orders, mirrors, words and cells.
-        time_used: returns the used share of the time budget.
+        rng: source of orders, mirrors, words and cells.
+        time_used: function that returns the used share of the time budget.
     """
     examples, validation = examples.excluding(recipe.exclude_kinds), validation.excluding(recipe.exclude_kinds)
     words = _Words(vocabulary, recipe)
@@ -132,7 +132,7 @@ def train(
 
 
 class _Words:
-    """Random training words, one for each concept, with noise."""
+    """Sampler of training words, one for each concept, with noise."""
 
     def __init__(self, vocabulary: Vocabulary, recipe: WordRecipe) -> None:
         self._embeddings = [
@@ -142,7 +142,7 @@ class _Words:
         self.columns = [i for i, name in enumerate(CONCEPTS) if name not in recipe.exclude_kinds]
 
     def draw(self, rng: np.random.Generator) -> Tensor:
-        """Return one embedding for each learned concept, `(concepts, D)`."""
+        """Return the embedding of one random word for each learned concept, `(concepts, D)`."""
         chosen = np.stack([rows[int(rng.integers(len(rows)))] for rows in self._embeddings])
         noise = rng.standard_normal(chosen.shape) * self._noise / chosen.shape[1] ** 0.5
         return torch.from_numpy((chosen + noise).astype(np.float32))

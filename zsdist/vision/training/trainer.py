@@ -1,4 +1,4 @@
-"""Training of a network, epoch by epoch, that can be saved between epochs and resumed."""
+"""Training of a network epoch by epoch; it can be saved between epochs and resumed."""
 
 import json
 import math
@@ -26,10 +26,10 @@ class Recipe:
 
     Attributes:
         epochs: greatest number of passes over the data.
-        batch: views in a step.
-        learning_rate: peak of the one cycle.
-        weight_decay: of AdamW.
-        patience: epochs without a better validation loss after which the training stops.
+        batch: number of views in a step.
+        learning_rate: peak of the learning rate, which rises and falls once.
+        weight_decay: weight decay of AdamW.
+        patience: number of epochs without a better validation loss after which the training stops.
     """
 
     epochs: int = 30
@@ -40,7 +40,7 @@ class Recipe:
 
 
 class Trainer(Iterator[dict[str, float]]):
-    """Training of a network in place: each `next` is an epoch, and the end loads the weights of the best epoch.
+    """Training of a network in place. Each `next` is one epoch; at the end the weights of the best epoch are loaded.
 
     The optimiser is AdamW with one cycle of the learning rate. The training ends after `recipe.epochs`, when the time
     is used, or after `recipe.patience` epochs without a better validation loss. Between epochs `state` holds all that
@@ -49,11 +49,11 @@ class Trainer(Iterator[dict[str, float]]):
     Args:
         network: network to train.
         recipe: settings of the training.
-        steps: batches of an epoch.
-        losses: yields the losses of one epoch's batches, each computed when it is asked for, with the given generator.
-        validate: returns the parts of the validation loss, whose sum is minimised.
+        steps: number of batches of an epoch.
+        losses: function that yields the losses of one epoch's batches, computed one at a time with the given generator.
+        validate: function that returns the parts of the validation loss; the epoch with the least sum is the best.
         rng: source of all randomness.
-        time_used: returns the used share of the time budget; the cycle speeds up to end when it reaches 1.
+        time_used: function that returns the used share of the time budget; the cycle is sped up to end when it is 1.
 
     Raises:
         RunError: a loss is not finite; the message names the epoch, and the weights are those before the step.
@@ -94,7 +94,7 @@ class Trainer(Iterator[dict[str, float]]):
             if self._best:
                 self._network.load_state_dict(self._best)
             raise StopIteration
-        with torch.random.fork_rng(devices=[]):  # dropout, too, follows from `rng`
+        with torch.random.fork_rng(devices=[]):  # torch's randomness, such as dropout, follows from `rng` too
             torch.manual_seed(int(self._rng.integers(2**63)))
             means, rate = self._train()
         parts = self._validate()
@@ -167,7 +167,7 @@ class Trainer(Iterator[dict[str, float]]):
         """Resume from the state of another training with the same network and recipe.
 
         Raises:
-            WeightsError: the content is damaged, or of another network.
+            WeightsError: the content is damaged or belongs to another network.
         """
         try:
             tensors = safetensors.torch.load(content)
@@ -193,5 +193,5 @@ class Trainer(Iterator[dict[str, float]]):
 
 
 def one_cycle(share: float) -> float:
-    """Return learning rate over peak at `share` of the training: rising for the first fifth, then falling to zero."""
+    """Return the learning rate over its peak at `share` of the training: it rises for a fifth, then falls to zero."""
     return 0.05 + 0.95 * share / 0.2 if share < 0.2 else 0.5 * (1 + math.cos(math.pi * (share - 0.2) / 0.8))

@@ -1,4 +1,4 @@
-"""Accuracy of naming pictures: choosing among six words, one of which is for the dominant kind."""
+"""Accuracy of naming pictures: the choice among six words, exactly one of which fits the dominant kind."""
 
 from collections.abc import Mapping, Sequence
 
@@ -21,15 +21,15 @@ def naming_accuracy(
 ) -> dict[str, float]:
     """Return the share of pictures that are nearest to the right one of six words; chance is 1/6.
 
-    A picture is tested once with each word of its kind. The other five words are drawn: one word each of five other
-    kinds. With `words` from the vocabulary's test lists this tests unseen words, with the training lists seen words,
-    and with `of_kinds` the kinds that the projection was trained without.
+    A picture is tested once with each word of its kind. The other five words are drawn, one from each of five other
+    kinds. `words` from the vocabulary's test lists measure unseen words, those from the training lists seen words;
+    `of_kinds` restricts the test to some kinds, such as those that the projection was trained without.
 
     Args:
-        images: `(N, D)` embeddings I_0.
+        images: `(N, D)`, embeddings I_0 of the pictures.
         dominant: `(N,)` index in `CONCEPTS` of the dominant kind of each picture; pictures with -1 are skipped.
         words: embeddings `(n, D)` of the words of each of six kinds or more, in the common space (`Projection.texts`).
-        rng: draws the other words.
+        rng: source of the other words.
         of_kinds: kinds whose pictures are tested; None: all of `words`.
 
     Returns:

@@ -1,9 +1,9 @@
 """Table 3 of the paper: similarity of the attended embeddings to words of obstacles and grounds.
 
 I_0 is the embedding of the whole picture; I_1 to I_3 are those of the parts that the actions forward, left and right
-attend to. The paper shows one row for each object and speaks of a tree in front. So a row of an object is the mean over
-pictures that have it in front and in no other direction, and I_1 should be its highest. A row of a ground is the mean
-over all pictures on that ground, also those with an empty direction, and I_0 should be its highest.
+attend to. The paper shows one row for each object and speaks of a tree in front. So an object's row is the mean over
+pictures that have it in front and in no other direction, and I_1 should be its highest. A ground's row is the mean over
+all pictures on that ground, including those with an empty direction, and I_0 should be its highest.
 """
 
 import numpy as np
@@ -26,8 +26,8 @@ def directions_of(
     Args:
         segment: number of the kind in segmentation images.
         ray_segment: `(N, R)`, segment number of the obstacle that each ray meets within the camera's range.
-        ray_distance_m: `(N, R)`.
-        ray_angles_rad: `(R,)`.
+        ray_distance_m: `(N, R)`, true distances along the rays.
+        ray_angles_rad: `(R,)`, angles of the rays, left positive.
 
     Returns:
         Both `(N, 3)` bool.
@@ -42,7 +42,7 @@ def directions_of(
 
 
 def only_direction(nearest: np.ndarray, present: np.ndarray) -> np.ndarray:
-    """Return the direction `(N,)` in which a kind is nearest and in which alone it is present; -1 if there is none."""
+    """Return the only direction in which a kind is present, `(N,)`, if it is nearest there; -1 otherwise."""
     one = nearest.any(1) & (present.sum(1) == 1)
     return np.where(one, present.argmax(1), -1)
 
@@ -62,7 +62,7 @@ def table3(
 
     Args:
         embeddings: `(N, 4, D)`, I_0 to I_3.
-        words: embedding `(D,)` of the word of each row.
+        words: embedding `(D,)` of each row's word, by name.
         directions: for each kind of object its direction `(N,)` from `only_direction`.
         grounds: for each ground `(N,)` bool, whether the picture is taken on it.
 
@@ -86,7 +86,7 @@ def object_share(embeddings: np.ndarray, word: np.ndarray, direction: np.ndarray
     Args:
         embeddings: `(N, 4, D)`.
         word: `(D,)`.
-        direction: `(N,)` a, from `only_direction`; -1: the picture does not count.
+        direction: `(N,)`, direction a from `only_direction`; -1: the picture does not count.
     """
     counted = direction >= 0
     if not counted.any():
@@ -96,7 +96,7 @@ def object_share(embeddings: np.ndarray, word: np.ndarray, direction: np.ndarray
 
 
 def background_share(embeddings: np.ndarray, word: np.ndarray, pictures: np.ndarray) -> float:
-    """Return the share of `pictures` `(N,)` bool with the word nearer to I_0 than to I_1, I_2 and I_3; NaN if none."""
+    """Return the share of `pictures` `(N,)` bool whose word is nearer to I_0 than to I_1, I_2 and I_3; NaN if none."""
     if not pictures.any():
         return float("nan")
     found = similarities(embeddings[pictures], word)

@@ -18,7 +18,7 @@ from zsdist.errors import WeightsError
 
 
 class Words(NamedTuple):
-    """Words of one concept by use, each with its article, as in a sentence."""
+    """Words of one concept by use, with their articles, as in a sentence."""
 
     training: tuple[str, ...]
     validation: tuple[str, ...]
@@ -120,12 +120,12 @@ _EMPTY = ("nothing", "an empty place", "open ground", "free space")
 
 
 def caption(seen: Sequence[tuple[str, str]], ground: str, rng: np.random.Generator) -> str:
-    """Return a sentence for a whole picture, of training words alone.
+    """Return a sentence for a whole picture, made of training words only.
 
     Args:
         seen: kinds with the side of the picture where each is (one of `SIDES`), the most important first.
-        ground: a key of `GROUND_WORDS`.
-        rng: chooses among synonyms.
+        ground: name of the ground, a key of `GROUND_WORDS`.
+        rng: source of the choice among synonyms.
     """
     parts = [f"{_choice(KIND_WORDS[kind].training, rng)} {_choice(_SIDES[side], rng)}" for kind, side in seen]
     joined = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else (parts or [_choice(_EMPTY, rng)])[0]
@@ -138,11 +138,11 @@ def _choice(options: Sequence[str], rng: np.random.Generator) -> str:
 
 @dataclass(frozen=True)
 class Vocabulary:
-    """Words with their embeddings from a text tower, so that the tower need not be loaded.
+    """Words with their embeddings, so that the text tower need not be loaded.
 
     Attributes:
-        words: N different words.
-        embeddings: `(N, D)` float32 of unit length.
+        words: N different words and phrases.
+        embeddings: `(N, D)` float32, unit vectors of the words.
         text_sha256: SHA-256 of the weights of the text tower.
     """
 
@@ -154,7 +154,7 @@ class Vocabulary:
         """Return the embedding `(D,)` of a word.
 
         Raises:
-            WeightsError: it is not one of the words.
+            WeightsError: the word is not in the vocabulary.
         """
         if word not in self.words:
             raise WeightsError(
@@ -198,6 +198,6 @@ class Vocabulary:
 
 
 def shipped_words() -> tuple[str, ...]:
-    """Return the words that a folder of weights holds: those of the training and those of Table 3."""
+    """Return the words that a weights folder holds: the training words and those of Table 3."""
     words = [word for concept in WORDS.values() for word in concept.training] + list(TABLE3_WORDS.values())
     return tuple(dict.fromkeys(words))
