@@ -78,9 +78,9 @@ def find_policy(name: str, config_file: Path | None = None, variant: str = FULL)
     """Return the policy that a POLICY argument names.
 
     Args:
-        name: of a baseline or a shipped policy, or a path of a run directory or a checkpoint.
-        config_file: world of a baseline; a learned policy has its own.
-        variant: of a learned policy.
+        name: name of a baseline or a shipped policy, or path of a run directory or a checkpoint.
+        config_file: configuration of a baseline's world; a learned policy has its own.
+        variant: variant of a learned policy.
 
     Raises:
         WeightsError: it is neither a baseline nor a folder with weights, or was trained with another encoder than the

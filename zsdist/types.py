@@ -100,7 +100,7 @@ class Trajectory:
     state in which the option ended.
 
     Attributes:
-        level: the level whose DQN learns from it.
+        level: level whose DQN learns from it.
         states: `(n + 1, D)` float32.
         actions: `(n,)` uint8.
         rewards: `(n,)` float32, the reward to learn from (the paper's literal one only if so configured).
@@ -135,7 +135,7 @@ class Trajectories(Sequence[Trajectory]):
     """Trajectories of one level joined column by column; split only where a single one is requested.
 
     Attributes:
-        level: the level whose DQN learns from them.
+        level: level whose DQN learns from them.
         columns: the arrays of `Trajectory` by name, each joined along its first axis; states that have travelled are
             float16.
         lengths: `(k,)` int64, transitions of each; 1 or more.
@@ -265,7 +265,13 @@ Parameters = dict[str, np.ndarray]  # a network's weights by name, float32
 
 @dataclass(frozen=True)
 class Weights:
-    """One version of a level's policy network, as broadcast by its learner."""
+    """One version of a level's policy network, as broadcast by its learner.
+
+    Attributes:
+        level: level of the network.
+        version: number of the version, which grows with each change of the weights.
+        parameters: weights of the network.
+    """
 
     level: Level
     version: int
@@ -277,9 +283,12 @@ class Ack:
     """Acknowledgement: frames that a receiver holds of one (stream, actor, epoch), and the credit to send more.
 
     Attributes:
-        sender_epoch: incarnation of the receiver, which sends this.
-        received: the receiver holds every frame numbered below this.
-        credit: absolute total of transitions the stream may produce in this epoch; None: unlimited.
+        sender_epoch: epoch of the receiver, which sends this.
+        actor: name of the actor whose frames are acknowledged.
+        epoch: epoch of the actor.
+        stream: name of the stream.
+        received: number below which the receiver holds every frame.
+        credit: absolute total of transitions that the stream may produce in this epoch; None: unlimited.
     """
 
     sender_epoch: int

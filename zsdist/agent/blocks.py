@@ -1,4 +1,4 @@
-"""Choices of the high level: the neighbouring blocks in the order of the car's heading, and the goal itself."""
+"""Choices of the high level: the neighbouring blocks, counted from the car's heading, and the goal itself."""
 
 import math
 from dataclasses import dataclass
@@ -24,14 +24,14 @@ class Choices:
     """Meaning of each of the `HIGH_ACTIONS` in a situation.
 
     Attributes:
-        mask: `(9,)` bool, choices that can be made: the block exists and a free way is believed to lead into it.
-            The goal can always be chosen.
+        mask: `(9,)` bool, choices that may be made: each block that exists and that a free path is believed to enter,
+            and always the goal.
         exists: `(9,)` bool, blocks that lie on the grid.
-        blocks: `(9, 2)` int, (bx, by) of each neighbour; the goal's own block last.
-        subgoals: `(9, 2)` metres, the centre of a cell in each block; the goal itself last. Of the cells that a free
-            way leads to, it is the one with the shortest sum of the way there and the straight line to the goal.
-            Cells from which a free way leads on without the car's present block have precedence.
-        onward: `(9,)` share of the subgoal's headings from which a free way leads on to the goal without the car's
+        blocks: `(9, 2)` int, `(bx, by)` of each neighbour; the goal's own block last.
+        subgoals: `(9, 2)` metres, the centre of one cell in each block; the goal itself last. The cell has the least
+            sum of the path length to it and the straight distance from it to the goal, among the cells that a free
+            path reaches. Cells from which a free path to the goal avoids the car's present block take precedence.
+        onward: `(9,)` share of the subgoal's eight headings from which a free path to the goal avoids the car's
             present block.
     """
 
@@ -42,7 +42,7 @@ class Choices:
     onward: np.ndarray
 
     def index_of(self, block: tuple[int, int]) -> int | None:
-        """Return the choice of a neighbouring block; None where the block is no neighbour."""
+        """Return the index of the choice of a block `(bx, by)`; None where the block is no neighbour."""
         return self._indices.get(block)
 
     @cached_property
@@ -52,7 +52,7 @@ class Choices:
 
 
 def choices(situation: Situation) -> Choices:
-    """Return the choices of a situation."""
+    """Return the choices of the high level in a situation."""
     grid, block = situation.grid, situation.block
     exists, blocks, subgoals, onward = _survey(
         situation.drive_m,
@@ -72,7 +72,7 @@ def choices(situation: Situation) -> Choices:
 
 
 def _leading_on(situation: Situation) -> np.ndarray:
-    """Return the states from which a free way leads to the goal without the car's present block."""
+    """Return the states from which a free path to the goal avoids the car's present block, `(8, words, cells)`."""
     here = np.zeros_like(situation.goals)
     here[situation.grid.block_cells(*situation.block)] = True
     elsewhere = BlockedMoves(situation.moves.words | reachability.pack_cells(here))
@@ -104,19 +104,19 @@ def _survey(
     """Survey the neighbouring blocks for `exists`, `blocks`, `subgoals` and `onward` of `Choices`.
 
     Args:
-        drive_m: `(cells, cells)`, infinite where no free way leads.
-        leading: `(8, words, cells)`, states from which a way leads on to the goal.
+        drive_m: `(cells, cells)` lengths of the shortest free paths in metres, infinite where none leads.
+        leading: `(8, words, cells)`, states from which a free path leads on to the goal.
         bx: column of the car's block.
         by: row of the car's block.
-        heading: of the car, in eighths.
-        goal_x: metres.
-        goal_y: metres.
+        heading: heading of the car, in eighths of a turn.
+        goal_x: x of the goal, metres.
+        goal_y: y of the goal, metres.
         size: cells along the side of a block.
         cell: side of a cell, metres.
         half: half the side of the grid, metres.
 
     Returns:
-        The four arrays; `onward` is -1 where no free way leads into the block.
+        The four arrays; `onward` is -1 where no free path leads into the block.
     """
     blocks_a_side = drive_m.shape[0] // size
     exists, blocks = np.zeros(HIGH_ACTIONS, np.bool_), np.zeros((HIGH_ACTIONS, 2), np.int64)
@@ -132,7 +132,7 @@ def _survey(
             for column in range(nx * size, (nx + 1) * size):
                 if drive_m[row, column] < np.inf:
                     cx, cy = (column + 0.5) * cell - half, (row + 0.5) * cell - half
-                    # slightly more than the way, so that of equal detours the cell at the near border is taken
+                    # the path counts slightly more, so that the nearest of the cells with equal detours is taken
                     detour = drive_m[row, column] * 1.05 + math.hypot(cx - goal_x, cy - goal_y)
                     onwards = 1.0 if _headings(leading, column, row) else 0.0
                     if onwards > most or (onwards == most and detour < least):

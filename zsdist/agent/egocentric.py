@@ -1,6 +1,6 @@
-"""Compiled measurements about the car: clearances, contents of lines and straight runs, and features of blocks.
+"""Compiled measurements around the car: clearances, contents of lines and straight runs, and features of blocks.
 
-Values that belong together are passed as plain tuples, since numba takes several times as long to recognise named ones.
+Values that belong together are passed as plain tuples, since numba takes several times as long to identify named ones.
 """
 
 import math
@@ -12,17 +12,17 @@ from zsdist.planning.footprint import ADVANCES, TURNS
 from zsdist.planning.forward_search import spread_costs
 from zsdist.planning.grid import FINE_PER_CELL, STEPS
 
-DIRECTIONS = 16  # about the car, counter-clockwise from its heading
-SIGHT_M = 5.0
+DIRECTIONS = 16  # around the car, counter-clockwise from its heading
+SIGHT_M = 5.0  # largest measured distance, and the unit of most length features
 ACTIONS = len(TURNS)
 RUN_CELLS = 8
-NEAR_M, FAR_M = 2.5, 5.0  # length of the free ways that are followed after an action
-LONG_WAY_M = 4 * SIGHT_M  # longer ways count as this long, and so do missing ones
+NEAR_M, FAR_M = 2.5, 5.0  # lengths of the free paths that are followed after an action
+LONG_WAY_M = 4 * SIGHT_M  # longer paths count as this long, and so do missing ones
 ACTION_FEATURES, BLOCK_FEATURES = 12, 14
 _TURNS = np.array(TURNS)
 _ADVANCES = np.array(ADVANCES)
 _STEPS = np.asarray(STEPS)
-# Lateral offsets that cover a body of the car's width. Cell centres are corners of fine cells, so none runs along one.
+# Lateral offsets that cover a body of the car's width. None is 0, since cell centres are corners of fine cells.
 _CORRIDOR_M = (-0.6, -0.3, -0.02, 0.02, 0.3, 0.6)
 _BODY_M = 0.6  # corridors begin beside the car
 _LINE_POINTS = 33
@@ -33,7 +33,7 @@ FineCells = tuple[np.ndarray, np.ndarray]
 Moves = tuple[np.ndarray, np.ndarray, np.ndarray]
 # `exists`, `mask`, `blocks`, `subgoals` and `onward` of `zsdist.agent.blocks.Choices`; the last row is the goal.
 Offer = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-# Side of a cell, half the side of the grid, half the side of the fine frame and side of a fine cell, all in metres;
+# Side of a cell, half the side of the grid, half the side of the fine grid and side of a fine cell, all in metres;
 # fine cells between the arena's wall and the first cell.
 Geometry = tuple[float, float, float, float, int]
 
@@ -49,20 +49,20 @@ def clearances(
     grid_half: float,
     fine: float,
 ) -> np.ndarray:
-    """Return the room for the car's width and the distance to unseen ground in each direction.
+    """Return the free distance for a body of the car's width and the distance to unseen ground in each direction.
 
     Args:
-        occupied: `(fine_size, fine_size)` bool.
-        seen: `(fine_size, fine_size)` bool.
-        x: of the car, metres.
-        y: of the car, metres.
-        heading: radians.
-        arena_half: half the side of the fine frame.
-        grid_half: half the side of the planning grid, beyond which the car cannot go.
-        fine: side of a fine cell.
+        occupied: `(fine_size, fine_size)` bool, occupied fine cells.
+        seen: `(fine_size, fine_size)` bool, seen fine cells.
+        x: x of the car, metres.
+        y: y of the car, metres.
+        heading: heading of the car, radians.
+        arena_half: half the side of the fine grid, metres.
+        grid_half: half the side of the planning grid, beyond which the car cannot go, metres.
+        fine: side of a fine cell, metres.
 
     Returns:
-        `(2, DIRECTIONS)` metres, at most `SIGHT_M`.
+        `(2, DIRECTIONS)` metres, at most `SIGHT_M`: free distances, then distances to unseen ground.
     """
     out = np.full((2, DIRECTIONS), SIGHT_M)
     size = occupied.shape[0]
@@ -100,20 +100,22 @@ def action_features(
     subgoal: tuple[float, float],
     geometry: Geometry,
 ) -> np.ndarray:
-    """Return what each action leads to, as far as it shows without planning: `(ACTIONS, ACTION_FEATURES)`.
+    """Return features of the outcome of each action, without planning, `(ACTIONS, ACTION_FEATURES)`.
 
-    Columns: free, gain towards the subgoal (in cells' diagonals), cosine and sine of the subgoal's bearing
-    afterwards, length of the free run straight on, most gain along it, most gain within `NEAR_M` driven on by any free
-    way, the same within `FAR_M`, visits of the cell and of the state at the end, unseen share and fresh share of the
-    run. Gains are in metres as the crow flies, so a subgoal behind an obstacle may gain nothing by the way round it.
+    Columns: whether the action is free; gain towards the subgoal, in diagonals of a cell; cosine and sine of the
+    subgoal's bearing afterwards; length of the free straight run that follows; largest gain along this run; largest
+    gain on any free path of at most `NEAR_M` that follows; the same for `FAR_M`; logarithms of the visits of the cell
+    and of the state where the action ends; unseen share and unvisited share of the run. A gain is the decrease of the
+    straight distance to the subgoal, so the path around an obstacle may have none. Lengths and all gains but the first
+    are in units of `SIGHT_M`. All columns are 0 for a blocked action.
 
     Args:
         moves: see `Moves`.
-        seen: `(fine_size, fine_size)` bool.
-        visits: `(cells, cells, 8)`.
+        seen: `(fine_size, fine_size)` bool, seen fine cells.
+        visits: `(cells, cells, 8)` int, number of visits of each state.
         ix: column of the car's cell.
         iy: row of the car's cell.
-        heading: of the car, in eighths of a turn.
+        heading: heading of the car, in eighths of a turn.
         subgoal: `(x_m, y_m)`.
         geometry: see `Geometry`.
     """
@@ -141,13 +143,13 @@ def action_features(
         row[4], row[5] = length / SIGHT_M, (before - min(nearest, after)) / SIGHT_M
         spread_costs(flat, after_each, action_costs, (ey * cells + ex) * 8 + h, FAR_M, driven)
         near_by, far_by = after, after
-        reach = int(FAR_M / cell) + 1  # cells; no way of that length leads farther
+        reach = int(FAR_M / cell) + 1  # cells; no path of that length leads farther
         for cy in range(max(ey - reach, 0), min(ey + reach + 1, cells)):
             for cx in range(max(ex - reach, 0), min(ex + reach + 1, cells)):
                 driven_m = np.inf
                 for state in range((cy * cells + cx) * 8, (cy * cells + cx) * 8 + 8):
                     driven_m = min(driven_m, driven[state])
-                    driven[state] = np.inf  # for the next action
+                    driven[state] = np.inf  # reset for the next action
                 if driven_m <= FAR_M:
                     gap = math.hypot(sub_x - ((cx + 0.5) * cell - grid_half), sub_y - ((cy + 0.5) * cell - grid_half))
                     far_by = min(far_by, gap)
@@ -174,22 +176,23 @@ def block_features(
 ) -> tuple[np.ndarray, float]:
     """Return the features of each neighbouring block, and the seen share of the car's own block.
 
-    Columns: exists, can be chosen, seen share, occupied share, visits, tries, detour by its subgoal, cosine and sine of
-    the subgoal's bearing, way there, gain towards the goal as the crow flies, whether it is the goal's block, free
-    share of the line to the subgoal, `onward`.
+    Columns: whether the block exists; whether it may be chosen; seen share; occupied share; logarithms of visits and
+    tries; detour to the goal through the block's subgoal; cosine and sine of the subgoal's bearing; path length to the
+    subgoal; decrease of the straight distance to the goal; whether it is the goal's block; free share of the straight
+    line to the subgoal; `onward`. Lengths are in units of `SIGHT_M`.
 
     Args:
         offer: see `Offer`.
-        beeline_m: `(10,)` metres as the crow flies to the goal, from each subgoal and then from the car.
+        beeline_m: `(10,)` straight distances to the goal in metres, from each subgoal and then from the car.
         fine_cells: see `FineCells`.
         counts: `block_visits` and `tries` of `zsdist.agent.situation.Situation`.
-        drive_m: see there.
+        drive_m: `drive_m` of the same situation.
         pose: x and y of the car in metres, and its heading in radians.
-        block: `(bx, by)` the car is in.
+        block: `(bx, by)` of the car.
         geometry: see `Geometry`.
 
     Returns:
-        `(NEIGHBOURS, BLOCK_FEATURES)`, all 0 where the block does not exist; and the share.
+        `(NEIGHBOURS, BLOCK_FEATURES)`, all 0 where the block does not exist; and the seen share.
     """
     exists, mask, blocks, subgoals, onward = offer
     occupied, seen = fine_cells
@@ -224,18 +227,18 @@ def block_features(
 def line(
     fine_cells: FineCells, x: float, y: float, to_x: float, to_y: float, arena_half: float, fine: float
 ) -> tuple[float, float]:
-    """Return the share of the straight line to a point up to the first occupied fine cell, and its seen share.
+    """Return the share of a straight line before its first occupied fine cell, and the seen share of the line.
 
     Two lines close beside it are measured, since the line itself may run along the edges of fine cells.
 
     Args:
         fine_cells: see `FineCells`.
-        x: where the line begins, metres.
-        y: where the line begins, metres.
-        to_x: the point, metres.
-        to_y: the point, metres.
-        arena_half: half the side of the fine frame.
-        fine: side of a fine cell.
+        x: x of the beginning, metres.
+        y: y of the beginning, metres.
+        to_x: x of the end, metres.
+        to_y: y of the end, metres.
+        arena_half: half the side of the fine grid, metres.
+        fine: side of a fine cell, metres.
     """
     occupied, seen = fine_cells
     east, north = to_x - x, to_y - y
@@ -256,16 +259,17 @@ def line(
 
 @compiled()
 def _block_shares(flags: np.ndarray, border: int, cells: int, blocks: int, block: tuple[int, int]) -> np.ndarray:
-    """Return the set share of the fine cells of a block and of those about it, `[by, bx]` `(blocks, blocks)`.
-
-    It is 0 elsewhere.
+    """Return the share of fine cells that are set, in a block and in each of its neighbours.
 
     Args:
         flags: `(fine_size, fine_size)` bool.
-        border: fine cells between the arena's wall and the first block.
-        cells: per side of the grid.
-        blocks: per side of the grid.
-        block: `(bx, by)`.
+        border: number of fine cells between the arena's wall and the first block.
+        cells: number of cells per side of the grid.
+        blocks: number of blocks per side of the grid.
+        block: `(bx, by)` of the middle block.
+
+    Returns:
+        `(blocks, blocks)` `[by, bx]`, 0 for all other blocks.
     """
     bx, by = block
     side = cells // blocks * FINE_PER_CELL
@@ -294,10 +298,10 @@ def _run(
     grid_half: float,
     border: int,
 ) -> tuple[float, float, float, float]:
-    """Follow the heading from a state while nothing blocks.
+    """Follow the heading from a state until something blocks, for at most `RUN_CELLS` cells.
 
     Returns:
-        Metres, least distance from the subgoal, unseen share and fresh share.
+        Length and least distance from the subgoal in metres, unseen share and unvisited share.
     """
     sub_x, sub_y = subgoal
     length, nearest, unseen, fresh, count = 0.0, 1e9, 0, 0, 0
@@ -307,7 +311,7 @@ def _run(
         nearest = min(nearest, math.hypot(sub_x - px, sub_y - py))
         count += 1
         fx, fy = border + 4 * x + 1, border + 4 * y + 1
-        for near in range(4):  # the fine cells about the cell's centre
+        for near in range(4):  # the fine cells around the cell's centre
             if not seen[fy + near // 2, fx + near % 2]:
                 unseen += 1
         stood = 0

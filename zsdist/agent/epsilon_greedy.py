@@ -1,4 +1,4 @@
-"""Epsilon-greedy choice of one level among what is allowed, with a guide in place of most of the random choices."""
+"""Epsilon-greedy choice of one level; most of its exploratory choices follow a guide policy."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ class Choice:
     """Choice of one level.
 
     Attributes:
-        index: of the action or option.
+        index: index of the action or of the high level's choice.
         behaviour: policy that chose it.
-        changed: whether the mask excluded what the network values most.
+        changed: whether the mask excluded the choice that the network values most.
     """
 
     index: int
@@ -28,12 +28,12 @@ class Choice:
 
 @dataclass(frozen=True)
 class EpsilonGreedy:
-    """Rule by which both levels choose in one episode.
+    """Exploration rule of both levels in one episode.
 
     Attributes:
-        epsilon: share of exploratory choices.
-        guide_share: share of these that follow the guide, where there is one; the others are uniform.
-        rng: of the exploration.
+        epsilon: probability of an exploratory choice.
+        guide_share: probability that such a choice follows the guide policy, where it has one; else it is uniform.
+        rng: generator of the exploration.
     """
 
     epsilon: float
@@ -46,11 +46,11 @@ class EpsilonGreedy:
         """Return the choice of a level.
 
         Args:
-            q: values of the level.
-            state: `(D,)` of the level.
-            mask: `(A,)` bool, what is allowed.
-            guided: choice of the guide; None: there is none.
-            instead: choice of what the configuration puts in the network's place; None: the network decides.
+            q: Q-function of the level.
+            state: `(D,)` state of the level.
+            mask: `(A,)` bool, allowed choices.
+            guided: choice of the guide policy; None: it has none.
+            instead: choice of the policy that the configuration puts in the network's place; None: the network decides.
         """
         if instead is not None:
             return Choice(int(instead), Behaviour.GUIDE, False)

@@ -1,8 +1,8 @@
-"""States of both levels, relative to the car: no coordinate of the map is among them.
+"""State features of both levels, relative to the car, without map coordinates.
 
-Everything is measured on the believed map. Ways are measured from the car, never from the goal: neither the cost to
-go, by which the planner decides, nor the potential field's choice is an input. Counts enter by their logarithm, which
-has no upper end, so that the state of a car that drives in circles keeps changing.
+All of them are measured on the believed map. Path lengths are measured from the car, never from the goal: neither the
+planner's cost to go nor the potential field's action is an input. Counts enter as logarithms, which are unbounded, so
+that the state of a car that drives in circles keeps changing.
 """
 
 import math
@@ -37,14 +37,14 @@ HIGH_STATE_SIZE = NEIGHBOURS * BLOCK_FEATURES + HERE_FEATURES + DIRECTIONS + 3
 
 _ACTION_SINE = 3  # column of `action_features` whose sign a reflection changes
 _BLOCK_SINE = 8  # the same of `block_features`
-_FAR_M = 10.0
+_FAR_M = 10.0  # unit of the distance to the goal
 
 
 class StepFeatures:
-    """States of both levels at one step, each measured when it is first asked for and then kept.
+    """States of both levels at one step, each computed at its first use and then kept.
 
     Args:
-        situation: what the car knows.
+        situation: knowledge of the car.
         options: choices of the high level.
     """
 
@@ -76,10 +76,10 @@ def low_state(situation: Situation, subgoal: tuple[float, float], seeks_goal: bo
     """Return the state of the low level under a subgoal, `(LOW_STATE_SIZE,)` float32.
 
     Args:
-        situation: what the car knows.
-        subgoal: `(x_m, y_m)`.
+        situation: knowledge of the car.
+        subgoal: `(x_m, y_m)` of the subgoal.
         seeks_goal: whether the subgoal is the goal itself.
-        rooms: of `measure_rooms`.
+        rooms: `(2, DIRECTIONS)` metres, from `measure_rooms`.
     """
     grid, state = situation.grid, situation.state
     actions = action_features(
@@ -106,7 +106,7 @@ def high_state(situation: Situation, options: Choices, rooms: np.ndarray) -> np.
     (x, y), (bx, by), goal = situation.place, situation.block, situation.goal
     geometry, heading_rad = _geometry(situation.grid), situation.state.heading * math.pi / 4
     fine_cells = (situation.occupied, situation.seen)
-    # The distances are taken here, since compiled code rounds a hypotenuse in another way.
+    # The distances are computed here, since compiled code rounds a hypotenuse differently.
     points = [*options.subgoals.tolist(), (x, y)]
     beeline_m = np.array([math.hypot(goal[0] - point_x, goal[1] - point_y) for point_x, point_y in points])
     goal_m = float(beeline_m[-1])
@@ -134,7 +134,7 @@ def high_state(situation: Situation, options: Choices, rooms: np.ndarray) -> np.
 
 
 def measure_rooms(situation: Situation) -> np.ndarray:
-    """Return clearances and distances to unseen ground about the car, `(2, DIRECTIONS)` metres."""
+    """Return clearances and distances to unseen ground around the car, `(2, DIRECTIONS)` metres."""
     grid, (x, y) = situation.grid, situation.place
     heading_rad = situation.state.heading * math.pi / 4
     half_arena_m, half_grid_m = grid.arena_m / 2, grid.side_m / 2

@@ -1,6 +1,6 @@
 """Guide policies of exploration: the global policy of Algorithm 2 (low level), and a planner over blocks (high level).
 
-Both serve training. A contender that is evaluated with one in the place of a network is not called `full`.
+Both serve training. A contender with one of them in place of a network is another variant than `full`.
 """
 
 import math
@@ -17,9 +17,9 @@ from zsdist.planning.grid import HEADINGS
 from zsdist.planning.shortest_path import flat_path
 from zsdist.types import Action
 
-DIRECT_RATIO, DIRECT_M = 1.1, 1.0  # of the straight line; a way no longer than both together is driven without blocks
-_MOST_TRAIL = 5  # visits of a cell that count at most
-_RELUCTANCE = 0.5  # cosines against an action for each visit of its end, in units of the trail's weight
+DIRECT_RATIO, DIRECT_M = 1.1, 1.0  # a path of at most RATIO times the straight line plus M needs no block as subgoal
+_MOST_TRAIL = 5  # largest number of a cell's visits that counts
+_RELUCTANCE = 0.5  # times the trail's weight: loss of an action's cosine for each visit of its end state
 
 
 class LowGuide:
@@ -28,14 +28,19 @@ class LowGuide:
     def __init__(self, config: AgentConfig) -> None:
         self._config = config
         self._pool = policy_map.PolicyMap()
-        self.explored, self.unexplored = 0, 0  # guide actions of each half of the union
+        self.explored, self.unexplored = 0, 0  # number of guide actions from advice and from the field
 
     def action(self, situation: Situation, subgoal: tuple[float, float], mask: np.ndarray) -> Action | None:
         """Return the action of the global policy; None where nothing is allowed.
 
-        The advice guides in explored blocks, the first time the car is in a state. Where the car returns, the advice
-        led it in a circle, and the potential field with its trail takes over. The field also takes over where the
-        advice, which knows the goal and not the subgoal, leads away from the subgoal.
+        The advice decides in explored blocks, the first time that the car is in a state. If the car returns to a state,
+        the advice has led it in a circle, and the potential field with its trail decides. The field also decides where
+        the advice, which knows the goal and not the subgoal, leads away from the subgoal.
+
+        Args:
+            situation: knowledge of the car.
+            subgoal: `(x_m, y_m)` of the subgoal.
+            mask: `(5,)` bool, allowed actions.
         """
         state = situation.state
         first = situation.visits[state.iy, state.ix, state.heading] <= 1
@@ -81,16 +86,16 @@ class LowGuide:
 
 
 def high_choice(situation: Situation, options: Choices, cost_to_goal: np.ndarray, action_costs: np.ndarray) -> int:
-    """Return the neighbouring block into which the shortest believed way to the goal leads next, or the goal itself.
+    """Return the choice of the next block on the shortest believed path to the goal, or of the goal itself.
 
-    The goal is chosen where no way leads there, and where the way is hardly longer than the straight line, since a
+    The goal is chosen where no path leads there, and where the path is hardly longer than the straight line, since a
     subgoal in a block would only bend it.
 
     Args:
-        situation: what the car knows.
-        options: the choices of the high level.
-        cost_to_goal: `(cells, cells, 8)` on the believed map.
-        action_costs: `(8, 5)` from which it was computed.
+        situation: knowledge of the car.
+        options: choices of the high level.
+        cost_to_goal: `(cells, cells, 8)` cost to go in metres, on the believed map.
+        action_costs: `(8, 5)` metres by heading and action, from which it was computed.
     """
     state = situation.state
     way_m = float(cost_to_goal[state.iy, state.ix, state.heading])
@@ -124,7 +129,7 @@ def _towards(situation: Situation, subgoal: tuple[float, float], action: Action)
 
 
 def _surfaces(situation: Situation, reach_m: float) -> np.ndarray:
-    """Return the centres of occupied fine cells near the car, `(N, 2)`."""
+    """Return the centres of occupied fine cells within about `reach_m` of the car, `(N, 2)` metres."""
     grid, (x, y) = situation.grid, situation.place
     fx, fy = grid.fine_index(x, y)
     reach = math.ceil(reach_m / grid.fine_m)
@@ -135,9 +140,9 @@ def _surfaces(situation: Situation, reach_m: float) -> np.ndarray:
 
 
 def _trail(situation: Situation) -> np.ndarray:
-    """Return the centres of visited cells, `(M, 2)`, each as often as it was visited.
+    """Return the centres of visited cells, `(M, 2)` metres, each repeated once per visit.
 
-    The present cell is among them; at distance 0 it exerts no force.
+    The present cell is included; at distance 0 it exerts no force.
     """
     grid = situation.grid
     return _visited_centres(situation.visits, grid.cell_size_m, grid.side_m / 2)
@@ -145,13 +150,13 @@ def _trail(situation: Situation) -> np.ndarray:
 
 @compiled()
 def _set_cell_centres(flags: np.ndarray, west: float, south: float, side: float) -> np.ndarray:
-    """Return the centres `(N, 2)` of the fine cells that are set.
+    """Return the centres of the fine cells that are set, `(N, 2)` metres.
 
     Args:
         flags: `(rows, columns)` bool.
-        west: x of the first column's centres.
-        south: y of the first row's centres.
-        side: of a fine cell.
+        west: x of the first column's centres, metres.
+        south: y of the first row's centres, metres.
+        side: side of a fine cell, metres.
     """
     centres, count = np.empty((flags.size, 2)), 0
     for row in range(flags.shape[0]):
@@ -164,12 +169,12 @@ def _set_cell_centres(flags: np.ndarray, west: float, south: float, side: float)
 
 @compiled()
 def _visited_centres(visits: np.ndarray, cell: float, half: float) -> np.ndarray:
-    """Return the centres `(M, 2)` of a grid's cells, each as often as it was visited, at most `_MOST_TRAIL` times.
+    """Return the centres of visited cells, `(M, 2)` metres, each once per visit, at most `_MOST_TRAIL` times.
 
     Args:
-        visits: `(cells, cells, 8)`.
-        cell: side of a cell.
-        half: half the side of the grid.
+        visits: `(cells, cells, 8)` int, number of visits of each state.
+        cell: side of a cell, metres.
+        half: half the side of the grid, metres.
     """
     centres, count = np.empty((_MOST_TRAIL * visits.shape[0] * visits.shape[1], 2)), 0
     for row in range(visits.shape[0]):

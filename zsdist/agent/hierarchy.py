@@ -1,4 +1,4 @@
-"""Algorithm 2 for one car: decisions of both levels under the shield, from poses and views that come from outside."""
+"""Algorithm 2 for one car: decisions of both levels under the shield, from given poses and views."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -34,7 +34,7 @@ _COUNTED = (
 
 
 def q_functions(parameters: Mapping[Level, Parameters]) -> QFunctions:
-    """Return the functions that `HierarchicalAgent.act` asks, made of the weights of both networks."""
+    """Return the Q-functions for `HierarchicalAgent.act`, made of the weights of both networks."""
     return {level: partial(network.apply, weights) for level, weights in parameters.items()}
 
 
@@ -43,9 +43,9 @@ class AgentSettings:
     """Settings of an agent.
 
     Attributes:
-        grid: frames.
+        grid: planning grid.
         success_radius_m: distance from the goal within which it is reached.
-        camera_forward_m: mount of the camera, ahead of the car's centre.
+        camera_forward_m: distance of the camera ahead of the car's centre.
         policy: the configuration's section `agent`.
     """
 
@@ -60,10 +60,10 @@ class Decision:
     """Decision of one step.
 
     Attributes:
-        action: of the low level.
+        action: action of the low level.
         behaviour: policy that chose the action.
-        subgoal: `(x_m, y_m)` the low level is under way to.
-        shield_changed: whether the policy would have acted otherwise without the shield.
+        subgoal: `(x_m, y_m)` that the low level is sent to.
+        shield_changed: whether the action would be another one without the shield.
         option_started: whether the high level has just decided.
     """
 
@@ -76,11 +76,11 @@ class Decision:
 
 @dataclass(frozen=True)
 class _Present:
-    """All that is known at one step, and what may be chosen there.
+    """Knowledge and choices at one step.
 
     Attributes:
-        situation: of the car.
-        judgement: of the shield.
+        situation: knowledge of the car.
+        judgement: judgement of the shield.
         options: choices of the high level.
         low_mask: `(5,)` bool, actions that the low level may take.
         features: states of both levels.
@@ -94,9 +94,10 @@ class _Present:
 
 
 class HierarchicalAgent:
-    """Decides for one car, an episode at a time.
+    """Agent of two levels that decides for one car, one episode at a time.
 
-    An episode is `begin`, then `observe`, `act`, `result` in turn; after the last result `observe` and `finish`.
+    The calls of an episode are `begin`, then `observe`, `act` and `result` in turn, and after the last result
+    `observe` and `finish`.
     """
 
     def __init__(self, settings: AgentSettings) -> None:
@@ -115,13 +116,13 @@ class HierarchicalAgent:
         """Begin an episode.
 
         Args:
-            pose: start of the car; the ground about it is free.
-            goal_xy: metres.
-            epsilon: share of exploratory decisions.
+            pose: pose at the start; the ground around it counts as free.
+            goal_xy: `(x_m, y_m)` of the goal.
+            epsilon: probability of an exploratory decision.
             shielded: whether the shield masks actions.
-            rng: of the exploration.
-            recorder: of the episode, if it is learned from. Without one no guide and no planner is asked, unless
-                `agent.high_policy` or `agent.low_policy` puts one in the place of a network.
+            rng: generator of the exploration.
+            recorder: recorder of a training episode; None: nothing is learned from it. Without one, guide policies and
+                planner are used only if `agent.high_policy` or `agent.low_policy` puts them in place of a network.
         """
         goal = (float(goal_xy[0]), float(goal_xy[1]))
         self._memory = EpisodeMemory(
@@ -138,11 +139,11 @@ class HierarchicalAgent:
 
     @property
     def situation(self) -> Situation:
-        """Situation at the last `observe`, of which an episode needs one first."""
+        """Situation at the last `observe` of the episode."""
         return self._present().situation
 
     def observe(self, pose: Pose, view: View) -> None:
-        """Take in where the car is and what it sees (lines 6 and 13), and complete the step that led here."""
+        """Add a pose and the view from there to the memory (lines 6 and 13), and complete the step that led there."""
         before = self._now
         situation, judgement = self._memory.observe(pose, view)
         self._counts["shield_gave_way"] += judgement.gave_way
@@ -156,19 +157,19 @@ class HierarchicalAgent:
     def act(self, q: QFunctions) -> Decision:
         """Decide one step of Algorithm 2, lines 6 to 13.
 
-        The high level sends the low level to a block or to the goal, and is asked again when that option has ended.
-        The low level acts. With probability epsilon either follows its guide policy or, less often, chance. A
-        recorder shows both the shortest believed way to learn from, whoever acts.
+        The high level sends the low level to a block or to the goal, and decides again when that option has ended. The
+        low level chooses an action. With probability epsilon, a level follows its guide policy or, less often, chooses
+        uniformly. A recorder stores the planner's choices as those to learn from, whichever policy acted.
 
         Args:
-            q: values of each level.
+            q: Q-function of each level.
         """
         now = self._present()
         started = self._option is None
         option = self._decide_option(now, q[Level.HIGH]) if self._option is None else self._option
         self._option = option
 
-        # Lines 8 to 12: the global policy, potential field or advice, is what exploration follows.
+        # Lines 8 to 12: exploration follows the global policy, which is advice or potential field.
         guided = None
         if self._recorder is not None or self._policy.low_policy == "planner":
             guided = self._guide.action(now.situation, option.subgoal, now.judgement.allowed)
@@ -183,17 +184,17 @@ class HierarchicalAgent:
         return Decision(Action(choice.index), choice.behaviour, option.subgoal, shield_changed, started)
 
     def result(self, terms: RewardTerms, terminated: bool, truncated: bool) -> None:
-        """Report the outcome of the step; the next `observe` completes it."""
+        """Store the outcome of the step; the next `observe` completes it."""
         self._result = (terms, terminated, truncated)
 
     def finish(self) -> None:
-        """End the episode, early if need be: open trajectories are closed as truncated."""
+        """End the episode, which need not be over; open trajectories are closed as truncated."""
         if self._option is not None:
             self._close(self._present(), self._option, low_final=False, high_final=False)
         self._option = self._recorder = self._result = None
 
     def statistics(self) -> dict[str, float]:
-        """Return plain numbers about the episode so far."""
+        """Return counts and shares of the episode so far, by name."""
         counts: dict[str, float] = {name: int(self._counts[name]) for name in _COUNTED}
         counts["revisits"] = self._memory.revisits
         guided = self._guide.explored + self._guide.unexplored
@@ -237,7 +238,7 @@ class HierarchicalAgent:
         return None
 
     def _record(self, recorder: Recorder, now: _Present, option: Option, choice: Choice, guided: Action | None) -> None:
-        """Record the beginning of a step, with the planner's choices as those to learn from."""
+        """Record the beginning of a step, with the planner's choices as the guide's."""
         shown = self._planner.low_action(now.situation, option, now.judgement.allowed, otherwise=guided)
         recorder.act(Level.LOW, now.features.low(option), now.low_mask, choice.index, shown, choice.behaviour)
         high = option.choice(now.options)
@@ -248,7 +249,7 @@ class HierarchicalAgent:
     def _complete(
         self, before: Situation, now: _Present, terms: RewardTerms, terminated: bool, truncated: bool
     ) -> None:
-        """Complete the step from `before` to now, lines 13 and 14: rewards, transitions, and the end of the option."""
+        """Complete the step from `before` to `now` (lines 13 and 14): rewards, transitions, end of the option."""
         self._result = None
         option = self._option
         assert option is not None, "a step is taken under an option"

@@ -12,22 +12,22 @@ from zsdist.planning.grid import HEADINGS, Grid
 from zsdist.planning.shortest_path import goal_mask
 from zsdist.types import Pose, View
 
-START_DISC_M = 1.5  # radius about the start that is known to be free
+START_DISC_M = 1.5  # radius around the start in which the ground counts as free
 
 
 class EpisodeMemory:
     """Memory of one car over one episode, from which the `Situation` of each step is made.
 
     Args:
-        grid: frames.
-        pose: start of the episode; the ground within `START_DISC_M` of it is free.
-        goal: `(x_m, y_m)`.
+        grid: planning grid.
+        pose: pose at the start; the ground within `START_DISC_M` of it counts as free.
+        goal: `(x_m, y_m)` of the goal.
         success_radius_m: distance from the goal within which it is reached.
-        camera_forward_m: mount of the camera, ahead of the car's centre.
+        camera_forward_m: distance of the camera ahead of the car's centre.
 
     Attributes:
         goals: `(cells, cells)` bool, the cells in which the goal is reached.
-        revisits: steps that led into a state in which the car had been before.
+        revisits: number of steps into a state that the car had visited before.
     """
 
     def __init__(
@@ -48,8 +48,8 @@ class EpisodeMemory:
         """Add one view to the belief and one visit to the counts.
 
         Args:
-            pose: where the car is.
-            view: what it sees from there.
+            pose: pose of the car.
+            view: view from this pose.
 
         Returns:
             The situation, and the shield's judgement of it.
@@ -82,10 +82,10 @@ class EpisodeMemory:
         return situation, judgement
 
     def count_try(self, block: tuple[int, int] | None) -> None:
-        """Count an option that ended without its aim.
+        """Count an option that ended before it entered its block or reached the goal.
 
         Args:
-            block: `(bx, by)` that it was to enter; None: it was to reach the goal.
+            block: `(bx, by)` of the option's block; None: the option sought the goal.
         """
         if block is None:
             self._goal_tries += 1

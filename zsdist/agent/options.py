@@ -12,8 +12,8 @@ class End(StrEnum):
     """Reason for which an option ended."""
 
     ENTERED = "entered"
-    BLOCKED = "blocked"  # no free way leads into the block any more
-    STRAYED = "strayed"  # the car is in a block to which the option's is no neighbour
+    BLOCKED = "blocked"  # no free path leads into the block any more
+    STRAYED = "strayed"  # the option's block is no neighbour of the car's present block
     LONG = "long"  # it took `option_max_steps`
 
 
@@ -22,10 +22,10 @@ class Option:
     """Decision of the high level while it is carried out.
 
     Attributes:
-        block: `(bx, by)` to enter; None: the goal is sought.
+        block: `(bx, by)` of the block to enter; None: the goal is sought.
         subgoal: `(x_m, y_m)` that the low level is sent to.
-        behaviour: policy that chose it.
-        steps: low-level steps so far.
+        behaviour: policy that chose the option.
+        steps: number of low-level steps so far.
     """
 
     block: tuple[int, int] | None
@@ -64,7 +64,7 @@ class Option:
         return End.LONG if self.steps >= max_steps else None
 
     def stepped(self, situation: Situation, options: Choices) -> "Option":
-        """Return the option one step later; its subgoal moves only where no free way leads to the former one."""
+        """Return the option one step later; its subgoal changes only where no free path leads to it any more."""
         subgoal = self.subgoal
         choice = self.choice(options)
         if self.block is not None and choice is not None:

@@ -1,4 +1,4 @@
-"""Planner on the believed map: shortest ways of one episode, to the goal and to the subgoal of the present option."""
+"""Planner on the believed map of one episode: shortest paths to the goal and to the subgoal of the present option."""
 
 import math
 
@@ -16,10 +16,10 @@ from zsdist.types import Action
 
 
 class Planner:
-    """Costs to go on the believed map of one episode, kept up from step to step.
+    """Costs to go on the believed map of one episode, kept up to date while the map changes.
 
     Args:
-        grid: frames.
+        grid: planning grid.
         goals: `(cells, cells)` bool, the cells in which the goal is reached.
     """
 
@@ -44,19 +44,19 @@ class Planner:
         return self._subgoal_field.costs_on(situation.blocked)
 
     def high_choice(self, situation: Situation, options: Choices) -> int:
-        """Return the block on the shortest believed way to the goal, or the goal itself: `guide.high_choice`."""
+        """Return the next choice on the shortest believed path to the goal, as `guide.high_choice` does."""
         return guide.high_choice(situation, options, self.cost_to_goal(situation), self._costs)
 
     def low_action(
         self, situation: Situation, option: Option, allowed: np.ndarray, otherwise: Action | None
     ) -> Action | None:
-        """Return the first action of the shortest believed way to an option's subgoal.
+        """Return the first action of the shortest believed path to an option's subgoal.
 
         Args:
-            situation: what the car knows.
-            option: whose subgoal is sought.
+            situation: knowledge of the car.
+            option: option with the subgoal.
             allowed: `(5,)` bool, actions to choose among.
-            otherwise: returned where no way leads to the subgoal.
+            otherwise: action to return where no path leads to the subgoal.
         """
         state, is_allowed = situation.state, allowed.tolist()
         cost, steps = self.cost_to_subgoal(situation, option), self._costs[state.heading].tolist()

@@ -15,12 +15,12 @@ from zsdist.types import NO_GUIDE, Behaviour, Level, Trajectory
 
 @dataclass(frozen=True)
 class RecorderSettings:
-    """Settings of the returns that the levels learn from.
+    """Discounts and rewards that the levels learn from.
 
     Attributes:
         discounts: gamma of each level.
         literal_reward: whether both levels learn from the paper's sum of terms instead of the shaped rewards.
-        goal_reward: the paper's term for a step that reaches the goal, by which such a step is known.
+        goal_reward: the paper's term for a step that reaches the goal; such a step is recognised by it.
     """
 
     discounts: Mapping[Level, float]
@@ -30,12 +30,12 @@ class RecorderSettings:
 
 @dataclass
 class TrajectoryBuilder:
-    """Transitions of one level under one subgoal (low) or one option (high), while they happen.
+    """Transitions of one level under one subgoal (low) or one option (high), collected as they happen.
 
     Attributes:
-        level: DQN that learns from them.
+        level: level whose DQN learns from them.
         discount: gamma.
-        weight_version: version of the weights when the episode began; newer ones act as soon as they come.
+        weight_version: version of the weights when the episode began; newer ones act as soon as they arrive.
     """
 
     level: Level
@@ -49,7 +49,7 @@ class TrajectoryBuilder:
     _rewards: list[float] = field(default_factory=list)
 
     def act(self, state: np.ndarray, mask: np.ndarray, action: int, guide: int | None, behaviour: Behaviour) -> None:
-        """Begin a step."""
+        """Begin a step with its state and the action chosen there."""
         self._states.append(state)
         self._masks.append(mask)
         self._actions.append(action)
@@ -57,16 +57,16 @@ class TrajectoryBuilder:
         self._behaviours.append(behaviour)
 
     def reward(self, reward: float) -> None:
-        """End the step."""
+        """End the step with its reward."""
         self._rewards.append(reward)
 
     def close(self, state: np.ndarray, mask: np.ndarray, final: bool) -> Trajectory | None:
         """Return the trajectory up to `state`; None if no step has ended.
 
         Args:
-            state: `(D,)` reached after the last step.
+            state: `(D,)` state after the last step.
             mask: `(A,)` bool, actions that may be taken there.
-            final: whether nothing follows, so that nothing is bootstrapped.
+            final: whether `state` is terminal, so that nothing is bootstrapped from it.
         """
         count = len(self._rewards)
         if not count:
@@ -96,11 +96,13 @@ class TrajectoryBuilder:
 
 
 class Recorder:
-    """Trajectories of one training episode. Low ones end where the subgoal changes, high ones where the option ends.
+    """Recorder of one training episode.
+
+    Trajectories of the low level end where the subgoal changes, trajectories of the high level where the option ends.
 
     Args:
         settings: discounts and rewards.
-        weight_versions: of the networks when the episode begins.
+        weight_versions: versions of the networks when the episode begins.
     """
 
     def __init__(self, settings: RecorderSettings, weight_versions: Mapping[Level, int]) -> None:
@@ -125,11 +127,11 @@ class Recorder:
         """Begin a step of a level.
 
         Args:
-            level: that acts.
-            state: `(D,)` in which it acts.
+            level: level that acts.
+            state: `(D,)` state in which it acts.
             mask: `(A,)` bool, actions that may be taken there.
-            action: taken.
-            guide: action that the level is shown to learn from; None: there is none.
+            action: action taken.
+            guide: action of the guide policy, to learn from; None: there is none.
             behaviour: policy that chose the action.
         """
         self._builders[level].act(state, mask, action, guide, behaviour)
@@ -150,11 +152,11 @@ class Recorder:
         Args:
             before: situation in which the step began.
             after: situation in which it ended.
-            terms: the paper's rewards of it.
-            terminated: whether it reached the goal or hit something.
+            terms: paper rewards of the step.
+            terminated: whether the step reached the goal or hit something.
             entered: whether it entered the block that the low level was sent to.
-            option: under which it was taken.
-            planner: measures the progress on the map after the step.
+            option: option under which it was taken.
+            planner: planner that measures the progress on the map after the step.
         """
         if self._settings.literal_reward:
             low = high = terms.total
@@ -175,7 +177,7 @@ class Recorder:
         self._builders[Level.HIGH].reward(high)
 
     def close(self, level: Level, state: np.ndarray, mask: np.ndarray, final: bool) -> None:
-        """End the present trajectory of a level; arguments as of `TrajectoryBuilder.close`."""
+        """End the present trajectory of a level; for the arguments see `TrajectoryBuilder.close`."""
         trajectory = self._builders[level].close(state, mask, final)
         if trajectory is not None:
             self._finished.append(trajectory)

@@ -1,4 +1,4 @@
-"""Shaped rewards of both levels: progress along the believed way, and what is added for events on it."""
+"""Shaped rewards of both levels: progress along the believed path, and terms for events."""
 
 import math
 from dataclasses import dataclass
@@ -10,26 +10,26 @@ from zsdist.planning.grid import Grid
 from zsdist.planning.shortest_path import metres_cost
 from zsdist.types import Action
 
-# Rewards of a low-level step, in units in which the way through a block is worth about two.
+# Rewards of a low-level step. The progress of a path through a block is worth about two.
 PROGRESS_A_METRE = 0.5
 STEP = -0.05
 REVISIT = -0.1  # for each earlier visit of the state reached, up to MAX_REVISITS
 MAX_REVISITS = 8
 REENTRY = -0.3  # for each earlier visit of the block entered, up to MAX_REENTRIES; the high level only
 MAX_REENTRIES = 4
-SQUEEZED = -0.2  # where the shield had to give way: not forbidden, but better avoided
+SQUEEZED = -0.2  # where full care leaves no path to the goal: not forbidden, but better avoided
 ENTRY = 0.5
 GOAL = 2.0
 COLLISION = -4.0
-TURN_45_M, TURN_90_M = 0.1, 0.4  # added to the length of a way for its turns, so that turning towards it is progress
-MAX_PROGRESS_M = 2.0  # a change of the map can shorten a way by more, which is no merit of the action
+TURN_45_M, TURN_90_M = 0.1, 0.4  # added to a path's length for each turn, so that turning towards it is progress
+MAX_PROGRESS_M = 2.0  # a changed map can shorten a path by more, which the action did not cause
 
 
 @cache
 def way_costs(grid: Grid) -> np.ndarray:
-    """Return the cost of each action by heading, `(8, 5)` read-only: metres, with a surcharge for turns.
+    """Return the cost of each action by heading, `(8, 5)` metres with a surcharge for turns, read-only.
 
-    It is the measure of progress.
+    Progress is measured in these costs.
     """
     costs = metres_cost(grid)
     costs[:, [Action.LEFT_45, Action.RIGHT_45]] += TURN_45_M
@@ -39,12 +39,12 @@ def way_costs(grid: Grid) -> np.ndarray:
 
 
 def progress_m(cost: np.ndarray, before: tuple[int, int, int], after: tuple[int, int, int]) -> float:
-    """Return the metres by which the believed way to a target became shorter; 0 where no way leads there.
+    """Return the metres by which the believed path to a target became shorter; 0 where no path leads there.
 
     Args:
         cost: `(cells, cells, 8)` metres to the target, on the map after the step.
-        before: `(iy, ix, heading)` before the step.
-        after: the same after it.
+        before: state before the step, `(iy, ix, heading)`.
+        after: state after the step, likewise.
     """
     gained = float(cost[before]) - float(cost[after])
     return min(max(gained, -MAX_PROGRESS_M), MAX_PROGRESS_M) if math.isfinite(gained) else 0.0
@@ -55,9 +55,9 @@ class Step:
     """Events of one low-level step, apart from progress.
 
     Attributes:
-        revisits: earlier visits of the state reached.
-        reentries: earlier visits of the block entered; 0 where the block is the same as before.
-        squeezed: whether the shield had to give way where the step ended.
+        revisits: number of earlier visits of the state reached.
+        reentries: number of earlier visits of the block entered; 0 where the block is the same as before.
+        squeezed: whether full care leaves no path to the goal where the step ended.
         reached: whether the goal was reached.
         collided: whether something was hit.
     """
@@ -69,7 +69,7 @@ class Step:
     collided: bool
 
     def reward(self, progress_m: float) -> float:
-        """Return the reward that both levels share: for progress and arrival, against delay, circles and squeezing."""
+        """Return the terms that both levels share: progress, step, revisits, squeezing, goal and collision."""
         reward = PROGRESS_A_METRE * progress_m + STEP + REVISIT * min(self.revisits, MAX_REVISITS)
         return reward + SQUEEZED * self.squeezed + GOAL * self.reached + COLLISION * self.collided
 
@@ -77,11 +77,11 @@ class Step:
         """Return the reward of the low level.
 
         Args:
-            progress_m: towards its subgoal.
+            progress_m: metres of progress towards its subgoal.
             entered: whether the step entered the block that the level was sent to.
         """
         return self.reward(progress_m) + ENTRY * entered
 
     def high_reward(self, progress_m: float) -> float:
-        """Return the reward of the high level for progress towards the goal."""
+        """Return the reward of the high level for metres of progress towards the goal."""
         return self.reward(progress_m) + REENTRY * min(self.reentries, MAX_REENTRIES)

@@ -1,4 +1,4 @@
-"""Shield: masks actions that would hit believed-occupied space or end where no free way leads on. It never chooses."""
+"""Shield: masks actions that would hit something on the belief map or end where no free path leads on."""
 
 from functools import cache
 from itertools import product
@@ -14,19 +14,19 @@ from zsdist.planning.reachability import BlockedMoves
 from zsdist.planning.shortest_path import viable_states
 from zsdist.types import Action, LatticeState
 
-HIDING_CELLS = 3  # unseen ground nowhere farther from seen ground (in fine cells) is a sliver that hides no obstacle
+HIDING_CELLS = 3  # fine cells; unseen ground nowhere farther than this from seen ground is a sliver without obstacle
 _IN_PLACE = (Action.TURN_LEFT_90, Action.TURN_RIGHT_90)
 _ALONG_SIDES = slice(None, None, 2)  # headings along the grid's sides; turns in place through all four are a full turn
 
 
 class Caution(NamedTuple):
-    """Care with which the belief is read.
+    """Care with which the belief map is read.
 
     Attributes:
-        margin_m: kept clear about the car's box.
+        margin_m: margin around the car's box that must be free.
         above: log-odds from which a fine cell counts as occupied.
         unseen: whether unseen ground counts as occupied, except for slivers.
-        deep: whether only unseen ground counts that is not next to seen ground.
+        deep: whether unseen ground next to seen ground is excepted too.
     """
 
     margin_m: float
@@ -36,13 +36,14 @@ class Caution(NamedTuple):
 
 
 class Rung(NamedTuple):
-    """Step of the ladder from full care to daring.
+    """Degree of care, one of a list from full care to daring.
 
     Attributes:
-        near: care at states in which the car has been, and from which it has therefore looked.
-        far: care at every other state. Unseen ground is free there, since the car will have looked before it drives on
-            from such a state.
-        returning: whether the car may move only to states from which it can turn round or arrive with the care `near`.
+        near: care at states that the car has visited, and from which it has therefore observed.
+        far: care at every other state. Unseen ground is free there, since the car will have observed it before it
+            drives on from such a state.
+        returning: whether the car may move only to states from which it can turn round or reach the goal with the care
+            `near`.
     """
 
     near: Caution
@@ -50,7 +51,8 @@ class Rung(NamedTuple):
     returning: bool
 
 
-# From afar a surface is smeared over as much as a metre. Until nearer views correct it, even odds close too much.
+# Seen from afar, a surface is smeared over up to a metre until nearer views correct it. A threshold at even odds would
+# close too much ground until then.
 _LIKELY, _SURE, _SURER = 0.25, 0.95, 1.65
 USUAL, DOUBTFUL = Caution(MARGIN_M, _LIKELY), Caution(0.0, _SURE)
 CAREFUL, CLOSE, CLOSER = USUAL._replace(unseen=True), Caution(0.0, _LIKELY, unseen=True), DOUBTFUL._replace(unseen=True)
@@ -58,7 +60,7 @@ CAREFUL_RUNGS = tuple(
     Rung(near, far, returning)
     for returning, far, near in product((True, False), (USUAL, DOUBTFUL), (CAREFUL, CLOSE, CLOSER))
 )
-# States not yet looked from are doubted before unseen ground is entered.
+# Care at states without observation is lowered before unseen ground is entered.
 DARING_RUNGS = (
     *(
         Rung(near._replace(deep=True), far, returning=False)
@@ -67,20 +69,20 @@ DARING_RUNGS = (
     Rung(USUAL, USUAL, returning=False),
     Rung(USUAL, DOUBTFUL, returning=False),
     Rung(DOUBTFUL, DOUBTFUL, returning=False),
-    # fine cells that are touched rather than covered add as much again
+    # fine cells that the box only touches count as covered, which adds as much again
     Rung(Caution(-0.08, _SURER), DOUBTFUL, returning=False),
 )
 
 
 class Judgement(NamedTuple):
-    """Judgement of the shield on the belief.
+    """Blocked moves and allowed actions on the present belief map.
 
     Attributes:
-        moves: blocked moves, which hit something, leave the grid, or end where no free way leads on.
-        allowed: `(5,)` bool, actions that the car may take now. Where all are blocked, those that hit nothing; where
-            there are none, turns in place.
+        moves: blocked moves, which hit something, leave the grid, or end where no free path leads on.
+        allowed: `(5,)` bool, actions that the car may take now. If all are blocked, these are the actions that hit
+            nothing; if there are none, the turns in place.
         forced: whether all actions were blocked.
-        gave_way: whether full care leaves the car no way to the goal.
+        gave_way: whether full care leaves the car no path to the goal.
     """
 
     moves: BlockedMoves
@@ -90,20 +92,20 @@ class Judgement(NamedTuple):
 
 
 def judge(belief: BeliefMap, state: LatticeState, goals: np.ndarray, visits: np.ndarray) -> Judgement:
-    """Judge by the most careful reading of the belief under which a way leads from the car to the goal.
+    """Return the judgement of the most careful rung under which a path leads from the car to the goal.
 
-    The belief errs, and the car has no reverse gear: with one fixed reading it is sooner or later walled in by
-    obstacles that do not exist. So the readings are tried from the most careful on. As long as one of the careful ones
-    leads to the goal, the car moves on seen ground only, and only to states from which it can turn round. Actions in
-    states in which it has not been are judged as if it had looked from there. It therefore turns in place to look,
-    where a view is missing, before it enters unseen ground. Where no reading leads to the goal, the usual one holds,
-    and a state is viable from which the car can keep moving.
+    The belief map has errors, and the car has no reverse gear: under one fixed rung it would sooner or later be walled
+    in by obstacles that do not exist. The rungs are therefore tried from the most careful one on. As long as one of
+    `CAREFUL_RUNGS` leaves a path to the goal, the car moves on seen ground only, and if possible only to states from
+    which it can turn round. Actions at states that it has not visited are judged as if it had observed from there.
+    Where a view is missing, it therefore turns in place to observe before it enters unseen ground. If no rung leaves a
+    path to the goal, the care is `USUAL`, and a state is viable if the car can keep moving from it.
 
     Args:
         belief: occupied and seen ground.
-        state: of the car.
-        goals: `(cells, cells)` bool.
-        visits: `(cells, cells, 8)`, times that the car was in each state, the present one included.
+        state: lattice state of the car.
+        goals: `(cells, cells)` bool, cells in which the goal is reached.
+        visits: `(cells, cells, 8)` int, number of times that the car was in each state, now included.
     """
     goal_cells, visited_states = reachability.pack_cells(goals), reachability.pack_states(visits > 0)
     occupied = cache(lambda above: bitmaps.pack_rows(belief.occupied(above)))
@@ -149,15 +151,15 @@ def _collisions(belief: BeliefMap, reading: Caution, occupied: np.ndarray) -> Bl
 
 
 def _hiding_cells(seen: np.ndarray, deep: bool) -> np.ndarray:
-    """Return the unseen fine cells in which an obstacle may be: morphological opening of the unseen ground.
+    """Return the unseen fine cells that may hide an obstacle: the morphological opening of the unseen ground.
 
-    With `deep` it is the erosion, which leaves out what is next to seen ground.
+    With `deep` it is the erosion, which leaves out cells next to seen ground.
     """
     return (bitmaps.erosion if deep else bitmaps.opening)(~seen, HIDING_CELLS)
 
 
 def _returning(collisions: BlockedMoves, goals: np.ndarray) -> BlockedMoves:
-    """Block also the moves after which no free way leads to the goal or to a cell in which the car can turn round."""
+    """Block also the moves after which no free path leads to the goal or to a cell in which the car can turn round."""
     about = ~np.bitwise_or.reduce(collisions.words[_ALONG_SIDES, Action.TURN_LEFT_90])
     back = collisions.blocking_exits_from(collisions.states_reaching(goals | about))
     back.words[:, _IN_PLACE] = collisions.words[:, _IN_PLACE]

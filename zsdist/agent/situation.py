@@ -15,21 +15,21 @@ class Situation:
     """Knowledge of the car at one step. Maps are believed, never true.
 
     Attributes:
-        grid: frames.
-        state: where the car is on the lattice.
-        goal: `(x_m, y_m)`.
+        grid: planning grid.
+        state: lattice state of the car.
+        goal: `(x_m, y_m)` of the goal.
         goals: `(cells, cells)` bool, the cells in which the goal is reached.
         advice: `(3,)` R_p for forward, left, right.
-        occupied: `(fine_size, fine_size)` bool.
-        seen: `(fine_size, fine_size)` bool.
+        occupied: `(fine_size, fine_size)` bool, fine cells that count as occupied.
+        seen: `(fine_size, fine_size)` bool, fine cells that were seen.
         moves: blocked moves of the shield's judgement.
-        squeezed: whether the shield had to give way to leave a way to the goal.
-        drive_m: `(cells, cells)` metres of the shortest free way into each cell, with a surcharge for turns; infinite
+        squeezed: whether full care leaves the car no path to the goal.
+        drive_m: `(cells, cells)` metres of the shortest free path into each cell, with a surcharge for turns; infinite
             where none leads there.
-        visits: `(cells, cells, 8)` int32, times that the car was in a state, the present one included.
-        block_visits: `(blocks, blocks)` int32, `[by, bx]`, times that it entered a block.
-        tries: `(blocks, blocks)` int32, `[by, bx]`, options towards a block that ended outside it.
-        goal_tries: options towards the goal that ended without it.
+        visits: `(cells, cells, 8)` int32, number of times that the car was in each state, now included.
+        block_visits: `(blocks, blocks)` int32, `[by, bx]`, number of times that it entered each block.
+        tries: `(blocks, blocks)` int32, `[by, bx]`, number of options towards each block that ended outside it.
+        goal_tries: number of options towards the goal that ended without reaching it.
     """
 
     grid: Grid
@@ -49,7 +49,7 @@ class Situation:
 
     @cached_property
     def place(self) -> tuple[float, float]:
-        """Centre of the car's cell."""
+        """Centre of the car's cell, `(x_m, y_m)`."""
         return self.grid.centre(self.state.ix, self.state.iy)
 
     @cached_property
@@ -59,12 +59,12 @@ class Situation:
 
     @property
     def blocked(self) -> np.ndarray:
-        """Actions that are not to be taken, `(cells, cells, 8, 5)` bool."""
+        """Blocked actions at each state, `(cells, cells, 8, 5)` bool."""
         blocked: np.ndarray = self.moves.blocked
         return blocked
 
     @cached_property
     def reachable(self) -> np.ndarray:
-        """Cells to which a free way leads from the car, `(cells, cells)` bool."""
+        """Cells to which a free path leads from the car, `(cells, cells)` bool."""
         reachable: np.ndarray = np.isfinite(self.drive_m)
         return reachable

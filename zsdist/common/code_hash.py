@@ -1,4 +1,4 @@
-"""Hash of the package's own code, by which stored results are matched with the code that made them."""
+"""Hash of the package's own code, which matches stored results with the code that made them."""
 
 import ast
 import hashlib

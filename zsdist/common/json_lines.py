@@ -14,7 +14,7 @@ def prune(path: Path, is_stale: Callable[[dict[str, Any]], bool]) -> None:
     Kept lines stay as they are, byte for byte. A file that does not exist is left alone.
 
     Args:
-        path: of the file; it is replaced in one step.
+        path: path of the file, which is replaced in one step.
         is_stale: tells whether an object is removed; an object for which it raises `KeyError` is removed too.
     """
     if not path.exists():

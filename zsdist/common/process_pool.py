@@ -26,17 +26,17 @@ def each(
     arguments: tuple[Any, ...],
     go_on: Callable[[], bool] = lambda: True,
 ) -> Generator[Result, None, None]:
-    """Yield the result of `work` for each item, as soon as it is there.
+    """Yield the result of `work` for each item, as soon as it is ready.
 
     Items are started in order, so the finished ones are the first when `go_on` ends the work. Close the generator if it
-    may not be used up: its processes then end at once.
+    may not be exhausted: its processes then end at once.
 
     Args:
-        work: makes the result of one item; a function of a module, as is `begin`.
-        items: are worked on; none is None.
+        work: function from an item to its result, at module level, as is `begin`.
+        items: items to work on; none is None.
         workers: number of processes; 1: only this one.
-        begin: called once in every process, with `arguments`, before any work.
-        arguments: of `begin`.
+        begin: function that is called once in every process, with `arguments`, before any work.
+        arguments: arguments of `begin`.
         go_on: called before an item is started; once it returns false, only the started items are finished.
 
     Raises:

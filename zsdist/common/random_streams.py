@@ -1,10 +1,10 @@
-"""Random streams: the one table of which numbers seed which generator.
+"""Random streams: the table of the numbers that seed each generator.
 
-A generator is seeded by a list: the user's seed, then what the stream is about (an episode, a picture set), then a tag
-that keeps streams of the same subject apart. numpy pads such lists with zeros, so `[s]`, `[s, 0]` and `[s, 0, 0]` are
-one stream.
+A generator is seeded by a list: the user's seed, then numbers for the subject of the stream (an episode, a set of
+pictures), then a tag that keeps streams of the same subject apart. numpy pads such lists with zeros, so `[s]`,
+`[s, 0]` and `[s, 0, 0]` are one stream.
 
-The numbers are part of what makes a run repeatable: a changed number changes every result that follows from it.
+Runs are repeatable only with the same numbers: a changed number changes every result that follows from it.
 
 | stream | seeded by |
 |---|---|
@@ -15,7 +15,7 @@ The numbers are part of what makes a run repeatable: a changed number changes ev
 | `shielded_episodes` | seed, episode, 1 |
 | `training_scene` | seed, episode, 2 |
 | `candidate_drive` | seed, merge, validation scene |
-| `evaluated_episode` | seed, place among the scenes |
+| `evaluated_episode` | seed, index among the scenes |
 | `intervals` | seed |
 | `scene` | number of the family, seed of the scene |
 | `labelled_pictures` | seed, characters of the split's name |
@@ -46,7 +46,7 @@ def reflected_rows(seed: int) -> Generator:
 
 
 def replay_sampling(seed: int, high: bool, shard: int) -> Generator:
-    """Return the stream by which one shard of the high or the low level's replay draws batches."""
+    """Return the stream that draws the batches of one shard of the high or the low level's replay."""
     return np.random.default_rng([seed, 0 if high else 1, shard])
 
 
@@ -71,7 +71,7 @@ def candidate_drive(seed: int, merge: int, index: int) -> Seed:
 
 
 def evaluated_episode(seed: int, index: int) -> Generator:
-    """Return the stream of the driver of the evaluated scene at place `index`."""
+    """Return the stream of the driver in evaluated scene `index`."""
     return np.random.default_rng([seed, index])
 
 
@@ -91,7 +91,7 @@ def labelled_pictures(seed: int, split: str) -> Generator:
 
 
 def masked_or_captioned_pictures(seed: int, split: str) -> Generator:
-    """Return the stream of masked pictures of a split, which is that of captioned ones as well."""
+    """Return the stream of a split's masked pictures, or of its captioned ones."""
     return np.random.default_rng([seed, 4, *split.encode()])
 
 
@@ -121,7 +121,7 @@ def check_approach(seed: int, number: int) -> Generator:
 
 
 def check_names(seed: int) -> Generator:
-    """Return the stream of the words among which a check names pictures."""
+    """Return the stream of the words from which a check chooses the names of pictures."""
     return np.random.default_rng([seed, 6])
 
 

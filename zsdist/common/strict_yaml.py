@@ -6,7 +6,7 @@ import yaml
 
 
 class KeyTwice(yaml.YAMLError):
-    """A mapping has a key twice."""
+    """Mapping that has a key twice."""
 
 
 class _Loader(yaml.SafeLoader):

@@ -13,15 +13,15 @@ from zsdist.transport.certificates import AUTHORITY, Identity
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 
 RENEW_DAYS = 30  # certificates with less time left give a warning
-TLS_ENDPOINT = "tls/127.0.0.1:7447"  # for a trial of the certificates; the next free port where this one is taken
+TLS_ENDPOINT = "tls/127.0.0.1:7447"  # for a trial of the certificates; if it is in use, the next free port is taken
 
 
 def check_certificates(folder: Path, endpoint: str | None) -> Iterator[CheckResult]:
-    """Check every certificate in a folder, and the hub's by its host and with a message over TLS.
+    """Check every certificate in a folder, the host of the hub's certificate, and a message over TLS.
 
     Args:
-        folder: as `transport.tls`.
-        endpoint: of the hub; None: the default of `transport.endpoint`.
+        folder: folder of certificates, as `transport.tls` names it.
+        endpoint: endpoint of the hub; None: the default of `transport.endpoint`.
     """
     names = sorted(path.stem for path in folder.glob("*.pem") if path.stem != AUTHORITY)
     identities: dict[str, Identity] = {}

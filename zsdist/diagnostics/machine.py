@@ -31,7 +31,7 @@ def check_packages(requirements: list[str] | None = None) -> Iterator[CheckResul
     """Compare every required package with its allowed range; one result for all where none is wrong.
 
     Args:
-        requirements: such as `numpy>=2`; None: those of the installed zsdist.
+        requirements: requirements such as `numpy>=2`; None: the requirements of the installed zsdist.
     """
     if requirements is None:
         try:
@@ -64,7 +64,7 @@ def check_resources() -> Iterator[CheckResult]:
 
 
 def compare_amount(check: str, found: float, recommended: float, unit: str, advice: str) -> CheckResult:
-    """Return a warning with `advice` where less was found than is recommended."""
+    """Return a warning with `advice` if less was found than is recommended, else a success."""
     if found >= recommended:
         return CheckResult(check, CheckStatus.OK, f"{found:.3g}{unit}")
     return CheckResult(check, CheckStatus.WARN, f"{found:.3g}{unit}; {recommended:g} are recommended", advice)

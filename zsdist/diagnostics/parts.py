@@ -88,9 +88,9 @@ def send_message(check: str, endpoint: str, clients: "list[ZenohTransport]") -> 
     """Send a message from the second client to the first, and close both.
 
     Args:
-        check: name of the result.
-        endpoint: of their hub, for the result's text.
-        clients: two, connected.
+        check: name of the check.
+        endpoint: endpoint of their hub, for the result's text.
+        clients: two connected clients.
     """
     from zsdist.transport.base import Mailbox
 

@@ -19,9 +19,9 @@ class CheckResult:
 
     Attributes:
         check: name of the check.
-        status: its outcome.
-        found: what was found.
-        advice: what to do about it; empty where nothing needs to be done.
+        status: outcome of the check.
+        found: description of what was found.
+        advice: remedy for the user; empty where nothing needs to be done.
     """
 
     check: str

@@ -12,8 +12,8 @@ def run_checks(address: str | None, endpoint: str | None, tls: Path | None = Non
     """Run all checks, one after another; an unexpected exception in a part is a failure of that part's check.
 
     Args:
-        address: of a Ray cluster to check; None: none is checked.
-        endpoint: of the hub; None: the default one is checked where there is an `address`.
+        address: address of a Ray cluster to check; None: none is checked.
+        endpoint: endpoint of the hub to check; None: the default endpoint, and only if there is an `address`.
         tls: folder of certificates to check; None: none are checked.
     """
     yield machine.check_python()

@@ -20,14 +20,14 @@ class EpisodeTask:
     """Episode to drive, and its purpose.
 
     Attributes:
-        scene: handed to the environment as it is.
+        scene: scene, passed to the environment unchanged.
         number: episode number of a training lease, or the index of a validation scene.
-        epsilon: share of exploratory decisions; 0 in drives of candidates.
+        epsilon: probability of an exploratory decision; 0 in drives of candidates.
         shielded: whether the shield masks actions.
-        seed: of the exploration.
+        seed: seed of the exploration.
         candidate: name of the candidate that drives; empty in training.
         merge: index of the merge the candidate belongs to.
-        most_steps: actions after which the drive ends as a timeout, where the environment does not end it before.
+        most_steps: number of actions after which the drive ends as a timeout, unless the environment ends it earlier.
     """
 
     scene: Any
@@ -41,7 +41,7 @@ class EpisodeTask:
 
     @property
     def trains(self) -> bool:
-        """True if its transitions are learned from."""
+        """True for a training episode, whose transitions are learned from."""
         return not self.candidate
 
 
@@ -49,7 +49,7 @@ class CameraEnv(DrivingEnv, Protocol):
     """Environment of a car with a camera."""
 
     def picture(self, pose: Pose | None = None) -> np.ndarray:
-        """Return the camera's picture at the true pose, or of a level car at `pose`, `(px, px, 3)` uint8."""
+        """Return the camera's picture at the true pose, or for a level car at `pose`, `(px, px, 3)` uint8."""
 
     def close(self) -> None:
         """Release the simulation."""
@@ -57,15 +57,15 @@ class CameraEnv(DrivingEnv, Protocol):
 
 @dataclass(frozen=True)
 class _Drive:
-    """Task of a car while it is driven.
+    """State of a car that drives a task.
 
     Attributes:
-        task: to drive.
-        episode: of the task.
-        scene_hash: of the scene, where its readings may be remembered.
-        candidate_q: of the candidate that drives; None in training.
-        versions: of the weights at the beginning.
-        recorder: of its transitions; None where nothing is learned from them.
+        task: task that is driven.
+        episode: episode of the task.
+        scene_hash: hash of the scene; None where its readings may not be cached.
+        candidate_q: Q-functions of the candidate that drives; None in training.
+        versions: versions of the weights at the beginning, by level.
+        recorder: recorder of the transitions; None where nothing is learned from them.
     """
 
     task: EpisodeTask
@@ -77,11 +77,13 @@ class _Drive:
 
 
 class ActorCar:
-    """Drives one task at a time. An episode is `over` once it has ended; then its last state is still to be observed.
+    """Car that drives one task at a time.
+
+    Once the episode is `over`, one more `advance` observes its last state.
 
     Args:
-        env: simulates the car.
-        config: of the run; grid, camera, agent and rewards are read.
+        env: simulation of the car.
+        config: configuration of the run; grid, simulation, camera, agent and rewards are used.
     """
 
     def __init__(self, env: CameraEnv, config: Config) -> None:
@@ -97,7 +99,7 @@ class ActorCar:
 
     @property
     def task(self) -> EpisodeTask:
-        """Task that is driven; an idle car has none."""
+        """Task that is driven; it must not be read while the car is idle."""
         return self._driven().task
 
     @property
@@ -112,12 +114,12 @@ class ActorCar:
 
     @property
     def candidate_q(self) -> QFunctions | None:
-        """Networks of the candidate that drives; None in training, where the newest networks drive."""
+        """Q-functions of the candidate that drives; None in training, where the newest networks drive."""
         return self._driven().candidate_q
 
     @property
     def scene_hash(self) -> str | None:
-        """Hash of the scene, where its readings may be remembered: in training, and where nobody walks."""
+        """Hash of the scene if its readings may be cached, in training episodes without walkers; else None."""
         return self._driven().scene_hash
 
     @property
@@ -126,7 +128,7 @@ class ActorCar:
         return self._driven().episode.pose
 
     def picture(self, pose: Pose | None = None) -> np.ndarray:
-        """Return the camera's picture at the true pose, or of a level car at `pose`, `(px, px, 3)` uint8."""
+        """Return the camera's picture at the true pose, or for a level car at `pose`, `(px, px, 3)` uint8."""
         return self.env.picture(pose)
 
     def goal_from_here(self) -> tuple[float, float]:
@@ -137,9 +139,9 @@ class ActorCar:
         """Put the car at the start of a task's scene.
 
         Args:
-            task: to drive.
-            versions: of the weights that act now.
-            candidate_q: networks of a candidate, which stay the same to the end.
+            task: task to drive.
+            versions: versions of the present weights, by level.
+            candidate_q: Q-functions of the candidate that drives to the end; None in training.
         """
         episode = Episode(self.env, task.scene, task.most_steps)
         still = task.trains and not task.scene.walkers()
@@ -156,7 +158,7 @@ class ActorCar:
         )
 
     def advance(self, view: View, q: QFunctions) -> None:
-        """Observe, decide and drive one action; where the episode has ended, observe its last state and close it."""
+        """Observe, decide and drive one action; if the episode is over, observe its last state and finish it."""
         episode = self._driven().episode
         self._agent.observe(episode.pose, view)
         if episode.over:
@@ -170,7 +172,7 @@ class ActorCar:
         return [] if recorder is None else recorder.drain()
 
     def cut(self) -> list[Trajectory]:
-        """End the task here, and return the trajectories not drained yet, closed as truncated.
+        """Abort the task; return the trajectories that were not drained yet, closed as truncated.
 
         The episode does not count.
         """

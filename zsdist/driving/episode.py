@@ -1,4 +1,4 @@
-"""One driven episode: the steps of reset, observation, action and result that actors and evaluation share."""
+"""One driven episode from reset to outcome, in the form that actors and evaluation share."""
 
 import math
 from typing import Any, NamedTuple, Protocol, SupportsFloat
@@ -16,14 +16,14 @@ class DrivingEnv(Protocol):
         """Start an episode in `options["scene"]` and return its observation, which has `pose` and `goal`, and info."""
 
     def step(self, action: int) -> tuple[dict[str, np.ndarray], SupportsFloat, bool, bool, dict[str, Any]]:
-        """Drive one action to its end."""
+        """Drive one action to its end; return observation, reward, terminated, truncated and info."""
 
 
 class StepResult(NamedTuple):
-    """Outcome of one action, as agents and drivers are told of it.
+    """Result of one action for agents and drivers.
 
     Attributes:
-        terms: rewards of the paper.
+        terms: paper rewards of the action.
         terminated: whether the goal was reached or something was hit.
         truncated: whether the episode ended without either.
     """
@@ -34,19 +34,19 @@ class StepResult(NamedTuple):
 
 
 class Episode:
-    """One episode from its reset to its outcome; whoever drives it chooses the actions.
+    """One episode from its reset to its outcome; the caller chooses the actions.
 
     Args:
-        env: in which it is driven; reset here.
-        scene: handed to the environment as it is.
-        most_steps: actions after which it ends as a timeout, where the environment does not end it before.
+        env: environment to drive in; it is reset here.
+        scene: scene, passed to the environment unchanged.
+        most_steps: number of actions after which the episode ends as a timeout, unless the environment ends it earlier.
 
     Attributes:
-        observation: last one of the environment.
-        info: last one of the environment.
+        observation: last observation of the environment.
+        info: last info of the environment.
         poses: true poses so far, the start included.
-        rewards: terms of each action so far.
-        outcome: how it ended; None before its end.
+        rewards: paper rewards of each action so far.
+        outcome: outcome of the episode; None before its end.
     """
 
     def __init__(self, env: DrivingEnv, scene: Any, most_steps: float = math.inf) -> None:

@@ -1,4 +1,4 @@
-"""Perception of an actor's cars: pictures are read where they must be, and readings remembered where they may be."""
+"""Perception of an actor's cars: readings of camera pictures, taken from a cache where that changes nothing."""
 
 import math
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from zsdist.vision.ray_ablation import ablate_rays
 from zsdist.vision.reading_cache import ReadingCache
 from zsdist.vision.visual_act import Reading
 
-NEAR_M = 0.10  # a car this near to a lattice state, and with this heading, may use the reading made there
+NEAR_M = 0.10  # a car within both limits of a lattice state may use the reading made there
 NEAR_RAD = math.radians(5.0)
 
 
@@ -24,7 +24,7 @@ class VisionModel(VisionHashes, Protocol):
         """Return the reading of images `(B, px, px, 3)`."""
 
     def views(self, reading: Reading, goal_bearing_rad: np.ndarray, goal_distance_m: np.ndarray) -> list[View]:
-        """Return the views of a reading with the advice for goals `(B,)`."""
+        """Return the views of a reading with the advice for goals, `(B,)` bearings in rad and distances in metres."""
 
 
 class PerceivingCar(Protocol):
@@ -36,44 +36,44 @@ class PerceivingCar(Protocol):
 
     @property
     def scene_hash(self) -> str | None:
-        """Hash of the scene, where its readings may be remembered."""
+        """Hash of the scene; None where its readings may not be cached."""
 
     @property
     def pose(self) -> Pose:
         """True pose of the car."""
 
     def picture(self, pose: Pose | None = None) -> np.ndarray:
-        """Return the camera's picture."""
+        """Return the camera's picture at the true pose, or for a level car at `pose`, `(px, px, 3)` uint8."""
 
     def goal_from_here(self) -> tuple[float, float]:
-        """Return bearing and distance of the goal."""
+        """Return bearing (rad, left positive) and distance (m) of the goal from the car."""
 
 
 class _Spot(NamedTuple):
-    """Key of a reading that may be remembered: the hash of the scene, and the lattice state."""
+    """Key of a cached reading: the hash of the scene, and the lattice state."""
 
     scene: str
     state: LatticeState
 
 
 class Perception:
-    """One visual-act model for several cars, and the memory of its readings.
+    """Visual-act model shared by several cars, with a cache of its readings.
 
-    A reading is remembered for training episodes in scenes where nobody walks, and for cars that stand on the lattice
-    within `NEAR_M` and `NEAR_RAD`. It is made from a picture at the lattice state itself, of a level car, so it is the
-    same whoever makes it and when. Views therefore do not depend on the content of the memory, only the time they take
-    does. In all other cases, and in every drive of a candidate, the picture is taken at the true pose.
+    Readings are cached in training episodes without walkers, for cars within `NEAR_M` and `NEAR_RAD` of a lattice
+    state. A cached reading is made from a picture at the lattice state itself, for a level car, so it does not depend
+    on who makes it or when. The content of the cache therefore changes no view, only the time that a view takes. In all
+    other cases, and in every drive of a candidate, the picture is taken at the true pose.
 
     Args:
-        visual_act: the model.
-        grid: to whose lattice states the cars drive.
-        rays: share of a view that reaches the cars, as `zsdist.vision.ray_ablation.limited` takes it.
-        cache: the memory; None: every picture is taken at the true pose.
+        visual_act: vision model.
+        grid: grid with the lattice on which the cars drive.
+        rays: rays that reach the cars, as `zsdist.vision.ray_ablation.ablate_rays` accepts them.
+        cache: cache of readings; None: every picture is taken at the true pose.
 
     Attributes:
-        hits: readings that were remembered.
-        misses: readings that were not, and are now.
-        bypasses: pictures of training episodes at the true pose, past the memory.
+        hits: number of readings that were in the cache.
+        misses: number of readings that were not, and were added.
+        bypasses: number of pictures of training episodes that were taken at the true pose, past the cache.
     """
 
     def __init__(self, visual_act: VisionModel, grid: Grid, rays: str, cache: ReadingCache | None) -> None:
@@ -83,7 +83,7 @@ class Perception:
     def views(self, cars: Sequence[PerceivingCar]) -> list[View]:
         """Return the view of each car, with the advice for its goal.
 
-        A picture is rendered only where no reading is remembered.
+        A picture is rendered only where no reading is cached.
         """
         spots = [self._spot(car) for car in cars]
         remembered = [self._find(spot) for spot in spots]
@@ -98,18 +98,18 @@ class Perception:
         return [ablate_rays(view, self._rays) for view in self._visual_act.views(together, goals[:, 0], goals[:, 1])]
 
     def statistics(self) -> dict[str, float]:
-        """Return counts of readings that were remembered, that were not, and that could not be; none without memory."""
+        """Return the counts of hits, misses and bypasses; empty without a cache."""
         if self._cache is None:
             return {}
         return {"cache_hits": self.hits, "cache_misses": self.misses, "cache_bypasses": self.bypasses}
 
     def close(self) -> None:
-        """Release the memory, once no car drives any more."""
+        """Release the cache, once no car drives any more."""
         if self._cache is not None:
             self._cache.close()
 
     def _spot(self, car: PerceivingCar) -> _Spot | None:
-        """Return where a remembered reading would do for a car; None where none would."""
+        """Return the key of a cached reading that may serve a car; None where none may."""
         if self._cache is None or car.scene_hash is None:
             return None
         pose = car.pose
@@ -123,9 +123,9 @@ class Perception:
         return None if spot is None or self._cache is None else self._cache.find(*spot)
 
     def _read(self, car: PerceivingCar, spot: _Spot | None) -> Reading:
-        """Return the reading of a new picture, which is remembered where it may be."""
+        """Return the reading of a new picture, at the lattice state of `spot` and cached; None: at the true pose."""
         picture = car.picture(None if spot is None else self._grid.pose(spot.state))
-        # One at a time: read together with others, the last bits of a reading depend on how many there are.
+        # One at a time: in a batch, the last bits of a reading depend on the size of the batch.
         reading = Reading(*(part[0] for part in self._visual_act.read(picture[None])))
         if spot is None or self._cache is None:
             return reading

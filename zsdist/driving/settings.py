@@ -18,7 +18,7 @@ def agent_settings(config: Config) -> AgentSettings:
 
 
 def recorder_settings(config: Config) -> RecorderSettings:
-    """Return the settings of the recorders of a configuration's training episodes."""
+    """Return the settings of a recorder of training episodes under a configuration."""
     return RecorderSettings(
         discounts={Level.HIGH: config.high.discount, Level.LOW: config.low.discount},
         literal_reward=config.reward.literal,

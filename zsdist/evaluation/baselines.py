@@ -1,4 +1,4 @@
-"""Baselines: policies without learning with which every learned one is compared, by name and one line each."""
+"""Baselines: policies without learning, with which learned policies are compared."""
 
 import math
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from zsdist.sim.scenes.scene import Scene
 from zsdist.sim.scenes.solvability import footprints
 from zsdist.types import Action, Level, Pose
 
-ARRIVAL_SLACK_M = 0.10  # A* aims this far inside the success radius: that near to a cell's centre the car ends
+ARRIVAL_SLACK_M = 0.10  # A* aims this far inside the success radius, since the car ends off a cell's centre
 
 _NOTHING_LEARNED = {
     level: {"output.weight": np.zeros((actions, size), np.float32), "output.bias": np.zeros(actions, np.float32)}
@@ -28,25 +28,25 @@ _NOTHING_LEARNED = {
 
 
 class Random(Driver):
-    """Draws any action that does not lead off the grid, each as likely."""
+    """Uniform choice among the actions that stay on the grid."""
 
     def begin(self, pose: Pose, goal: tuple[float, float], truth: Scene | None, rng: np.random.Generator) -> None:
-        """Take the episode's randomness."""
+        """Keep the generator of the episode."""
         self._rng = rng
 
     def act(self, observed: Observed) -> int:
-        """Return a uniform draw."""
+        """Return a uniformly drawn action."""
         return int(self._rng.choice(np.flatnonzero(observed.allowed)))
 
 
 class GoalGreedy(Driver):
-    """Turns to the goal and drives there, through whatever stands in the way."""
+    """Straight drive to the goal, regardless of obstacles."""
 
     def begin(self, pose: Pose, goal: tuple[float, float], truth: Scene | None, rng: np.random.Generator) -> None:
-        """Prepare nothing."""
+        """Do nothing: the policy keeps no state."""
 
     def act(self, observed: Observed) -> int:
-        """Return the action after which the car points best at the goal."""
+        """Return the action after which the car points most directly at the goal."""
         pose = observed.pose
         direction = np.array(observed.goal) - pose[:2]
         action = potential.action_along(direction, pose.heading_rad, observed.allowed)
@@ -55,7 +55,7 @@ class GoalGreedy(Driver):
 
 
 class AStar(Driver):
-    """Drives the shortest way on the whole true map without walking obstacles: the best possible in a still scene."""
+    """Shortest path on the whole true map without walking obstacles: the best possible drive in a static scene."""
 
     def __init__(self, config: Config) -> None:
         self._grid = Grid.from_config(config.grid)
@@ -71,7 +71,7 @@ class AStar(Driver):
         self._cost = shortest_path.cost_to_go(self._blocked, goals, self._metres)
 
     def act(self, observed: Observed) -> int:
-        """Return the plan's action at the true pose, or a turn in place where no way leads on."""
+        """Return the plan's action at the true pose, or a turn in place where no path leads to the goal."""
         state = self._grid.lattice_state(observed.pose)
         if not math.isfinite(self._cost[state.iy, state.ix, state.heading]):
             return int(Action.TURN_LEFT_90)
@@ -80,7 +80,7 @@ class AStar(Driver):
 
 
 def _unlearned(low_policy: str, **agent: float) -> Callable[[Config, See], Driver]:
-    """Return a maker of the agent with the goal as its only subgoal and `low_policy` in the low level's place."""
+    """Return a factory of agents with the goal as the only subgoal and with `low_policy` as the low level."""
 
     def make(config: Config, see: See) -> Driver:
         settings = config.agent.model_copy(update={"high_policy": "goal", "low_policy": low_policy, **agent})
@@ -91,7 +91,13 @@ def _unlearned(low_policy: str, **agent: float) -> Callable[[Config, See], Drive
 
 @dataclass(frozen=True)
 class Baseline:
-    """Entry of the list: `line` is its description, `observability` what it observes."""
+    """Entry of the list of baselines.
+
+    Attributes:
+        line: description in one line.
+        observability: part of its surroundings that the policy observes.
+        make: factory of its drivers.
+    """
 
     line: str
     observability: Observability

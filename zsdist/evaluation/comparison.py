@@ -21,18 +21,23 @@ from zsdist.evaluation.statistics import bootstrap_95
 from zsdist.types import Outcome
 
 LABELS = {"success": "success", "collision": "collision", "spl": "SPL"}
-_Drive = tuple[str, int, int]  # hash of the scene, seed, index among the scenes: equal for episodes that are a pair
+_Drive = tuple[str, int, int]  # hash of the scene, seed, index among the scenes: equal for a pair of episodes
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Differences of the first file's episodes to the second's; `result` is its JSON, `notes` what was left out."""
+    """Paired differences between the episodes of two files.
+
+    Attributes:
+        result: the comparison as a JSON object.
+        notes: lines about episodes that were left out.
+    """
 
     result: dict[str, Any]
     notes: Sequence[str]
 
     def show(self, console: Console) -> None:
-        """Print the differences with the figures that they are of."""
+        """Print the differences, with the means of both files."""
         result = self.result
         table = Table(title=f"{result['a']} against {result['b']}", title_justify="left")
         for heading in ("figure", "n", "first", "second", "difference", "95%"):
@@ -51,16 +56,16 @@ class Comparison:
 
 
 def compare(first: Path, second: Path, seed: int = 0) -> Comparison:
-    """Return paired differences over the episodes that both files have: of the same scene, seed and index.
+    """Return paired differences over the episodes with the same scene, seed and index in both files.
 
     Where a file has several policies (training seeds of one method), a scene counts with their mean. Lines of older
     code, weights or settings do not count. Lines without the shield do not count where the file has others under it.
-    The intervals are bootstraps over the pairs. SPL is of scenes in which nothing moves.
+    The intervals are bootstraps over the pairs. SPL covers the scenes in which nothing moves.
 
     Args:
         first: file of episodes.
-        second: the same of those it is compared with.
-        seed: of the bootstrap.
+        second: file of the episodes to compare with.
+        seed: seed of the bootstrap.
 
     Raises:
         RunError: a file is damaged or empty, or they have no episode in common.
@@ -94,10 +99,10 @@ def compare(first: Path, second: Path, seed: int = 0) -> Comparison:
 
 
 def _episodes(file: Path) -> tuple[dict[_Drive, list[EpisodeRecord]], str, list[str]]:
-    """Return the records of each drive, one a policy; the newest code, to which they all belong; and notes.
+    """Return the records of each drive, one per policy; the hash of the newest code, which all have; and notes.
 
-    Several policies are training seeds of one method. Of each only the weights and settings count with which it was
-    driven last. Where any line is under the shield, only such lines count.
+    Several policies are training seeds of one method. Each policy counts only with the weights and settings of its last
+    line. Where any line is under the shield, only such lines count.
     """
     lines = episode_store.read(file)
     if not lines:
@@ -130,7 +135,7 @@ def _episodes(file: Path) -> tuple[dict[_Drive, list[EpisodeRecord]], str, list[
 
 
 def _method(line: Line) -> str:
-    """Return the name of a baseline, or of a learned policy of any weights the variant."""
+    """Return the name of a baseline, or the variant of a learned policy, whatever its weights."""
     about = line.about
     return f"the variant {about['variant']}" if about["weights_sha256"] else str(about["policy"])
 

@@ -16,15 +16,15 @@ FULL, HYBRID = "full", "hybrid"
 
 @dataclass(frozen=True)
 class Variant:
-    """Learned policy of which a part is replaced.
+    """Learned policy with a part replaced.
 
     Attributes:
-        line: its description.
+        line: description in one line.
         agent: settings of `agent` that differ from the policy's own.
-        untrained: levels whose networks are as before training.
-        observability: what it observes.
-        shuffled: fields of its views whose entries, one a direction, are permuted at random at every observation.
-        exact: whether each action brings the car exactly to where it should.
+        untrained: levels whose networks have initial weights, as before training.
+        observability: part of its surroundings that the policy observes.
+        shuffled: fields of the view whose entries, one per direction, are permuted at random at every observation.
+        exact: whether each action ends exactly at the lattice state that it should reach.
     """
 
     line: str
@@ -60,10 +60,10 @@ class Contender:
     """Contender of an evaluation, as data that can be sent to other processes.
 
     Attributes:
-        config: grid, camera, vision, agent and reward of the policy.
-        parameters: of both networks; None for a baseline.
-        baseline: its name in the list; empty for a learned policy.
-        variant: of a learned policy, its name in the list.
+        config: configuration of the policy, before the changes of its variant.
+        parameters: weights of both networks; None for a baseline.
+        baseline: name in `BASELINES`; empty for a learned policy.
+        variant: name in `VARIANTS`, for a learned policy.
         shielded: whether a learned policy drives under the shield.
     """
 
@@ -80,7 +80,7 @@ class Contender:
 
     @property
     def exact(self) -> bool:
-        """True if each action brings its car exactly to where it should."""
+        """True if each action ends exactly at the lattice state that it should reach."""
         return not self.baseline and VARIANTS[self.variant].exact
 
     @cached_property
@@ -101,7 +101,7 @@ class Contender:
         }
 
     def driver(self, visual_act: ViewPredictor | None) -> Driver:
-        """Return a new driver; `visual_act` is needed where it observes by the camera."""
+        """Return a new driver; `visual_act` is needed if it observes through the camera."""
         see = by_truth if visual_act is None else by_camera(visual_act)
         if self.baseline:
             return BASELINES[self.baseline].make(self.settings, see)
@@ -111,7 +111,7 @@ class Contender:
 
 
 def untrained(parameters: Parameters, seed: int) -> Parameters:
-    """Return fresh weights of the same shapes."""
+    """Return initial weights of the same shapes, drawn with `seed`."""
     hidden = [len(value) for name, value in parameters.items() if name.startswith("hidden") and name.endswith(".bias")]
     actions = len(parameters["output.bias"])
     return network.initial_parameters(parameters["hidden0.weight"].shape[1], actions, hidden, seed)

@@ -16,7 +16,7 @@ from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Level, Parameters, Pose, View
 from zsdist.vision.ray_ablation import ablate_rays
 
-# Views of images `(B, px, px, 3)` for goals at bearings and distances `(B,)`, as `zsdist.vision.visual_act` makes them.
+# Views of images `(B, px, px, 3)` for goals at bearings (rad) and distances (m) `(B,)`; see `zsdist.vision.visual_act`.
 ViewPredictor = Callable[[np.ndarray, np.ndarray, np.ndarray], Sequence[View]]
 
 
@@ -34,9 +34,9 @@ class Observed:
     """Observation on which a driver decides.
 
     Attributes:
-        image: `(px, px, 3)` uint8, of the camera at the true pose; None where nobody asked for pictures.
-        pose: the true pose.
-        goal: `(x_m, y_m)`.
+        image: `(px, px, 3)` uint8, camera picture at the true pose; None if no pictures were requested.
+        pose: true pose of the car.
+        goal: `(x_m, y_m)` of the goal.
         allowed: `(5,)` bool, actions that do not lead off the grid.
         truth: view of a faultless model; None unless the driver observes true distances.
     """
@@ -48,7 +48,7 @@ class Observed:
     truth: View | None = None
 
 
-See = Callable[[Observed], View]  # makes a driver's view of an observation
+See = Callable[[Observed], View]  # from an observation to a driver's view
 
 
 @dataclass(frozen=True)
@@ -60,11 +60,11 @@ class Thought:
 
 
 class Driver(ABC):
-    """Chooses the actions of one car, an episode at a time.
+    """Policy that chooses the actions of one car, one episode at a time.
 
     Attributes:
-        shield_changes: decisions of this episode in which the shield masked what would have been chosen.
-        thought: behind the last action; None where the driver has none to show.
+        shield_changes: number of decisions of this episode that the shield changed.
+        thought: decision behind the last action and its situation; None for a driver without them.
     """
 
     shield_changes = 0
@@ -86,12 +86,12 @@ class LearnedDriver(Driver):
     """Greedy policy of both networks: argmax only, and the shield may only mask.
 
     Args:
-        config: of grid, agent and vision; `agent.high_policy` and `agent.low_policy` may put planners in the networks'
-            places.
-        parameters: of both networks.
-        see: makes its views.
-        shielded: whether the shield masks.
-        shuffled: fields of the `View` whose entries, one a direction, are permuted at random at every observation.
+        config: configuration to drive under; `agent.high_policy` and `agent.low_policy` may put planners in place of
+            the networks.
+        parameters: weights of both networks.
+        see: function from an observation to a view.
+        shielded: whether the shield masks actions.
+        shuffled: fields of the `View` whose entries, one per direction, are permuted at random at every observation.
     """
 
     def __init__(

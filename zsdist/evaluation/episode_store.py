@@ -1,4 +1,4 @@
-"""Store of evaluated episodes, one JSON line each, with the hashes of all they depend on; none is driven twice."""
+"""Store of evaluated episodes as JSON lines, with hashes of all that they depend on, so that none is driven twice."""
 
 import json
 import os
@@ -16,35 +16,40 @@ from zsdist.types import Outcome, Pose
 
 _RECORD = {item.name for item in fields(EpisodeRecord)}
 _NATURAL = ("index", "seed", "steps", "shield_changes")
-_BEGINNING = b'{"code": "'  # of every line, also of one that was cut off
+_BEGINNING = b'{"code": "'  # beginning of every line, also of an incomplete one
 _ABOUT = ("code", "entrant", "policy", "variant", "weights_sha256", "shielded", "scenes", "seed", "index", "scene_hash")
 
 
 @dataclass(frozen=True)
 class Line:
-    """One line of the file: an episode's `record`, and `about` it the hashes and the evaluation it is of."""
+    """One line of the file.
+
+    Attributes:
+        about: hashes of what the episode depends on, and the evaluation that it belongs to.
+        record: the episode.
+    """
 
     about: Mapping[str, Any]
     record: EpisodeRecord
 
 
 class EpisodeStore:
-    """Episodes of one evaluation in a file that may hold those of others.
+    """Episodes of one evaluation, in a file that may hold other evaluations too.
 
     Args:
-        file: made where it does not exist.
-        contender: evaluated.
-        policy: its name in the result.
-        weights_sha256: of its networks.
-        scenes: name of the scenes, as it was asked for.
-        seed: of scenes and drivers.
-        chosen: the scenes themselves.
+        file: file of JSON lines; created if it does not exist.
+        contender: contender that is evaluated.
+        policy: name of the policy in the result.
+        weights_sha256: hash of its networks; None for a baseline.
+        scenes: name of the scenes, as it was requested.
+        seed: seed of scenes and drivers.
+        chosen: scenes of the evaluation, in order.
         equivalents: file that lists equivalent code, see `fingerprint.equivalent`.
 
     Attributes:
-        known: episodes on file by their index among the chosen scenes, of the same or equivalent code, of the same
-            contender and seed.
-        stale: number of lines of the same policy, variant and scenes, but of other code, weights or settings.
+        known: episodes in the file by their index in `chosen`, with the same contender and seed, and the same or
+            equivalent code.
+        stale: number of lines with the same policy, variant and scenes, but with other code, weights or settings.
 
     Raises:
         RunError: the file has other content, or cannot be written.
@@ -84,7 +89,7 @@ class EpisodeStore:
                 self.stale += 1
 
     def _begin(self) -> list[Line]:
-        """Return the lines on file, and remove a last line that was cut off, so that the next one is whole."""
+        """Return the lines in the file, and remove an incomplete last line, so that the next one is complete."""
         if not self._file.exists():
             return []
         lines, size = _read(self._file)
@@ -107,7 +112,7 @@ class EpisodeStore:
 
 
 def read(file: Path) -> list[Line]:
-    """Return all lines of a file; a last line that was cut off, or is being written, is left out.
+    """Return all lines of a file; an incomplete last line is left out.
 
     Raises:
         RunError: it cannot be read, or has other content.
@@ -116,7 +121,7 @@ def read(file: Path) -> list[Line]:
 
 
 def _read(file: Path) -> tuple[list[Line], int]:
-    """Return the lines of a file that are complete, and the number of bytes they take."""
+    """Return the complete lines of a file, and the number of bytes that they take."""
     try:
         content = file.read_bytes()
         size = content.rfind(b"\n") + 1

@@ -26,12 +26,12 @@ class Moment:
     """One decision, or the end of an episode, as it is shown to a watcher.
 
     Attributes:
-        scene: that is driven.
+        scene: scene that is driven.
         observed: observation of the driver.
-        people: `(W, 2)` positions of the walking obstacles; None where nobody walks.
-        action: chosen; None at the end.
-        thought: behind it, of drivers that have one to show.
-        outcome: of the episode; None before its end.
+        people: `(W, 2)` metres, positions of the walking obstacles; None where nobody walks.
+        action: chosen action; None at the end.
+        thought: decision behind the action and its situation; None for a driver without them.
+        outcome: outcome of the episode; None before its end.
     """
 
     scene: Scene
@@ -54,7 +54,13 @@ class WalkedEnv(DrivingEnv, Protocol):
 
 
 class Course:
-    """Shortest drivable way of one scene, with which a driven path is compared."""
+    """Shortest drivable path of one scene, with which a driven path is compared.
+
+    Args:
+        scene: scene with the true obstacles; walking ones are left out.
+        table: footprints of the actions.
+        success_radius_m: distance from the goal within which it is reached.
+    """
 
     def __init__(self, scene: Scene, table: FootprintTable, success_radius_m: float) -> None:
         self._grid = table.grid
@@ -65,7 +71,7 @@ class Course:
         self._start = table.grid.lattice_state(scene.start.pose)
 
     def length_m(self, pose: Pose) -> float | None:
-        """Return the metres to the goal from the lattice state nearest to a pose; None where no way leads there."""
+        """Return the metres to the goal from the lattice state nearest to a pose; None where no path leads there."""
         state = self._grid.lattice_state(pose)
         if not math.isfinite(self._cost[state.iy, state.ix, state.heading]):
             return None
@@ -73,21 +79,21 @@ class Course:
         return shortest_path.length_m(way.states, self._grid.cell_size_m)
 
     def fewest_steps(self) -> int | None:
-        """Return the fewest actions from the start to the goal; None where there is no way."""
+        """Return the fewest actions from the start to the goal; None where there is no path."""
         costs = shortest_path.cost_to_go(self._blocked, self._goals, shortest_path.STEPS_COST)
         fewest = float(costs[self._start.iy, self._start.ix, self._start.heading])
         return int(fewest) if math.isfinite(fewest) else None
 
 
 class EpisodeRunner:
-    """Drives episodes with one driver in one environment.
+    """Runner of episodes with one driver in one environment.
 
     Args:
-        env: a `CarNavigation`, or anything with its observations and infos.
-        config: of the run; the grid, the camera and the success radius are read.
-        driver: chooses the actions.
-        observability: what the driver observes.
-        clock: monotonic seconds, by which decisions are timed.
+        env: `CarNavigation`, or an environment with its observations and infos.
+        config: configuration of the run; grid, camera and success radius are used.
+        driver: driver that chooses the actions.
+        observability: part of its surroundings that the driver observes.
+        clock: returns monotonic seconds, with which decisions are timed.
     """
 
     def __init__(
@@ -109,8 +115,8 @@ class EpisodeRunner:
         """Drive one episode and return its record.
 
         Args:
-            scene: driven.
-            rng: the driver's.
+            scene: scene to drive.
+            rng: generator of the driver.
             watch: called with every decision as it is made, and with the end.
         """
         driver = self._driver

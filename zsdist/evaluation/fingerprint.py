@@ -35,8 +35,8 @@ def equivalent(code: str, file: Path = EQUIVALENT_CODE) -> frozenset[str]:
     """Return the code hashes whose episodes are bit-identical to those of `code`, itself included.
 
     Args:
-        code: as `code_sha256` gives it.
-        file: YAML list of the versions of the code that were compared; a hash that is not in it stands alone.
+        code: hash that `code_sha256` returned.
+        file: YAML list of the versions of the code that were compared; a hash that is not in it equals only itself.
 
     Raises:
         RunError: the file cannot be read or is damaged.
@@ -46,7 +46,7 @@ def equivalent(code: str, file: Path = EQUIVALENT_CODE) -> frozenset[str]:
 
 @cache
 def _equivalents(file: Path) -> dict[str, frozenset[str]]:
-    """Return the hashes of its entry for every hash that a file lists."""
+    """Return for every hash in a file all hashes of its entry."""
     try:
         entries = strict_yaml.load(file.read_text())
     except OSError as error:
@@ -84,7 +84,7 @@ def contender_sha256(contender: Contender) -> str:
     """Return the hash of a contender: baseline or variant, settings, networks, and the vision model it uses.
 
     Raises:
-        WeightsError: its vision weights are missing or damaged.
+        WeightsError: the vision weights are missing or damaged.
     """
     settings = contender.settings.model_dump(mode="json", include={"grid", "sim", "camera", "vision", "agent"})
     settings["vision"].pop("cache_bytes")

@@ -15,7 +15,7 @@ def spl(record: EpisodeRecord) -> float:
 
 
 def soft_spl(record: EpisodeRecord) -> float:
-    """Return `spl` with progress in place of success: the share by which the remaining way became shorter."""
+    """Return `spl` with progress in place of success: the share by which the remaining path became shorter."""
     if record.outcome is Outcome.SUCCESS:
         return _detour(record)
     if not record.shortest_m or record.remaining_m is None:
@@ -24,9 +24,9 @@ def soft_spl(record: EpisodeRecord) -> float:
 
 
 def path_efficiency(record: EpisodeRecord) -> float | None:
-    """Return the length of the shortest way over that of the driven one, at most 1.
+    """Return the length of the shortest path divided by the length of the driven path, at most 1.
 
-    It is None for a failure, whose path leads nowhere, and where the planner knows no way.
+    It is None for a failure, whose path leads nowhere, and where the planner knows no path.
     """
     if record.outcome is not Outcome.SUCCESS or record.shortest_m is None:
         return None
@@ -34,7 +34,7 @@ def path_efficiency(record: EpisodeRecord) -> float | None:
 
 
 def step_efficiency(record: EpisodeRecord) -> float | None:
-    """Return the fewest possible steps over those taken: "step costs compared to the shortest possible paths" (paper).
+    """Return the fewest steps divided by the steps taken: "step costs compared to the shortest possible paths" (paper).
 
     It is None where `path_efficiency` is.
     """
@@ -46,12 +46,12 @@ def step_efficiency(record: EpisodeRecord) -> float | None:
 def summarise(records: Sequence[EpisodeRecord], rng: np.random.Generator) -> dict[str, object]:
     """Return the figures of an evaluation's JSON, from `success` to `per_scene`.
 
-    SPL and SoftSPL are over the scenes in which nothing moves, the efficiencies over the successful episodes. A figure
-    without any such episode is None and has no interval. `shield_changed_share` is of all decisions.
+    SPL and SoftSPL cover the scenes in which nothing moves, the efficiencies the successful episodes. A figure without
+    any such episode is None and has no interval. `shield_changed_share` is a share of all decisions.
 
     Args:
-        records: at least one.
-        rng: of the bootstrap.
+        records: episodes, at least one.
+        rng: generator of the bootstrap.
     """
     static = [record for record in records if record.static]
     means = {
@@ -88,7 +88,7 @@ def summarise(records: Sequence[EpisodeRecord], rng: np.random.Generator) -> dic
 
 
 def _detour(record: EpisodeRecord) -> float:
-    """Return shortest over driven length, at most 1; 1 where the planner knows no way, though the car may have."""
+    """Return shortest over driven path length, at most 1; 1 where the planner knows no path, though the car may."""
     if record.shortest_m is None:
         return 1.0
     longest = max(record.path_m, record.shortest_m)

@@ -14,7 +14,7 @@ from zsdist.vision.labels import nearest, openness, progress, reward_label
 from zsdist.vision.rays import RAYS, ray_angles_rad
 
 TRUE_ANGLES_RAD = np.linspace(math.pi / 4, -math.pi / 4, 91)  # of the true distances: 90 degrees, leftmost first
-TRUE_EDGES_M = np.linspace(0.05, 5.0, 100, dtype=np.float32)  # bins of a true distance, finer than the map's cells
+TRUE_EDGES_M = np.linspace(0.05, 5.0, 100, dtype=np.float32)  # bins of true distances, finer than the map's cells
 
 
 def by_camera(visual_act: ViewPredictor) -> See:
@@ -39,11 +39,11 @@ def true_view(scene: Scene, pose: Pose, camera: CameraConfig, arena_m: float, pe
     """Return the view of a faultless model: each ray's distribution is certain, and the advice is the true label.
 
     Args:
-        scene: obstacles of the arena.
-        pose: of the car.
-        camera: mount and range.
+        scene: scene with the obstacles of the arena.
+        pose: pose of the car.
+        camera: mount and range of the camera.
         arena_m: side of the walled arena.
-        people: `(W, 2)` positions of the walking obstacles; None: where they start.
+        people: `(W, 2)` metres, positions of the walking obstacles; None: where they start.
     """
     distances_m, _ = ray_distances(
         scene.circles(people),

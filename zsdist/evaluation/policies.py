@@ -9,11 +9,11 @@ from zsdist.evaluation.contenders import Contender
 
 @dataclass(frozen=True)
 class NamedPolicy:
-    """A policy that can be evaluated.
+    """Policy that can be evaluated, with the name by which it was given.
 
     Attributes:
-        name: as it was given.
-        contender: what drives.
+        name: name as it was given.
+        contender: contender that drives.
         weights_sha256: hash of its networks; None for a baseline.
         note: line for the user about the vision model it was trained with; None where there is nothing to report.
     """

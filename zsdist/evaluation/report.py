@@ -1,4 +1,4 @@
-"""Whole evaluations: scenes are selected and driven with progress shown, and summarised as JSON and as a table."""
+"""Whole evaluations: selection and driving of scenes with a progress display, and summaries as JSON and tables."""
 
 import sys
 import time
@@ -40,14 +40,20 @@ LABELS = {
 
 @dataclass(frozen=True)
 class Report:
-    """One evaluation: `result` is its JSON; `records` are its episodes, with their paths."""
+    """Result of one evaluation.
+
+    Attributes:
+        contender: contender that was evaluated.
+        result: figures as a JSON object.
+        records: episodes, with their paths.
+    """
 
     contender: Contender
     result: dict[str, Any]
     records: Sequence[EpisodeRecord] = field(repr=False)
 
     def beside(self, bare: "Report") -> "Report":
-        """Return this with the figures of the report `bare`: the same policy and scenes without the shield."""
+        """Return this report with figures of `bare` added, which has the same policy and scenes without the shield."""
         figures = {name: bare.result[name] for name in ("success", "collision", "timeout", "spl")}
         interval = bare.result["confidence_95"]["success"]
         return replace(self, result=self.result | {"without_shield": figures | {"success_95": interval}})
@@ -101,13 +107,13 @@ def evaluate(
     """Drive the episodes with progress on the standard error stream, and return the report.
 
     Args:
-        contender: evaluated.
-        policy: name that was asked for. The result calls a variant by its own name and has this one as `run`.
-        weights_sha256: of its networks.
-        scenes: a folder, a family or a split, as `selection.select` takes them.
-        episodes: number of them; None: every file of a folder, else 50.
-        seed: of scenes and drivers.
-        workers: processes.
+        contender: contender to evaluate.
+        policy: name that was requested. The result calls a variant by its own name and has this one as `run`.
+        weights_sha256: hash of its networks; None for a baseline.
+        scenes: folder, family or split, as `selection.select` accepts them.
+        episodes: number of episodes; None: every file of a folder, else 50.
+        seed: seed of scenes and drivers.
+        workers: number of processes.
         out: file of an `EpisodeStore`; episodes that are in it are not driven again.
     """
     chosen, store = select(scenes, contender.config, episodes, seed), None
@@ -150,7 +156,7 @@ def evaluate(
 def together(reports: Sequence[Report], seed: int) -> dict[str, Any]:
     """Return several runs of one method (its training seeds) on the same scenes as one JSON object.
 
-    The interquartile means are over the runs, with a bootstrap over runs and, family by family, over scenes.
+    Interquartile means are over the runs; their intervals resample runs and, within each family, scenes.
     """
     first, records = reports[0].result, reports[0].records
     strata = [next((name for name in FAMILIES if record.scene.startswith(f"{name}-")), "") for record in records]

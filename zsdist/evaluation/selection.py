@@ -1,4 +1,4 @@
-"""Selection of an evaluation's scenes: of a folder, a family, or a split of the configuration."""
+"""Selection of an evaluation's scenes from a folder, a family, or a split of the configuration."""
 
 from pathlib import Path
 
@@ -19,11 +19,11 @@ def select(name: str, config: Config, episodes: int | None, seed: int) -> list[S
     """Return the scenes of an evaluation, in the order in which they are reported.
 
     Args:
-        name: a family, of which the test scenes are taken; a split of the configuration, `train` and `validation` (of
-            `scenes.train`) or `test` (of `scenes.test`), the families in turn; else a folder of scene files.
-        config: has the families of the splits, and the grid that scene files must fit.
+        name: family, whose test scenes are taken; or split of the configuration: `train` or `validation` (from
+            `scenes.train`), or `test` (from `scenes.test`), with its families in turn; or folder of scene files.
+        config: configuration with the families of the splits, and the grid that scene files must fit.
         episodes: number of scenes; None: all files of a folder, else 50. A folder with fewer files is repeated.
-        seed: selects the scenes of a family, the same for every policy; of a folder it is always the files in order.
+        seed: seed that selects the scenes of a family, the same for every policy; a folder gives its files in order.
 
     Raises:
         SceneError: the name is none of these, or a scene file is wrong.

@@ -14,8 +14,8 @@ def wilson_95(successes: int, trials: int) -> tuple[float, float]:
     """Return Wilson's score interval of a rate, which stays in [0, 1] and has a width even if all trials are alike.
 
     Args:
-        successes: number of them, at most `trials`.
-        trials: at least 1.
+        successes: number of successes, at most `trials`.
+        trials: number of trials, at least 1.
     """
     if not 0 <= successes <= trials or trials < 1:
         raise ValueError(
@@ -32,7 +32,7 @@ def bootstrap_95(values: np.ndarray, rng: np.random.Generator) -> tuple[float, f
     """Return the percentile bootstrap interval of a mean.
 
     Args:
-        values: `(n,)`, at least one.
+        values: `(n,)` values, at least one.
         rng: draws the resamples.
     """
     if len(values) == 0:
@@ -53,11 +53,11 @@ def interquartile_mean(values: np.ndarray) -> np.ndarray:
 def runs_95(scores: np.ndarray, strata: Sequence[str], rng: np.random.Generator) -> tuple[float, float, float]:
     """Return the interquartile mean over runs of their mean score, and its stratified bootstrap interval.
 
-    A resample draws runs, and within each stratum episodes, the same for all runs since they drove the same scenes.
-    From it follow the mean of each run, and their interquartile mean.
+    A resample draws runs and, within each stratum, episodes. The episodes are the same for all runs, since these drove
+    the same scenes. Each resample gives the means of its runs, and their interquartile mean.
 
     Args:
-        scores: `(runs, episodes)`, at least one of each.
+        scores: `(runs, episodes)` scores, at least one of each.
         strata: `(episodes,)` names of groups that are resampled separately, such as families of scenes.
         rng: draws the resamples.
 

@@ -22,7 +22,7 @@ from zsdist.vision.visual_act import VisualAct
 
 @dataclass(frozen=True)
 class Simulation:
-    """Makers of environments and vision; `make_env` has the arguments of `zsdist.sim.physics.kinematic.make_env`."""
+    """Factories of environments and vision, with the signature of `zsdist.sim.physics.kinematic.make_env`."""
 
     make_env: Callable[..., gymnasium.Env] = make_env
     load_vision: Callable[[Config], ViewPredictor] = lambda config: VisualAct.load(config.vision, config.camera)
@@ -39,15 +39,15 @@ def drive_all(
     """Drive every scene once and return the records in order; they do not depend on the number of workers.
 
     Args:
-        contender: evaluated.
-        scenes: to drive.
-        seed: of the drivers' randomness, with the index of the scene.
-        workers: processes; 1: this one.
+        contender: contender to evaluate.
+        scenes: scenes to drive.
+        seed: seed of the drivers' randomness, combined with the index of the scene.
+        workers: number of processes; 1: only this one.
         on_record: called in this process with the index of the scene and the record, as each episode ends.
-        known: episodes by the index of their scene that were driven before and are not driven again.
+        known: episodes that were driven before, by the index of their scene; they are not driven again.
 
     Raises:
-        ZsdistError: as the episodes do.
+        ZsdistError: an episode raised it.
         RunError: a worker died.
     """
     records = dict(known)
@@ -64,9 +64,9 @@ def make_runner(contender: Contender, simulation: Simulation | None = None, imag
     """Return a runner of a contender in an environment of its own.
 
     Args:
-        contender: evaluated.
-        simulation: to drive in; None: physics and the camera.
-        images: whether pictures are wanted although the driver does not observe them.
+        contender: contender to evaluate.
+        simulation: simulation to drive in; None: physics and the camera.
+        images: whether to render pictures even if the driver does not observe them.
     """
     simulation = simulation or Simulation()
     visual_act = simulation.load_vision(contender.config) if contender.observability is Observability.CAMERA else None
@@ -79,7 +79,7 @@ def make_runner(contender: Contender, simulation: Simulation | None = None, imag
 
 
 class _Worker:
-    """State of a worker process. The runner is made with the first episode, whose errors are reported."""
+    """State of a worker process. The runner is made in the first episode, since errors of episodes are reported."""
 
     contender: Contender
     seed: int

@@ -8,7 +8,7 @@ COLOURS = "inferno"
 
 
 def overlay(field: np.ndarray, px: int) -> np.ndarray:
-    """Return weights `(side, side)` as a heat map `(px, px, 4)` in 0 to 1, transparent where they are small."""
+    """Return weights `(side, side)` as an RGBA heat map `(px, px, 4)` in 0 to 1, transparent where they are small."""
     share = cv2.resize((field / field.max()).astype(np.float32), (px, px), interpolation=cv2.INTER_CUBIC).clip(0, 1)
     colours = matplotlib.colormaps[COLOURS](0.25 + 0.75 * share)
     colours[..., 3] = 0.85 * share**0.6

@@ -23,8 +23,8 @@ class BeliefView:
     """Drawing of the belief map of one drive from above, with north at the top.
 
     Args:
-        scene: that is driven; its true obstacles are outlined, which the car does not know.
-        grid: of the map.
+        scene: scene that is driven; its true obstacles are outlined, although the car does not know them.
+        grid: planning grid of the map.
         size_px: side of the panel.
     """
 
@@ -38,10 +38,10 @@ class BeliefView:
         """Return the panel `(px, px, 3)` uint8.
 
         Args:
-            thought: with the map to draw; None: the driver has no map, and all ground is drawn as unseen.
-            pose: of the car.
-            path: driven so far, `(x, y)` in metres.
-            people: `(W, 2)` positions of the walking obstacles.
+            thought: thought with the map to draw; None: the driver has no map, and all ground is drawn as unseen.
+            pose: pose of the car.
+            path: path driven so far, `(x, y)` in metres.
+            people: `(W, 2)` metres, positions of the walking obstacles; None where nobody walks.
         """
         panel = self._ground(thought)
         self._draw_blocks(panel, thought)
@@ -123,7 +123,7 @@ class BeliefView:
         return np.array([self._fixed(point) for point in points], np.int32)
 
     def _fixed(self, point: Sequence[float]) -> tuple[int, int]:
-        """Return a point in metres as fixed-point pixel coordinates, as OpenCV takes them."""
+        """Return a point in metres as the fixed-point pixel coordinates that OpenCV takes."""
         x, y = self._pixel(point)
         return round(x * 2**_SHIFT), round(y * 2**_SHIFT)
 

@@ -15,7 +15,7 @@ from zsdist.types import Pose
 
 BEHIND_M, HEIGHT_M, PITCH_DEG, FIELD_OF_VIEW_DEG = 5.6, 6.6, 40.0, 75.0  # above the trees
 WALL_GAP_M = 0.5  # least distance of the camera from the arena's walls
-SMOOTHING_PX = 0.8  # without smoothing, the grain of the ground is half of a film's bytes
+SMOOTHING_PX = 0.8  # without smoothing, the grain of the ground takes half of a film's bytes
 BODY_M = (2.0, 0.7, 0.8)
 WHEEL_M, WHEELBASE_M = (0.72, 0.16, 0.5), 1.1
 MAST_RADIUS_M = 0.09
@@ -26,7 +26,7 @@ class ChaseCamera:
     """Camera that shows one scene with the car in it.
 
     Args:
-        scene: that is driven.
+        scene: scene that is driven.
         size_px: width and height of the pictures.
     """
 
@@ -42,8 +42,8 @@ class ChaseCamera:
         """Return the picture `(px, px, 3)` uint8 of the car at a pose.
 
         Args:
-            pose: of the car.
-            people: `(W, 2)` positions of the walking obstacles.
+            pose: pose of the car.
+            people: `(W, 2)` metres, positions of the walking obstacles; None where nobody walks.
         """
         shown = replace(self._scene, obstacles=(*self._scene.obstacles, *self._mast(), *_car(pose)))
         picture = self._camera.render(shown, _behind(pose), pitch_rad=self._pitch_rad, people=people)

@@ -19,8 +19,8 @@ def draw_policies(evaluations: Sequence[Evaluation], folder: Path) -> str:
     """Draw success and collision rates with 95% intervals, one panel per kind of scenes, best success at the top.
 
     Args:
-        evaluations: at least one.
-        folder: of the figures.
+        evaluations: evaluations to compare, at least one.
+        folder: folder of the figures.
 
     Returns:
         The name of the PNG.

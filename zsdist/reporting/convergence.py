@@ -33,8 +33,8 @@ class Convergence:
     """Final value and convergence of a reward curve.
 
     Attributes:
-        final: final value.
-        episode: at which it converged, counted from 1; None: it has not converged.
+        final: final convergence value.
+        episode: number of the episode at which it converged, from 1; None: it has not converged.
     """
 
     final: float

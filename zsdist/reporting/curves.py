@@ -21,8 +21,8 @@ def draw_rewards(methods: Sequence[Method], folder: Path) -> str:
     """Draw Fig. 9: both averages of the paper's reward over episodes, and the scores of the greedy policies.
 
     Args:
-        methods: with at least one finished episode a run.
-        folder: of the figures.
+        methods: methods whose runs have at least one finished episode each.
+        folder: folder of the figures.
     """
     figure, (left, middle, right) = style.panels(1, 3, 3.5, 3.1)
     for colour, method in zip(_cycled(style.CYCLE, methods), methods, strict=True):
@@ -47,8 +47,8 @@ def draw_outcomes(methods: Sequence[Method], folder: Path) -> str:
     """Draw collisions and successes during training, exploration included.
 
     Args:
-        methods: with at least one finished episode a run.
-        folder: of the figures.
+        methods: methods whose runs have at least one finished episode each.
+        folder: folder of the figures.
     """
     figure, axes = style.panels(1, 2, 4.2, 3.0)
     for one, outcome, title in zip(
@@ -73,8 +73,8 @@ def draw_sizes(runs: Sequence[Run], folder: Path) -> str:
     """Draw the sizes of the replay buffer and of the batch over training, and the mean return that they follow.
 
     Args:
-        runs: with metrics.
-        folder: of the figures.
+        runs: runs with metrics.
+        folder: folder of the figures.
     """
     figure, axes = style.panels(1, 3, 3.5, 2.9)
     drawn = (
@@ -111,8 +111,8 @@ def draw_merges(runs: Sequence[Run], folder: Path) -> str:
     """Draw the scores of every candidate of every merge, and mark the promoted one.
 
     Args:
-        runs: with at least one merge.
-        folder: of the figures.
+        runs: runs with at least one merge each.
+        folder: folder of the figures.
     """
     columns = min(3, len(runs))
     rows = -(-len(runs) // columns)

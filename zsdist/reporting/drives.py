@@ -24,11 +24,11 @@ SHORTEST = "astar"
 
 @dataclass(frozen=True)
 class Driven:
-    """Material of the figures.
+    """Driven episodes for the figures.
 
     Attributes:
-        guidance: in a training scene and in an unseen scene.
-        paths: in each unseen scene, the shortest one and the policy's.
+        guidance: drives with guidance in a training scene and in an unseen scene.
+        paths: shortest path and path of the policy in each unseen scene.
     """
 
     guidance: Sequence[Drive]
@@ -49,10 +49,10 @@ def drive(policy: Policy, label: str, on_scene: Callable[[str], None], simulatio
     """Drive the training scene and the unseen ones.
 
     Args:
-        policy: drives greedily.
-        label: of its paths.
+        policy: policy that drives greedily.
+        label: label of its paths.
         on_scene: called with the name of each scene before it is driven.
-        simulation: in which to drive; None: physics and the camera.
+        simulation: simulation to drive in; None: physics and the camera.
     """
     simulation = simulation or Simulation()
     runner = make_runner(Contender(policy.config, policy.parameters), simulation)

@@ -60,17 +60,17 @@ def film(
 ) -> list[Path]:
     """Drive scenes again, as the evaluation with this seed does, and film each as an MP4.
 
-    Between decisions the poses are interpolated: first the turn, then the movement. The camera's picture there is
-    that of a level car. The attention is that of the current action; networks without attention and drivers without a
-    camera show none.
+    Between decisions the poses are interpolated: first the turn, then the movement. The camera's pictures between
+    decisions are rendered for a level car. The attention shown belongs to the current action; it is missing for
+    networks without attention and for drivers without a camera.
 
     Args:
-        contender: policy that drives.
-        scenes: in the order of the evaluation.
-        seed: of the evaluation.
-        folder: of the films; made if it does not exist.
+        contender: contender that drives.
+        scenes: scenes in the order of the evaluation.
+        seed: seed of the evaluation.
+        folder: folder of the films; made if it does not exist.
         on_film: called with each file when it is complete.
-        simulation: in which to drive; None: physics and the camera.
+        simulation: simulation to drive in; None: physics and the camera.
 
     Returns:
         The films, named by number, scene and outcome; next to each film is a JPEG of its middle.
@@ -101,9 +101,9 @@ def frames(moments: Sequence[Moment], config: Config, visual_act: Any) -> Iterat
     """Yield the frames `(height, width, 3)` uint8 of an episode.
 
     Args:
-        moments: of a whole episode that was driven with pictures.
-        config: of the driver.
-        visual_act: vision model, whose `look` gives the attention; None: no attention is shown.
+        moments: moments of a whole episode that was driven with pictures.
+        config: configuration of the driver.
+        visual_act: vision model, whose `observe` gives the attention; None: no attention is shown.
     """
     scene, camera, camera_panel = moments[0].scene, make_camera(config.camera), _camera_panel(visual_act)
     chase = ChaseCamera(scene, PANEL_PX)
@@ -174,7 +174,7 @@ def caption(moment: Moment, step: int, max_steps: int) -> tuple[str, str]:
     """Return the two lines under a frame: the action, and the observation and decision behind it.
 
     Args:
-        moment: that is shown.
+        moment: moment that is shown.
         step: number of the action, from 1.
         max_steps: limit of actions per episode.
     """

@@ -20,7 +20,7 @@ from zsdist.run.checkpoint import Policy, check_vision, load_policy
 from zsdist.sim.scenes.families import SINGLETON_SCENES
 
 PATHS_SHOWN = 6
-TRAINING_EPISODES_A_DRIVE = 5  # for each final drive of a policy, so that the evaluation is in proportion
+TRAINING_EPISODES_A_DRIVE = 5  # for each final drive of a policy, so that the evaluation stays short
 UNSEEN = "iid"  # family of unseen scenes, for a policy that was trained on the singleton family
 SINGLETON = "singleton"
 
@@ -30,9 +30,9 @@ class Trial:
     """One line of the comparison: a policy and the scenes that it drives.
 
     Attributes:
-        name: of the policy, in the table.
-        contender: the policy.
-        sha256: of its networks; None for a baseline.
+        name: name of the policy in the table.
+        contender: contender that drives.
+        sha256: hash of its networks; None for a baseline.
         scenes: name of a family or a split.
         episodes: number of scenes.
     """
@@ -84,9 +84,9 @@ def trials(trained: Policy, settings: Config, episodes: int) -> Iterator[Trial]:
     with baselines.
 
     Args:
-        trained: the policy.
-        settings: of its run.
-        episodes: drives of each line, where there are as many scenes.
+        trained: trained policy.
+        settings: configuration of its run.
+        episodes: number of drives of each line, if there are as many scenes.
     """
     seen = settings.scenes.train[0]
     on_seen = min(episodes, SINGLETON_SCENES) if seen == SINGLETON else episodes

@@ -36,7 +36,7 @@ class Guidance:
     """Values of the high level over the blocks.
 
     Attributes:
-        pull: `(blocks, blocks)` `[by, bx]`: difference of the best choice's value to the mean of all allowed choices;
+        pull: `(blocks, blocks)` `[by, bx]`, value of the best choice minus the mean value of all allowed choices;
             NaN where a block is not known to be reachable.
         towards: `(blocks, blocks, 2)` unit vector to the best choice; NaN as above.
     """
@@ -47,7 +47,7 @@ class Guidance:
 
 @dataclass(frozen=True)
 class Drive:
-    """A driven scene, with the guidance on the map that was known at the end of the drive."""
+    """Driven scene, with the guidance on the map that was known at the end of the drive."""
 
     scene: Scene
     path: DrivenPath
@@ -69,8 +69,8 @@ def guidance_of(
     progress, and more progress remains far from the goal, so the values themselves fall towards the goal.
 
     Args:
-        config: of the run.
-        parameters: of the high level's network.
+        config: configuration of the run.
+        parameters: weights of the high level's network.
         known: last situation of a drive.
         picture: returns the camera's picture for a car at a pose.
         visual_act: vision model.
@@ -95,7 +95,7 @@ def guidance_of(
 
 
 def draw_guidance(drives: Sequence[Drive], config: Config, folder: Path) -> str:
-    """Draw values and directions over the blocks, and next to them the path; one row per scene."""
+    """Draw values and directions over the blocks and, next to them, the path; one row per scene."""
     figure, panels = style.panels(len(drives), 2, 3.9, 3.6)
     for (left, right), drive in zip(zip(panels[::2], panels[1::2], strict=True), drives, strict=True):
         mesh = _draw_values(left, drive, config)

@@ -41,8 +41,8 @@ class DrivenPath:
     """One driven path.
 
     Attributes:
-        points: `(n, 2)` in metres.
-        outcome: of the episode.
+        points: `(n, 2)` positions in metres.
+        outcome: outcome of the episode.
         label: name of the driver.
         reference: whether it is drawn as a thin dashed line, for comparison.
     """
@@ -57,10 +57,10 @@ def draw_paths(panels: Sequence[tuple[Scene, Sequence[DrivenPath]]], arena_m: fl
     """Draw scenes from above with the paths driven in them; a path's colour shows its outcome.
 
     Args:
-        panels: each a scene and its paths; at least one.
+        panels: scenes with their paths, at least one.
         arena_m: side of the arena.
-        folder: of the figures.
-        name: of the figure.
+        folder: folder of the figures.
+        name: name of the figure.
     """
     rows = -(-len(panels) // COLUMNS)
     columns = min(COLUMNS, len(panels))
@@ -161,10 +161,10 @@ def draw_grid_maps(scenes: Sequence[Scene], grid: Grid, folder: Path, name: str,
     """Draw grid maps next to each other with a legend, and on request a picture of the first scene.
 
     Args:
-        scenes: at least one.
-        grid: of the cells.
-        folder: of the figures.
-        name: of the figure.
+        scenes: scenes to draw, at least one.
+        grid: planning grid of the cells.
+        folder: folder of the figures.
+        name: name of the figure.
         picture: whether to add a rendered picture of the first scene.
     """
     count = len(scenes) + picture

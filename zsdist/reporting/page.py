@@ -25,7 +25,7 @@ def write(material: Material, out: Path, on_step: Callable[[str], None], simulat
         material: runs and evaluations.
         out: folder of the page and its figures; made if it does not exist.
         on_step: called with the name of each step.
-        simulation: in which the paths are driven; None: physics and the camera.
+        simulation: simulation in which the paths are driven; None: physics and the camera.
 
     Returns:
         The page's path.

@@ -21,7 +21,7 @@ Row = dict[str, Any]
 _EVALUATED = {"policy", "weights_sha256", "scenes", "episodes", "success", "collision", "timeout", "confidence_95"}
 _FINISHED = {"finished_as", "outcome", "return", "steps"}
 _SUMMARY = {"ended", "env_steps", "merges", "wall_s", "weights"}
-_NOT_SEARCHED = {"checkpoints", "tensorboard", "logs", "figures"}  # folders without evaluations
+_NOT_SEARCHED = {"checkpoints", "tensorboard", "logs", "figures"}  # names of folders without evaluations
 _RUN_FILES = {"summary.json", "metrics.jsonl", "episodes.jsonl"}
 # Episodes that agree in these fields belong to one evaluation.
 _EVALUATION_KEY = ("policy", "variant", "shielded", "scenes", "seed", "weights_sha256")
@@ -34,10 +34,10 @@ class Evaluation:
     """Result of one evaluation, with the method that it belongs to.
 
     Attributes:
-        result: as `zsdist.evaluate --json` writes it.
+        result: JSON object as `zsdist.evaluate --json` writes it.
         label: name of the driver in tables: a method, with its variant if any, or a baseline.
-        method: whose networks drove; None for a baseline, and for a policy whose run is not among those given.
-        seed: of their training; None as above.
+        method: method whose networks drove; None for a baseline, and for a policy whose run is not among those given.
+        seed: seed of their training; None as for `method`.
     """
 
     result: Row
@@ -64,8 +64,8 @@ class Run:
     """One training run.
 
     Attributes:
-        folder: of the run.
-        settings: its configuration.
+        folder: run directory.
+        settings: configuration of the run.
         episodes: lines of `episodes.jsonl`, in the order in which they finished.
         metrics: lines of `metrics.jsonl`.
         summary: `summary.json`; None while the run continues, or where it failed.
@@ -87,12 +87,12 @@ class Run:
 
     @property
     def merges(self) -> Sequence[Row]:
-        """Merges of the run, by its summary."""
+        """Merges of the run, from its summary."""
         return self.summary["merges"] if self.summary else []
 
     @property
     def method(self) -> str:
-        """Name of its configuration."""
+        """Name of its configuration, which stands for its method."""
         return self.settings.run.name
 
 
@@ -101,8 +101,8 @@ class Method:
     """The runs of one configuration under different seeds.
 
     Attributes:
-        name: of the configuration.
-        runs: at least one, by seed.
+        name: name of the configuration.
+        runs: one or more runs, ordered by seed.
         differing: settings in which the runs differ, other than the seed and the settings of the machine.
     """
 
@@ -184,7 +184,7 @@ def _flat(tree: Row, prefix: str = "") -> Row:
 
 
 def _evaluation(result: Row, home: Run | None, runs: Sequence[Run]) -> Evaluation:
-    """Return an evaluation with its owner: the run that ended with its weights, else the one whose folder holds it."""
+    """Return an evaluation with its owner: the run that ended with its weights, else the run whose folder holds it."""
     sha256, name = result["weights_sha256"], Path(str(result.get("run", result["policy"]))).name
     if sha256 is None:
         return Evaluation(result, name)

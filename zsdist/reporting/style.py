@@ -55,7 +55,7 @@ matplotlib.style.use(_RC)
 
 
 def panels(rows: int, columns: int, width_in: float, height_in: float) -> tuple[Figure, list[Axes]]:
-    """Return a figure and its `rows` by `columns` axes, row by row; the sizes are of one of them, in inches."""
+    """Return a figure and its `rows` by `columns` axes, row by row; each has the given size in inches."""
     figure = Figure(figsize=(columns * width_in, rows * height_in), layout="constrained")
     return figure, list(figure.subplots(rows, columns, squeeze=False).ravel())
 

@@ -43,7 +43,7 @@ class Rate:
         mean: the share.
         low: lower end of the interval.
         high: upper end of the interval.
-        note: what the interval is over, where that is not episodes.
+        note: units of the interval and a space, if the interval is not over episodes.
     """
 
     mean: float
@@ -109,7 +109,7 @@ def oracles(evaluations: Sequence[Evaluation], reference: str | None) -> list[st
 def paired_success(ours: Sequence[Evaluation], theirs: Sequence[Evaluation]) -> tuple[float, float, float, int] | None:
     """Return the difference of success on the scenes that both drove, its 95% interval (two values), and their number.
 
-    Several seeds count with their mean in each scene; the interval is a bootstrap over scenes. None where they have no
+    Several seeds count with their mean in each scene; the interval is a bootstrap over scenes. None if they have no
     scene in common.
     """
     first, second = _successes(ours), _successes(theirs)

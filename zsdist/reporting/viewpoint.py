@@ -12,11 +12,11 @@ def lifted_camera(
     """Return a camera that is `height_m` above the pose it is rendered from, if rendered with this pitch.
 
     Args:
-        height_m: above the ground.
-        pitch_rad: downwards; pass the same to `render`.
-        field_of_view_deg: across the picture's width.
+        height_m: height above the ground.
+        pitch_rad: pitch downwards; pass the same to `render`.
+        field_of_view_deg: field of view across the picture's width.
         size_px: width and height of the picture.
-        look: returns the appearance of a scene; None: the scene's own.
+        look: function that returns the appearance of a scene; None: the scene's own appearance.
     """
     # The mount tilts with the body, so the point straight above is given along the body's tilted axes.
     config = CameraConfig(

@@ -1,4 +1,4 @@
-"""Actor role: drives several cars by camera with local visual-act inference, and pushes their transitions."""
+"""Actor role: drives several cars by camera with local vision inference, and pushes their transitions."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -32,7 +32,7 @@ class SceneSource(Protocol):
 
 
 class Actor(Role):
-    """Several cars in one process with batched inference; pictures never leave it."""
+    """Several cars in one process that share one vision model; pictures never leave the process."""
 
     def __init__(
         self, context: Context, cars: Sequence[ActorCar], perception: Perception, schedule: SceneSource
@@ -49,7 +49,7 @@ class Actor(Role):
         self._max_lag_s = 0.0
         self._candidates: dict[tuple[int, str], dict[Level, Parameters]] = {}
         self._leases: list[int] = []
-        self._started: set[int] = set()  # leases begun; this process drives a number once
+        self._started: set[int] = set()  # numbers of the leases begun; this process drives each once
         self._jobs = DriveJobs(merge=0, drives=[])
         self._driven: set[tuple[int, str, int]] = set()
         self._finished_episodes = 0
@@ -85,7 +85,7 @@ class Actor(Role):
         return now if ready else min([now + HEARTBEAT_S, *self._outboxes.wakes(now)])
 
     def statistics(self) -> dict[str, float | str]:
-        """Return steps driven, cars, readings remembered or not, versions acted with, and counts of the outboxes."""
+        """Return counts of steps, cars and cached readings, versions and lags of weights, and counts of outboxes."""
         fields: dict[str, float | str] = {
             "env_steps": self.env_steps,
             "cars": len(self.cars),
@@ -131,7 +131,7 @@ class Actor(Role):
             self.refuse("candidates")
 
     def _fits(self, level: Level, parameters: Parameters, sha256: str | None = None) -> bool:
-        """Return whether these are weights of a level's network, and of the given hash; count those that are not."""
+        """Return whether parameters fit a level's network and have the given hash; count a refusal if they do not."""
         shape = SHAPES[level]
         try:
             network.check(parameters, shape.state_size, shape.actions)
@@ -218,7 +218,7 @@ class Actor(Role):
         self._outboxes.offer_record(stream, record)
 
     def _cut_short(self) -> None:
-        """End what nobody waits for any more: drives of a candidate that was dropped, and everything at a stop."""
+        """Abort drives of dropped candidates, and at a stop all episodes."""
         for car in self.cars:
             if not car.idle and (self._cut or self._unwanted(car.task)):
                 self._outboxes.offer(car.cut(), self._accounts[car])

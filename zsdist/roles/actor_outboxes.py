@@ -1,4 +1,4 @@
-"""Outboxes of an actor: one for each stream, and the credit of the replays that its cars have reserved."""
+"""Outboxes of an actor, one for each stream, and the credit that its cars have reserved at the replay."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -18,8 +18,8 @@ class CreditAccount:
     """Credit of one car in each level.
 
     Attributes:
-        reserved: transitions whose credit is reserved and not yet used up.
-        pending: transitions that were driven and whose trajectory is not complete yet.
+        reserved: number of transitions whose credit is reserved and not yet used up.
+        pending: number of transitions that were driven and whose trajectory is not complete yet.
     """
 
     reserved: dict[Level, int] = field(default_factory=lambda: dict.fromkeys(Level, 0))
@@ -37,7 +37,7 @@ class ActorOutboxes:
     Args:
         run: name of the run on the key space.
         actor: name of the actor.
-        epoch: of the actor's incarnation.
+        epoch: epoch of the actor.
         settings: window and times of the push protocol.
     """
 
@@ -61,20 +61,20 @@ class ActorOutboxes:
 
     @property
     def drained(self) -> bool:
-        """True once all are closed and their receivers hold everything."""
+        """True once all outboxes are closed and their receivers hold everything."""
         return all(outbox.drained for outbox in self._outboxes.values())
 
     def on_ack(self, ack: Ack, now: float) -> None:
-        """Take in an acknowledgement of one of the streams."""
+        """Process an acknowledgement of one of the streams."""
         self._outboxes[ack.stream].on_ack(ack, now)
 
     def reserve(self, account: CreditAccount) -> bool:
         """Reserve credit for one more transition of each level before it is driven, so that flushing never has to wait.
 
-        The replay grants a stream at least one whole option a car ahead of what it holds, so every option can end.
+        The replay grants a stream at least one whole option per car beyond what it holds, so every option can end.
 
         Returns:
-            Whether there was enough; what was reserved until then stays reserved.
+            Whether there was enough credit; what was reserved until then stays reserved.
         """
         for level in Level:
             missing = account.pending[level] + 1 - account.reserved[level]
@@ -85,7 +85,7 @@ class ActorOutboxes:
         return True
 
     def release(self, account: CreditAccount) -> None:
-        """Give back the credit that turned out not to be needed."""
+        """Release the credit that was reserved and not used."""
         for level in Level:
             self._outboxes[level].release(account.reserved[level])
             account.reserved[level] = 0
@@ -102,7 +102,7 @@ class ActorOutboxes:
         self._outboxes[stream].offer([record])
 
     def close(self) -> None:
-        """Close all: nothing more will be offered."""
+        """Close all outboxes; nothing may be offered afterwards."""
         for outbox in self._outboxes.values():
             outbox.close()
 

@@ -35,13 +35,13 @@ class Context:
     """Identity of a role, and the transport through which it communicates.
 
     Attributes:
-        config: the whole run's configuration.
-        run: the run's name on the key space.
+        config: configuration of the whole run.
+        run: name of the run on the key space.
         role: kind of role.
         id: number or name that tells roles of one kind apart.
-        epoch: incarnation, never used twice in a run directory; newer epochs overrule older ones.
-        transport: carries bytes.
-        wake: set whenever a mailbox of this role receives something.
+        epoch: number of this incarnation, never used twice in a run directory; newer epochs overrule older ones.
+        transport: transport of all messages of the role.
+        wake: event that is set whenever a mailbox of this role receives something.
     """
 
     config: Config
@@ -59,7 +59,7 @@ class Context:
 
 
 class Role(ABC):
-    """A single-threaded object that owns its state. Subclasses implement `work` and `statistics`."""
+    """Single-threaded object that owns its state. Subclasses implement `work` and `statistics`."""
 
     def __init__(self, context: Context) -> None:
         self.context = context
@@ -68,7 +68,7 @@ class Role(ABC):
         self.finished = False  # set by `work` when nothing is left to do
         self._mailboxes: dict[str, Mailbox] = {}
         self._refused: Counter[str] = Counter()
-        self._orders_epoch = -1  # of the last sender of orders; orders of older ones are stale
+        self._orders_epoch = -1  # epoch of the newest sender of orders; orders of older ones are stale
         self._next_statistics_s = 0.0
         self.transport.declare_alive(keys.alive(context.run, context.role, context.id))
 
@@ -76,7 +76,7 @@ class Role(ABC):
         """Do the work that is due at `now` (unix seconds).
 
         Returns:
-            The time of the next call at the latest; None once the role has finished.
+            The latest time of the next call; None once the role has finished.
         """
         if self.finished:
             return None
@@ -88,7 +88,7 @@ class Role(ABC):
 
     @abstractmethod
     def work(self, now: float) -> float:
-        """Do one round of this role's work, and return the time of the next one at the latest."""
+        """Do one round of this role's work, and return the latest time of the next one (unix seconds)."""
 
     @abstractmethod
     def statistics(self) -> dict[str, float | str]:
@@ -126,7 +126,7 @@ class Role(ABC):
                 yield message, decoded
 
     def requests(self, box: Mailbox, kind: type[Kind]) -> Iterator[tuple[Callable[[bytes], None], Kind]]:
-        """Drain `box` of a served key, and yield the function that replies with each request."""
+        """Drain `box` of a served key, and yield each request after the function that replies to it."""
         for message, request in self.messages(box, kind):
             if message.reply is not None:  # None for publications, which no served key receives
                 yield message.reply, request
@@ -141,8 +141,8 @@ class Role(ABC):
         """Drain `box` of the scheduler's orders (for the scheduler: of the runner's), and yield their content.
 
         Args:
-            box: the mailbox.
-            models: model of the content of each kind of message expected.
+            box: mailbox of the orders.
+            models: expected kinds of messages, with the model of the content of each.
         """
         for _, orders in self.messages(box, *models, Records):
             if not isinstance(orders, Orders | Jobs):
@@ -170,11 +170,11 @@ class Role(ABC):
             return None
 
     def refuse(self, reason: str) -> None:
-        """Count a message that is not acted on; statistics have the count as `rejected_{reason}`."""
+        """Count a message that is not acted on; statistics report the count as `rejected_{reason}`."""
         self._refused[reason] += 1
 
     def event(self, now: float, event: str, **fields: float | str) -> None:
-        """Publish something that watchers should see."""
+        """Publish an event with its fields for watchers."""
         self._publish_json(keys.events(self.context.run), now, {"event": event, **fields})
 
     def _publish_statistics(self, now: float) -> None:

@@ -7,7 +7,7 @@ from zsdist.telemetry.snapshot import Fields
 
 
 class Hub(Role):
-    """Holds no state; its runner ends it after all the others."""
+    """Role without state, which its runner ends after all others."""
 
     def __init__(self, context: Context, endpoint: str) -> None:
         super().__init__(context)

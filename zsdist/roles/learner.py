@@ -20,8 +20,8 @@ from zsdist.wire.messages import (
     WeightsMessage,
 )
 
-PREFETCH = 16  # batches of a shard requested or ready: they last until the next answer arrives
-BATCHES_AN_ANSWER = 4  # requested at once: the overhead of a message exceeds that of carrying a batch
+PREFETCH = 16  # batches of a shard requested or ready, enough until the next answer arrives
+BATCHES_AN_ANSWER = 4  # requested at once, since a message costs more than carrying one more batch
 UPDATES_A_STEP = 8  # before the mailboxes are read again
 ANSWER_WITHIN_S = 4.0  # timeout of a request in the transport
 ASK_AGAIN_AFTER_S = 0.6  # a live replay answers sooner; one that died, or its hub, may be back by now
@@ -36,22 +36,22 @@ class _ShardSource:
     def __init__(self) -> None:
         self.ready: deque[Batch] = deque()
         self.asked_s: deque[float] = deque()  # times of the pending requests, for `BATCHES_AN_ANSWER` each
-        self.held = 1
+        self.held = 1  # transitions in the shard
         self.served = 0
 
     @property
     def coming(self) -> int:
-        """Batches that are ready, and those that were requested."""
+        """Number of batches that are ready or requested."""
         return len(self.ready) + BATCHES_AN_ANSWER * len(self.asked_s)
 
     @property
     def turn(self) -> float:
-        """Priority of the shard, lowest first: so batches come from each in proportion to what it holds."""
+        """Rank of the shard, lowest first, so that each gives batches in proportion to what it holds."""
         return (self.served + 1) / self.held
 
 
 class Learner(Role):
-    """Online and target network of one level."""
+    """Learner of the online and target network of one level."""
 
     def __init__(self, context: Context, level: Level, dqn: BaseDqnLearner, restored: State | None = None) -> None:
         super().__init__(context)
@@ -61,7 +61,7 @@ class Learner(Role):
         self.updates = 0
         self.merge = 0  # index of the last merge whose winner was taken over
         self.waiting_data_s = 0.0
-        self.waiting_reply_s = 0.0  # the part of it in which the replay had a batch to give
+        self.waiting_reply_s = 0.0  # the part of `waiting_data_s` in which the replay had a batch to give
         self._best: Parameters | None = None
         self._candidates: dict[str, Parameters] = {}
         self._offered = 0
@@ -91,7 +91,7 @@ class Learner(Role):
         learned = self._learn(now)
         self._publish(now)
         self.answer_state_requests(self._checkpoints, lambda: self._published_state(now))
-        # Again at once after an update: waiting begins where there is no batch then.
+        # After an update, work again at once: waiting begins when there is no batch then.
         return now if learned else now + WEIGHTS_EVERY_S
 
     def statistics(self) -> dict[str, float | str]:
@@ -119,7 +119,7 @@ class Learner(Role):
         return State(self.context.name, meta, arrays)
 
     def _published_state(self, now: float) -> State:
-        """Return the state; the weights in a checkpoint have a version of their own, published before."""
+        """Return the state after its weights were published, so that those of a checkpoint have their own version."""
         if self.updates != self._published_updates:
             self._publish_weights(now)
         return self.state()
@@ -131,7 +131,7 @@ class Learner(Role):
         self._offered = self.merge
 
     def _receive(self, now: float) -> None:
-        lacked_s: float | None = None  # time for which the replay had no batch to give; None: it has not answered
+        lacked_s: float | None = None  # longest time for which a shard had no batch to give; None: none has answered
         for message, reply in self.messages(self._batches, SampleReply):
             batch = None if reply.batch is None else batches.from_stored(reply.batch)
             if batch is not None and not self.dqn.fits(batch):

@@ -32,7 +32,7 @@ def client_names(actors: int) -> list[str]:
 
 
 def access_list(actors: int) -> list[Grant]:
-    """Return the grants of a run with so many actors; every other common name may do nothing."""
+    """Return the grants of a run with `actors` actors; every other common name may do nothing."""
     trusted = Grant(TRUSTED, *[EVERYTHING] * 6)
     hub = Grant(HUB, publish=(keys.stats(ANY, "hub", ANY), keys.events(ANY)), alive=(keys.alive(ANY, "hub", ANY),))
     monitor = Grant(MONITOR, subscribe=(*WATCHED, keys.weights(ANY, ANY)), watch=TOKENS)

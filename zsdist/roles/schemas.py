@@ -33,7 +33,7 @@ BEST: Final = "best"  # the winner of the last merge: the paper's "historical st
 
 
 class Phase(StrEnum):
-    """Progress of a merge."""
+    """Phase of a merge, in the order in which a merge passes them."""
 
     COLLECT = "collect"  # waiting for the learners' candidates
     DRIVE = "drive"  # actors drive the candidates
@@ -100,7 +100,7 @@ class DriveJobs(Content):
 
 
 class DriveRecord(Content):
-    """Result of a drive; more figures by name may follow."""
+    """Result of a drive; further figures by name are allowed."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[Name, Figure | Text]
@@ -133,7 +133,7 @@ class CandidateRecord(DriveRecord):
 
 
 class LevelReplayState(Content):
-    """Fields that the scheduler reads of a replay's state, for each level."""
+    """Fields that the scheduler reads from one level's state of a replay."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -142,7 +142,7 @@ class LevelReplayState(Content):
 
 
 class LearnerState(Content):
-    """Fields that the scheduler reads of a learner's state."""
+    """Fields that the scheduler reads from a learner's state."""
 
     model_config = ConfigDict(extra="allow")
 

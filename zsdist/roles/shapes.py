@@ -1,6 +1,6 @@
 """Sizes of the transitions of each level.
 
-The roles that serve any level are given these; only the actor knows what the features and actions mean.
+Replay and learners know only these sizes; the meaning of features and actions is known to the actor alone.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from zsdist.types import Level
 
 @dataclass(frozen=True)
 class Shape:
-    """Sizes of one level's transitions: state features and actions."""
+    """Number of state features and of actions in one level's transitions."""
 
     state_size: int
     actions: int

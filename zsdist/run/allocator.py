@@ -1,4 +1,4 @@
-"""Setting of the C library's allocator: it keeps freed memory."""
+"""Setting of the C library's allocator that makes it keep freed memory."""
 
 import ctypes
 import sys
@@ -8,7 +8,7 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of malloc.h
 
 
 def keep_freed_memory() -> None:
-    """Have freed large blocks used again; do nothing where the C library is not glibc.
+    """Make the allocator reuse large freed blocks; do nothing where the C library is not glibc.
 
     The columns of a batch take megabytes, allocated and freed many times a second. By default the kernel provides each
     block anew and clears it page by page, which takes up to a third of the time of a replay's batches.

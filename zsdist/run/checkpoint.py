@@ -19,9 +19,9 @@ class Policy:
     """Both levels' networks and the configuration that they were trained with.
 
     Attributes:
-        config: of the run that trained it.
+        config: configuration of the run that trained it.
         parameters: online networks by level.
-        sha256: of both networks together, 64 hex digits.
+        sha256: hash of both networks together, 64 hex digits.
         source: path that it was read from.
         vision: vision model that it was trained with; None: it is untrained.
     """

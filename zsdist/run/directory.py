@@ -37,7 +37,7 @@ def create(path: Path | None, settings: Config, root: Path = Path("runs")) -> Pa
     """Make the folder of a new run and write `config.yaml`.
 
     Args:
-        path: of the folder; None: one under `root`, named by configuration and time.
+        path: folder to make; None: a folder under `root`, named by configuration and time.
         settings: resolved configuration.
         root: parent of unnamed runs.
 
@@ -87,7 +87,7 @@ def reopen(folder: Path, overrides: tuple[str, ...] = ()) -> tuple[Config, dict[
 
 
 def ended(folder: Path) -> str | None:
-    """Return how the last start of a run ended, as its summary has it; None where it ended without one."""
+    """Return how the last start of a run ended, from its summary; None if it ended without a summary."""
     try:
         return json.loads((folder / "summary.json").read_text())["ended"]
     except FileNotFoundError:
@@ -99,7 +99,7 @@ def ended(folder: Path) -> str | None:
 def rewind(folder: Path, settings: Config, states: dict[str, State]) -> None:
     """Make the folder of a resumed run agree with its checkpoint: prune all that came later.
 
-    Journals are removed too. Each belongs to one start of the run, and the episodes that they hold beyond the
+    Journals are removed too. Each belongs to one start of the run, and episodes in them that finished after the
     checkpoint are driven again.
     """
     rewrite_config(folder, settings)
@@ -110,7 +110,7 @@ def rewind(folder: Path, settings: Config, states: dict[str, State]) -> None:
 
 
 def key_name(folder: Path) -> str:
-    """Return the run's name on the key space: that of the folder, with characters replaced that a key cannot have."""
+    """Return the run's name on the key space: the folder's name with all characters replaced that no key may have."""
     return re.sub(r"[^A-Za-z0-9._-]", "-", folder.resolve().name)[:64] or "run"
 
 
@@ -180,11 +180,11 @@ class RunDirectory:
         """Open the files of `folder`.
 
         Args:
-            folder: of the run.
-            vision: vision model of its policy, which goes into the checkpoints.
+            folder: run directory.
+            vision: vision model of the policy, which is written into checkpoints.
             earlier_s: real seconds that earlier starts of this run took.
         """
-        from tensorboard.summary import Writer  # here, since only the scheduler needs it; torch's imports all of torch
+        from tensorboard.summary import Writer  # only the scheduler needs it; torch's own writer imports all of torch
 
         self.folder = folder
         self._vision = vision
@@ -230,7 +230,7 @@ class RunDirectory:
         }
         atomic_files.write(partial / "manifest.json", json.dumps(manifest, indent=1).encode())
         atomic_files.sync_folder(partial)
-        if final.exists():  # of as many episodes; aside in one step, so that a kill leaves no part of one
+        if final.exists():  # after as many episodes; moved aside in one step, so that a kill leaves no part of it
             final.rename(aside)
         partial.rename(final)
         atomic_files.sync_folder(final.parent)

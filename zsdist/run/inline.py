@@ -32,8 +32,8 @@ def run(
     """Run to the end, or until an interruption is noticed and everything is saved.
 
     Args:
-        spec: the run.
-        epochs: new ones, as many as `program.epoch_count` returns.
+        spec: specification of the run.
+        epochs: new epochs, as many as `program.epoch_count` returns.
         interrupted: tells whether to stop early; called once a heartbeat.
         watch: called once a round with a transport to subscribe on and the clock, such as a progress display.
     """
@@ -111,7 +111,7 @@ def _run(
 
 
 class _HostedRole:
-    """A role, the time at which its next step is due, and whether a message has arrived since the last one."""
+    """Role with the time at which its next step is due, and whether a message has arrived since the last step."""
 
     def __init__(self, spec: RunSpec, role_spec: RoleSpec, transport: Transport, shared_wake: threading.Event) -> None:
         self.wake = _RelayedEvent(shared_wake)
@@ -127,7 +127,7 @@ class _HostedRole:
 
 
 class _RelayedEvent(threading.Event):
-    """An event that also sets the runner's."""
+    """Event that also sets the runner's event."""
 
     def __init__(self, shared: threading.Event) -> None:
         super().__init__()

@@ -17,7 +17,7 @@ class Interruption:
         return self._requested
 
     def on_signal(self, signal_number: int, frame: FrameType | None) -> None:
-        """Handle a signal."""
+        """Set the flag at the first signal; raise `KeyboardInterrupt` at the second."""
         if self._requested:
             raise KeyboardInterrupt
         self._requested = True

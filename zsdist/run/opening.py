@@ -16,8 +16,8 @@ def open_new(settings: Config, folder: Path | None, notify: Notify) -> RunSpec:
     """Make the directory of a new run.
 
     Args:
-        settings: of the run.
-        folder: to make; None: one in `runs/`, named by configuration and time.
+        settings: configuration of the run.
+        folder: folder to make; None: a folder in `runs/`, named by configuration and time.
         notify: called with lines for the user.
 
     Raises:
@@ -32,7 +32,7 @@ def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify) -> Ru
     """Reset the directory of an earlier run to its newest checkpoint.
 
     Args:
-        folder: of the run.
+        folder: run directory.
         overrides: settings to change, as `KEY.PATH=VALUE`.
         notify: called with lines for the user.
 
@@ -60,7 +60,7 @@ def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify) -> Ru
 
 
 def check_parts(settings: Config, notify: Notify) -> VisionIdentity:
-    """Check memory, certificates, scenes and weights, and compile what is compiled at first use.
+    """Check memory, certificates, scenes and weights, and compile all code that is compiled at first use.
 
     Returns:
         The vision model of this configuration on this machine.

@@ -11,10 +11,10 @@ SHIPPED = {"pretrained": Path(zsdist.__file__).parent / "policies" / "pretrained
 
 
 def load_by_name(name: str, other_names: Iterable[str]) -> Policy:
-    """Return the policy of a name.
+    """Return the policy that a name stands for.
 
     Args:
-        name: of a shipped policy, or path of a run directory or a checkpoint.
+        name: name of a shipped policy, or path of a run directory or a checkpoint.
         other_names: further allowed names, for the error.
 
     Raises:

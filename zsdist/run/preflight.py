@@ -40,7 +40,7 @@ def check_certificates(config: Config) -> None:
     """Load the certificates of all roles that live on this machine.
 
     Raises:
-        TransportError: one is missing or invalid, as `Identity.load` reports it.
+        TransportError: a certificate is missing or invalid, as `Identity.load` reports it.
     """
     if config.transport.tls is None:
         return
@@ -81,7 +81,7 @@ def warm_up(config: Config) -> VisionIdentity:
 
 
 def try_out(parts: ActorParts, config: Config) -> None:
-    """Drive a car for two steps, so that everything is loaded that is loaded at first use (half a second)."""
+    """Drive a car for two steps, so that all that is loaded at first use is loaded (half a second)."""
     car = ActorCar(parts.make_env(), config)
     car.begin(EpisodeTask(parts.schedule.training(1), 1, 1.0, True, (0,)), dict.fromkeys(Level, 0))
     q = q_functions({level: _untrained(config, level) for level in Level})

@@ -1,4 +1,4 @@
-"""Composition root: the roles of a run and the construction of each. No role knows where it lives."""
+"""Composition root: the roles of a run and the construction of each. No role knows its process."""
 
 import threading
 import uuid
@@ -48,7 +48,7 @@ class RoleSpec:
     Attributes:
         role: kind of role.
         id: number or name that tells roles of one kind apart.
-        epoch: of this incarnation.
+        epoch: epoch of this incarnation.
     """
 
     role: str
@@ -67,7 +67,7 @@ def supervisor(epochs: Sequence[int]) -> RoleSpec:
 
 
 def roles(config: Config, epochs: Sequence[int]) -> list[RoleSpec]:
-    """Return all roles that do the run's work, in the order in which an inline run steps them."""
+    """Return all roles that do the work of a run, in the order in which an inline run steps them."""
     return [RoleSpec(role, identifier, epoch) for (role, identifier), epoch in zip(_names(config), epochs, strict=True)]
 
 
@@ -83,7 +83,7 @@ def role_count(config: Config) -> int:
 
 
 def epoch_count(config: Config) -> int:
-    """Return the number of epochs that a start takes: of the runner, of the hub, and of each role, in this order."""
+    """Return the number of epochs that a start takes: for the runner, the hub and each role, in this order."""
     return 2 + role_count(config)
 
 
@@ -92,7 +92,7 @@ class ActorParts:
     """Parts that an actor is made of besides its agents.
 
     Attributes:
-        make_env: makes the environment of one car.
+        make_env: factory of the environment of one car.
         visual_act: vision model of all cars.
         schedule: scenes by number.
     """
@@ -115,7 +115,7 @@ def vision_here(config: Config) -> VisionIdentity:
     """Return the vision model that this configuration loads on this machine.
 
     Raises:
-        WeightsError: as `VisualAct.load`.
+        WeightsError: as `VisualAct.load` raises it.
     """
     return VisionIdentity.of(PretrainedVisualAct.load(config.vision, config.camera), config.vision.network)
 
@@ -125,13 +125,13 @@ class RunSpec:
     """All that the roles of a run share, wherever they live.
 
     Attributes:
-        config: resolved.
-        run: name on the key space.
-        folder: the run directory.
-        states: of the checkpoint from which the run resumes, by role name; empty for a new run.
-        vision: the vision model that every car uses.
-        make_parts: makes the parts of an actor; tests put a kinematic car in the place of the simulation.
-        start: unique word of each start of a run, which names the journals of its replays.
+        config: resolved configuration.
+        run: name of the run on the key space.
+        folder: run directory.
+        states: states of the checkpoint from which the run resumes, by role name; empty for a new run.
+        vision: vision model that every car uses.
+        make_parts: factory of the parts of an actor; tests put a kinematic car in the place of the simulation.
+        start: unique word for this start of the run, part of the names of its replays' journals.
     """
 
     config: Config
@@ -166,9 +166,9 @@ class RunSpec:
         """Return one role; its state is restored where the run resumes from a checkpoint.
 
         Args:
-            role_spec: the role.
-            transport: its own.
-            wake: set when a message arrives for it.
+            role_spec: role to build.
+            transport: transport of the role.
+            wake: event that is set when a message arrives for the role.
             parts: parts of an actor that exist already; None: they are made here.
 
         Raises:
@@ -181,7 +181,7 @@ class RunSpec:
                 earlier_s = restored.meta["wall_s"] if restored else 0.0
                 return Scheduler(context, RunDirectory(self.folder, self.vision, earlier_s), restored)
             case shards.ROLE:
-                # A start of the run has journals of its own: those of an earlier one are older than its checkpoints.
+                # Each start of the run has journals of its own: an earlier start's are older than the checkpoint.
                 folder = self.folder / "journal" / f"{self.start}-{role_spec.id}"
                 return Replay(context, SHAPES, folder, self.states.get(shards.state_name(int(role_spec.id))))
             case "learner":
@@ -227,7 +227,7 @@ def make_learner(config: Config, level: Level) -> "BaseDqnLearner":
 
 
 def make_hub(spec: RunSpec, role_spec: RoleSpec, transport: Transport, wake: threading.Event, endpoint: str) -> Hub:
-    """Return the hub's role, for the process that holds the router."""
+    """Return the role of the hub, for the process that holds the router."""
     return Hub(spec.context(role_spec, transport, wake), endpoint)
 
 
@@ -239,7 +239,7 @@ def supervision(
     Args:
         role_specs: all roles; the orders name the actors' epochs.
         interrupted: whether to stop early.
-        restarts: processes replaced so far in this start, by kind of role.
+        restarts: number of processes replaced so far in this start, by kind of role.
     """
     return {
         "epochs": {role_spec.name: role_spec.epoch for role_spec in role_specs if role_spec.role == "actor"},

@@ -1,4 +1,4 @@
-"""Runner of each role in a Ray actor of its own, on this machine or on a cluster. No other file knows Ray."""
+"""Runner of each role in a Ray actor of its own, on this machine or on a cluster. No other file imports Ray."""
 
 import logging
 import os
@@ -29,12 +29,12 @@ from zsdist.wire.messages import Orders
 
 OBJECT_STORE_BYTES = 256 * 2**20  # it carries settings and checkpoints at the start, and nothing afterwards
 LEAVE_WITHIN_S = 5.0  # time for the roles to end by themselves once the run is over
-STANDBY_AFTER_S = 1.0  # a start takes the processor for seconds: not while others start or the run recovers
+STANDBY_AFTER_S = 1.0  # delay of the standby's start, which loads a core for seconds, after other starts
 HUB = "hub-0"
 
 
 class RoleHost:
-    """Content of a Ray actor: builds one role and steps it until it has finished."""
+    """Content of a Ray actor, which builds one role and steps it until it has finished."""
 
     def __init__(self, spec: RunSpec) -> None:
         keep_freed_memory()
@@ -54,7 +54,7 @@ class RoleHost:
         """Open the router in this process and return the endpoint at which it listens.
 
         Args:
-            endpoint: of its predecessor; None: it is the run's first.
+            endpoint: endpoint of the hub's predecessor; None: this is the run's first hub.
         """
         self._hub = self.spec.open_hub(endpoint)
         return self._hub.endpoint
@@ -127,8 +127,8 @@ def run(
     which listens at the endpoint of its predecessor. The death of any other role ends the run.
 
     Args:
-        spec: the run.
-        epochs: new ones, as many as `program.epoch_count` returns.
+        spec: specification of the run.
+        epochs: new epochs, as many as `program.epoch_count` returns.
         interrupted: tells whether to stop early; called several times a second.
         watch: called several times a second with a transport to subscribe on and the clock.
 
@@ -157,7 +157,7 @@ def _connect(spec: RunSpec) -> None:
             include_dashboard=False,
             log_to_driver=False,
             logging_level=logging.ERROR,
-            _node_ip_address="127.0.0.1",  # one machine: nothing of it needs to be reached from another
+            _node_ip_address="127.0.0.1",  # one machine: no other one needs to reach it
         )
         return
     try:
@@ -174,7 +174,7 @@ def _connect(spec: RunSpec) -> None:
 
 
 class _Supervisor:
-    """Starts the roles, replaces those that may be replaced when they die, and reports both to the scheduler."""
+    """Supervisor that starts the roles, replaces dead ones where it may, and reports both to the scheduler."""
 
     def __init__(self, spec: RunSpec, epochs: Sequence[int]) -> None:
         self.spec = spec

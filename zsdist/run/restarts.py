@@ -16,7 +16,7 @@ class Restarts:
 
     Args:
         role_specs: first incarnations of all roles.
-        issue_epoch: returns a new epoch.
+        issue_epoch: function that returns a new epoch.
     """
 
     def __init__(self, role_specs: Iterable[RoleSpec], issue_epoch: Callable[[], int]) -> None:
@@ -32,8 +32,8 @@ class Restarts:
         """Return the next incarnation of a role.
 
         Args:
-            name: of the role.
-            reason: of its death, in one line.
+            name: name of the role.
+            reason: reason of its death, in one line.
 
         Raises:
             RunError: it has been restarted as often as is allowed.

@@ -14,7 +14,7 @@ SplitScenes = Callable[[str, int], Scene]  # the scene of a split ("train", "val
 
 
 class SceneSchedule:
-    """Scenes by number, a pure function of the seed. Training and validation scenes have seeds of their own."""
+    """Scenes by number, a pure function of the seed. Training and validation scenes have different seeds."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
@@ -33,7 +33,7 @@ class SceneSchedule:
 
 
 def scene_source(name: str) -> SplitScenes:
-    """Return the scenes of a family, or of a folder of scene files, which serve every split.
+    """Return the function that gives scenes of a family, or of a folder of scene files, which serve every split.
 
     Raises:
         SceneError: `name` is neither, or the folder has no valid scenes.

@@ -22,7 +22,7 @@ def train(spec: RunSpec, interrupted: Callable[[], bool], watch: Watch) -> Summa
     """Run all roles until the training has ended.
 
     Args:
-        spec: of the run.
+        spec: specification of the run.
         interrupted: returns whether to stop early.
         watch: called once a round with the runner's transport and the clock.
 

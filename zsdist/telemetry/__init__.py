@@ -1,1 +1,1 @@
-"""Statistics of a run, as watchers see them."""
+"""Statistics of a run for watchers."""

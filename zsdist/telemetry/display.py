@@ -20,7 +20,7 @@ MAILBOX_BYTES = 8 * 2**20
 
 
 class Display:
-    """Subscribes to a run's statistics at the first `refresh`, and shows them from then on; a context manager.
+    """Display of a run's statistics, as a context manager; the first `refresh` subscribes to them.
 
     Args:
         run: name of the run on the key space.
@@ -51,7 +51,7 @@ class Display:
             self._live.__exit__(kind, error, trace)
 
     def refresh(self, transport: Transport, now: float) -> None:
-        """Receive what has arrived, and show it where that is due."""
+        """Receive what has arrived, and show it when that is due."""
         self.take(transport)
         if time.monotonic() < self._next_s:
             return

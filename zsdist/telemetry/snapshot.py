@@ -11,8 +11,8 @@ from zsdist.wire.codec import MAX_COUNT
 
 Fields = dict[str, float | str]
 WORDS = ("role", "id", "host", "stage", "endpoint")  # fields of statistics that are words; all others are numbers
-MAX_BYTES, MAX_ROLES = 65_536, 8192  # of one message, and of the roles that are remembered
-HISTORY = 12  # statistics of a role from which its rates are computed
+MAX_BYTES, MAX_ROLES = 65_536, 8192  # size of one message, and number of roles that are kept
+HISTORY = 12  # number of a role's last statistics from which its rates are computed
 
 _COMBINE: dict[str, Callable[[Iterable[float]], float]] = {  # over shards; all other fields are summed
     "batch_size": max,
@@ -27,10 +27,10 @@ class Snapshot:
     Attributes:
         roles: statistics by kind of role and id.
         alive: roles that hold a liveliness token.
-        events: the last 100.
-        malformed: messages that were not understood, and changed nothing.
-        max_lag_versions: the most versions by which the weights of an actor were behind their learner.
-        max_lag_s: the longest time for which an actor acted with weights that were out of date.
+        events: last 100 events.
+        malformed: number of messages that were not understood, and changed nothing.
+        max_lag_versions: largest number of versions by which an actor's weights were behind their learner.
+        max_lag_s: longest time for which an actor acted with weights that were out of date.
     """
 
     def __init__(self) -> None:
@@ -85,7 +85,7 @@ class Snapshot:
         return waits
 
     def lag_versions(self) -> dict[Level, int]:
-        """Return how many versions the oldest weights in use are behind their learner, by level."""
+        """Return the number of versions by which the oldest weights in use are behind their learner, by level."""
         lags = {}
         for level in Level:
             newest = _figure(self.of("learner").get(level.value, {}), "weight_version")
@@ -139,7 +139,7 @@ class Snapshot:
             self.events = [*self.events[-99:], fields]
         elif parsed.kind == "stats" and _valid(fields, *role) and (role in self.roles or len(self.roles) < MAX_ROLES):
             if self.roles.get(role, {}).get("epoch") != fields.get("epoch"):
-                self._history.pop(role, None)  # of another process, whose counters are not continued
+                self._history.pop(role, None)  # from another process, whose counters do not continue these
             self.roles[role] = fields
             self._history.setdefault(role, deque(maxlen=HISTORY)).append(fields)
             self.max_lag_versions = max(self.max_lag_versions, *self.lag_versions().values())

@@ -17,7 +17,7 @@ def only_run(transport: Transport, endpoint: str) -> str:
 
     Args:
         transport: connected to the hub.
-        endpoint: of the hub, for the error.
+        endpoint: endpoint of the hub, for the error.
 
     Raises:
         RunError: the hub carries no run, or several.

@@ -1,1 +1,1 @@
-"""Replay role: one process of rings, limiters and journals for both levels."""
+"""Replay role: ring buffers, limiters and journals of both levels in one process."""

@@ -1,7 +1,7 @@
 """One level's part of a replay: its transitions and sizes, and the pace at which it accepts and serves them.
 
-It writes what it accepts into its journal, and only then may that be acknowledged. A successor in another process
-resumes from the journal: nothing that was acknowledged is lost, and what was not is sent again.
+Whatever it accepts is written into its journal before it is acknowledged. A successor in another process resumes from
+the journal: nothing that was acknowledged is lost, and everything else is sent again.
 """
 
 import json
@@ -29,7 +29,7 @@ from zsdist.wire.frame import PLAIN
 from zsdist.wire.messages import Push, SampleReply, State
 
 HOLD_REQUEST_S = 0.3  # a request that cannot be served for so long is answered with "no batch yet"
-PACE_EVERY_S = 0.05  # age of the pace in a journal at most; its transitions are always complete
+PACE_EVERY_S = 0.05  # oldest that a journal's pace may be; its transitions are always complete
 
 
 class Entry(IntEnum):
@@ -45,8 +45,8 @@ class WaitingRequest(NamedTuple):
 
     Attributes:
         since_s: time at which it arrived.
-        reply: sends the answer.
-        batches: number of batches that it asks for.
+        reply: function that sends the answer.
+        batches: number of batches requested.
     """
 
     since_s: float
@@ -58,12 +58,12 @@ class LevelReplay:
     """One level's part of a shard of the replay: ring buffer, sizes, limiter, inbox, and waiting requests.
 
     Args:
-        level: the level.
-        shape: of its transitions.
-        config: of the run.
-        shard: the shard that it belongs to.
-        sender_epoch: incarnation of the replay.
-        folder: of the journal, shared with its predecessors in this start of the run.
+        level: level whose transitions it holds.
+        shape: sizes of its transitions.
+        config: configuration of the run.
+        shard: shard that it belongs to.
+        sender_epoch: epoch of the replay.
+        folder: folder of the journal, shared with its predecessors in this start of the run.
     """
 
     def __init__(
@@ -88,13 +88,13 @@ class LevelReplay:
         self.rejected: dict[str, int] = {}
         self.sampled = 0
         self.waiting: deque[WaitingRequest] = deque()
-        self._epochs: dict[str, int] = {}  # newest of each actor, issued in this start of the run
+        self._epochs: dict[str, int] = {}  # newest epoch of each actor, issued in this start of the run
         self._closed: set[tuple[str, int]] = set()
         self.journal = Journal(folder)
         self.recovered = 0  # frames read from the journal
         self._entries: list[Record] = []  # to be written before the next acknowledgement
         self._in_pieces = 0  # the journal's pieces hold all rows of the ring that were written before this one
-        self._pace: dict[str, int] = {}  # as the journal has it
+        self._pace: dict[str, int] = {}  # last one in the journal
         self._next_pace_s = 0.0
 
     def issue(self, actor: str, epoch: int) -> bool:
@@ -114,9 +114,9 @@ class LevelReplay:
         """Store the trajectories of a frame, and of held frames that follow it in order.
 
         Args:
-            push: the frame.
-            payload: the bytes that contain it.
-            now: the time.
+            push: frame that arrived.
+            payload: bytes of the message with the frame.
+            now: current time, seconds.
         """
         for frame in self.inbox.receive(push, now):
             stream = f"{frame.actor}/{frame.epoch}"
@@ -163,11 +163,11 @@ class LevelReplay:
             reply(codec.encode(SampleReply(self.level, batch, held, now - since_s, max(1, batches))))
 
     def resize(self, buffer_size: int, batch_size: int) -> None:
-        """Take over the sizes that the scheduler derives from the returns (`zsdist.replay.sizing`).
+        """Apply the sizes that the scheduler derives from the returns (`zsdist.replay.sizing`).
 
         Args:
-            buffer_size: transitions of all shards together.
-            batch_size: transitions of a batch, which comes from one shard.
+            buffer_size: transitions in all shards together.
+            batch_size: transitions in a batch, which comes from one shard.
         """
         self.batch_size = batch_size
         self._set_capacity(self._shard.part(buffer_size))
@@ -188,9 +188,9 @@ class LevelReplay:
         }
 
     def pace(self) -> dict[str, int]:
-        """Return the values that change without a frame: updates served, transitions sampled, and the sizes in force.
+        """Return the values that change without a frame: updates served, transitions sampled, and the present sizes.
 
-        Granted credit is not among them: a successor grants anew, in place of its predecessor.
+        Granted credit is not among them: a successor grants credit anew.
         """
         return {
             "updates": self.limiter.updates,
@@ -200,7 +200,7 @@ class LevelReplay:
         }
 
     def restore_pace(self, pace: dict[str, int]) -> None:
-        """Take over a `pace`."""
+        """Apply values that `pace` returned."""
         self.limiter.resume_at(pace["updates"])
         self.sampled = pace["sampled"]
         self.batch_size = pace["batch_size"]
@@ -274,12 +274,13 @@ class LevelReplay:
         }
 
     def restore(self, meta: dict[str, Any], arrays: dict[str, np.ndarray], *, same_run: bool) -> None:
-        """Take over a `state`.
+        """Restore a `state`.
 
         Args:
-            meta: its first part.
-            arrays: its second part.
-            same_run: whether it is of this start of the run, whose actors still drive; else all have new epochs.
+            meta: first part of the state.
+            arrays: second part of the state.
+            same_run: whether the state is from this start of the run, whose actors still drive; else all actors have
+                new epochs.
         """
         self.batch_size = meta["batch_size"]
         self.inbox.restore(meta["inbox"])
@@ -292,4 +293,4 @@ class LevelReplay:
             self._closed = {(actor, epoch) for actor, epoch in meta["closed"]}
         else:
             for actor, epoch in self.inbox.open_streams():
-                self.inbox.close(actor, epoch)  # the next of its name may push to another shard
+                self.inbox.close(actor, epoch)  # the actor's next incarnation may push to another shard

@@ -1,4 +1,4 @@
-"""Replay role: stores both levels' transitions, sizes itself by the reward, and paces actors and learners.
+"""Replay role: stores both levels' transitions, in sizes that follow the reward, and paces actors and learners.
 
 Each level's replay writes what it accepts into a journal before anything is acknowledged. The successor of a replay
 that died resumes from the journals.
@@ -27,9 +27,9 @@ class Replay(Role):
 
     Args:
         context: identity of the role.
-        shapes: of each level's transitions.
-        folder: of the journals, shared with this replay's predecessors in this start of the run.
-        restored: state in a checkpoint; used only where the journals are new.
+        shapes: sizes of each level's transitions.
+        folder: folder of the journals, shared with this replay's predecessors in this start of the run.
+        restored: state in a checkpoint; used only if there are no journals yet.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Replay(Role):
 
     @property
     def recovered(self) -> int:
-        """Frames read from the journals."""
+        """Number of frames read from the journals."""
         return sum(level_replay.recovered for level_replay in self.level_replays.values())
 
     def work(self, now: float) -> float:

@@ -1,8 +1,8 @@
 """Division of the replay among several processes: the actors that push to each, and its part of every size.
 
 Each shard is a whole replay for its actors, with limiter, ring and journal of its own. The ratio of updates to inserts
-thus holds in each shard, and in all of them together. A shard gets the part of every size that its actors are of all
-actors. Its part of the stored transitions, and of the batches, is then the part that its actors produce.
+thus holds in each shard, and in all of them together. A shard's part of every size is the share of its actors among all
+actors. It thus stores, and gives in batches, the share of transitions that its actors produce.
 """
 
 from dataclasses import dataclass

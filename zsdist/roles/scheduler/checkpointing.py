@@ -24,7 +24,7 @@ class StateCollection:
         self._ask_again_s = 0.0
 
     def clear(self) -> None:
-        """Forget all states; `due` names every role at once."""
+        """Forget all states, so that `due` names every role at once."""
         self._states, self._ask_again_s = {}, 0.0
 
     def accept(self, state: State) -> None:

@@ -18,8 +18,8 @@ class Leases:
     def grant(self, actor: str, capacity: int, barrier: int) -> None:
         """Grant the lowest free numbers to `actor` until it holds `capacity` of them.
 
-        At most `barrier` numbers are granted in all. Finished numbers count by how many they are, since after an
-        interruption they need not be the lowest ones.
+        At most `barrier` numbers are finished or granted in all. Finished numbers are counted and not compared with the
+        barrier, since after an interruption they need not be the lowest ones.
         """
         held = sum(1 for holder in self.holders.values() if holder == actor)
         while self._lowest_open in self.finished:

@@ -35,8 +35,8 @@ class Merge:
         candidates: names that are driven, each of a pair (high, low).
         scenes: number of validation scenes for each candidate.
         drop_after: number of scenes after which a candidate may be dropped.
-        phase: progress.
-        results: outcome by candidate and scene.
+        phase: present phase.
+        results: outcome by candidate and index of the scene.
         dropped: candidates that can no longer win.
         chosen: name of the winner; empty until it is known.
     """
@@ -123,13 +123,13 @@ class Merge:
 def next_merge_at(last: int, every: int, target: int) -> int:
     """Return the count of finished episodes at which the next merge is due.
 
-    Merges are due at the multiples of `every`. The end of the run takes the place of the multiple that would come after
-    it, where at least half of `every` has passed since the last merge.
+    Merges are due at the multiples of `every`. If the run ends before the next multiple, a merge is due at its end,
+    provided that at least half of `every` has passed since the last merge.
 
     Args:
-        last: finished episodes at the last merge; 0 before the first.
+        last: count of finished episodes at the last merge; 0 before the first.
         every: `merge.every_episodes`; 0 means that there are no merges.
-        target: episodes of the whole run.
+        target: number of episodes of the whole run.
 
     Returns:
         The count; above `target` where the run ends before.
@@ -145,7 +145,7 @@ def deal_drives(
 ) -> dict[str, list[Drive]]:
     """Return the drives of each actor.
 
-    Drives are dealt in turn, by scene and candidate alone: as others finish, a drive stays with its actor.
+    Drives are dealt in turn, by scene and candidate alone, so a drive stays with its actor while others finish.
 
     Args:
         outstanding: drives that are still wanted.

@@ -31,7 +31,7 @@ class Stage(StrEnum):
 
 
 class Scheduler(Role):
-    """Counts finished episodes; exploration and merges follow this one count."""
+    """Scheduler of a run. Exploration and merges follow its count of finished episodes alone."""
 
     def __init__(self, context: Context, run_log: RunLog, restored: State | None = None) -> None:
         super().__init__(context)
@@ -41,7 +41,7 @@ class Scheduler(Role):
         self.leases = Leases()
         self.stage = Stage.TRAIN
         self.merge: Merge | None = None
-        self._epochs: dict[str, int] = {}  # newest of each actor
+        self._epochs: dict[str, int] = {}  # newest epoch of each actor
         self._interrupted = False
         self._inboxes: dict[str, Inbox[Records]] = {
             stream: Inbox(stream, sender_epoch=context.epoch) for stream in (EPISODES, EVALUATION)
@@ -70,7 +70,7 @@ class Scheduler(Role):
 
     @property
     def target(self) -> int:
-        """Episodes of the whole run."""
+        """Number of episodes of the whole run."""
         return self.config.run.episodes
 
     @property
@@ -218,14 +218,14 @@ class Scheduler(Role):
     def _enter(self, stage: Stage) -> None:
         """Begin a stage, and publish it at once.
 
-        States that were requested before it, those on their way included, go into no later checkpoint.
+        No later checkpoint contains states that were requested before, even if they are still on their way.
         """
         self.stage, self._next_orders_s = stage, 0.0
         self._answers = self.mailbox("checkpoint")
         self._collection.clear()
 
     def _conduct_end(self, now: float) -> None:
-        """End the run: actors close their epochs, the replay has stored everything, then checkpoint and summary."""
+        """End the run: actors close their epochs, the replay stores everything, then checkpoint and summary follow."""
         if self.stage is Stage.CLOSING:
             if any(inbox.open_streams() for inbox in self._inboxes.values()):
                 return

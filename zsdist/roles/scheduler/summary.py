@@ -12,7 +12,7 @@ from zsdist.telemetry.snapshot import Fields, Snapshot
 from zsdist.types import Level, Outcome
 from zsdist.wire.messages import State
 
-RECENT_EPISODES = 50  # whose success rate is shown to watchers
+RECENT_EPISODES = 50  # number of episodes whose success rate is shown to watchers
 
 
 class RunTotals:
@@ -20,8 +20,8 @@ class RunTotals:
 
     Attributes:
         outcomes: count of finished episodes by outcome.
-        env_steps: actions of finished episodes.
-        averages: averages of the reward.
+        env_steps: number of actions in finished episodes.
+        averages: averages of return and reward.
         sizing: sizes of the replay and of its batches, which follow the averages.
         merges: entries of the finished merges.
     """
@@ -40,7 +40,7 @@ class RunTotals:
         """Count one finished episode.
 
         Args:
-            record: of the episode.
+            record: record of the episode.
             finished: count of finished episodes, this one included.
         """
         outcome = Outcome(record["outcome"])
@@ -51,14 +51,14 @@ class RunTotals:
         self._recent = [*self._recent[1 - RECENT_EPISODES :], outcome]
 
     def set_restarts(self, restarts: dict[str, int]) -> bool:
-        """Take over the restarts of this start by kind of role; return whether they changed."""
+        """Store the restarts in this start by kind of role; return whether they changed."""
         if restarts == self._restarts_now:
             return False
         self._restarts_now = restarts
         return True
 
     def restarts(self) -> dict[str, int]:
-        """Return the restarts in the whole run by kind of role; that of actors is there even where it is 0."""
+        """Return the number of restarts in the whole run by kind of role; actors are included even with 0."""
         counts = Counter({"actor": 0})
         counts.update(self._restarts_before)
         counts.update(self._restarts_now)
@@ -92,7 +92,7 @@ class RunTotals:
         }
 
     def restore(self, meta: dict[str, Any]) -> None:
-        """Take over a `state`."""
+        """Restore the totals from a `state`."""
         self.averages.restore(meta["averages"])
         self.sizing.restore(meta["sizing"])
         self._recent = [Outcome(name) for name in meta["recent"]]
@@ -114,8 +114,8 @@ def run_summary(
     """Return the content of `summary.json`.
 
     Args:
-        totals: of the run.
-        states: of all learners and shards of the replay, from the last checkpoint.
+        totals: totals of the run.
+        states: states of all learners and shards of the replay, from the last checkpoint.
         snapshot: statistics of all roles.
         finished: count of finished episodes.
         interrupted: whether the run was stopped early.
