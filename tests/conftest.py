@@ -1,4 +1,7 @@
-"""Set before any test imports numpy or torch: one thread a process, since the tests themselves are run side by side."""
+"""Settings and fixtures of all tests.
+
+Each process computes in one thread, since tests run side by side. This is set before any test imports numpy or torch.
+"""
 
 import os
 import signal
@@ -12,8 +15,10 @@ os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
 @pytest.fixture(scope="session", autouse=True)
 def own_temporary_folder(tmp_path_factory):
-    """The machine's folder for temporary files, here and in processes that are started: what is remembered from
-    earlier runs is not for tests to find, nor theirs to leave."""
+    """Replace the machine's folder for temporary files, here and in child processes.
+
+    Tests then neither find readings cached by earlier runs nor leave any.
+    """
     with pytest.MonkeyPatch.context() as patch:
         folder = str(tmp_path_factory.mktemp("machine"))
         patch.setenv("TMPDIR", folder)
@@ -23,7 +28,7 @@ def own_temporary_folder(tmp_path_factory):
 
 @pytest.fixture
 def hears_ctrl_c():
-    """Ctrl-C reaches this process and those it starts, also where the tests were started deaf to it, as by a `&`."""
+    """Let Ctrl-C reach this process and its children, even if the tests were started with SIGINT ignored (by `&`)."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)

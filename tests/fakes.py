@@ -25,7 +25,7 @@ SAMPLES = 9  # poses along a move that are tested for contact
 
 
 class LatticeEnv:
-    """The car without physics: every action ends exactly on the lattice; walking people stand at their first place."""
+    """Environment without physics: every action ends exactly on the lattice, and walkers stand at their start."""
 
     def __init__(self, family="iid", config=None):
         self.family = family
@@ -116,7 +116,7 @@ class LatticeEnv:
 class FakeVisualAct:
     """Views from the pictures of `LatticeEnv`.
 
-    `noise` is relative, per ray; `misses` is the share of rays that see nothing whatever is there.
+    `noise` is relative, per ray; `misses` is the share of rays that miss any obstacle.
     """
 
     encoder_name = "fake"

@@ -1,4 +1,4 @@
-"""Fuzzer of the codec and of every mailbox, which runs until an input has another effect than a refusal.
+"""Fuzzer of the codec and of every mailbox, which runs until an input does harm.
 
     PYTHONPATH=. python tests/fuzz.py --inputs 1000000 --state fuzz.json
 
@@ -144,7 +144,7 @@ class Mutator:
                 del columns[name]
 
     def _json(self, value: object) -> object:
-        """A copy of `value` with one of its parts, anywhere, changed."""
+        """Return a copy of `value` with one part changed at any depth."""
         value = copy.deepcopy(value)
         holder, place = None, None
         part = value
@@ -166,7 +166,7 @@ class Mutator:
 
 
 def seeds() -> dict[str, list[tuple[str, bytes]]]:
-    """Sound messages for every mailbox of every role, by role, with the keys that they come by."""
+    """Valid messages for every mailbox of every role, by role, with the keys under which they arrive."""
     rng = np.random.default_rng(0)
     of_actor = {"actor": "actor-0", "epoch": 7}
     weights = WeightsMessage(1, 0, network.sha256(PARAMETERS), 1.0, Weights(Level.LOW, 1, PARAMETERS))
@@ -266,7 +266,7 @@ class Mailboxes:
 
     def _send(self, key: str, payload: bytes) -> None:
         if self.name.startswith("learner") and "/sample/" in key:
-            self.bench.role._batches.append(Message(key, payload))  # a reply goes to whoever has sent the request
+            self.bench.role._batches.append(Message(key, payload))  # a reply goes only to the sender of the request
             return
         self.bench.others.publish(key, payload)
         self.bench.others.request(key, payload, self.bench.answers, timeout_s=1.0)

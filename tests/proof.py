@@ -21,7 +21,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
 EVALUATED = ("iid", "ood-layout", "ood-clusters", "ood-dynamic")
-TIMES = ("decision_ms",)  # of an episode: differ from drive to drive
+TIMES = ("decision_ms",)  # fields of an episode that differ from drive to drive
 RUNS = {  # name: configuration, seed, episodes; 100 of them and more see a merge
     "default-0": ("default", 0, 150),
     "default-1": ("default", 1, 150),
@@ -84,7 +84,7 @@ def record_evaluation(tree: Path, family: str, episodes: int) -> dict:
         command += ["--episodes", str(episodes), "--workers", "1", "--out", str(out)]
         finish(tree, command, folder)
         lines = [json.loads(line) for line in out.read_text().splitlines()]
-    # The hashes of code and of who drives change with the code; the episode may not.
+    # The hashes of code and contender change with the code; the episode may not.
     kept = [{key: value for key, value in line.items() if key not in (*TIMES, "code", "entrant")} for line in lines]
     return {"episodes": hashed(sorted(kept, key=lambda line: line["index"])), "count": len(kept)}
 

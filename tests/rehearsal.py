@@ -1,4 +1,4 @@
-"""A whole run over the memory transport, with kinematic cars in the place of the simulation."""
+"""Whole runs over the memory transport, with kinematic cars in place of the simulation."""
 
 import json
 from collections import defaultdict
@@ -38,7 +38,7 @@ def kinematic(settings):
 
 
 class Tap:
-    """Records all messages of a run."""
+    """Recorder of all messages of a run."""
 
     def __init__(self):
         self.box = Mailbox(2**30)

@@ -39,7 +39,7 @@ CONFIGS = {
 
 
 def trajectory(actor: int, epoch: int, number: int, length: int) -> Trajectory:
-    """Trajectory whose states tell where they belong."""
+    """Trajectory whose states identify actor, epoch, trajectory and position."""
     states = np.zeros((length + 1, FEATURES), np.float32)
     states[:, 0], states[:, 1], states[:, 2], states[:, 3] = actor, epoch, number, np.arange(length + 1)
     return Trajectory(
@@ -147,12 +147,12 @@ class Storm:
                 transport.tick(self.now)
 
     def strike(self) -> None:
-        """Kill something now and then, without notice; there are few enough deaths that the run can end."""
+        """Kill an actor or a replay now and then; there are few enough deaths that the run can end."""
         luck = self.rng.random()
         if luck < 0.03 and self.deaths["replay"] < 4:
             self.deaths["replay"] += 1
             index = int(self.rng.integers(len(self.replays)))
-            self.replays[index].transport.close()  # messages it has not sent are lost; the file of its journal stays
+            self.replays[index].transport.close()  # unsent messages are lost; the journal's file stays
             self.tear(index)
             self.begin_replay(index)
         elif luck < 0.05 and self.deaths["actor"] < 4:
@@ -164,13 +164,13 @@ class Storm:
         elif luck < 0.07 and self.deaths["partition"] < 3:
             self.deaths["partition"] += 1
             partitioned = self.transports[int(self.rng.integers(len(self.transports)))]
-            partitioned.faults = Faults(drop=1.0)  # all that it sends is lost for a while
+            partitioned.faults = Faults(drop=1.0)  # all its messages are lost for a while
         elif luck > 0.9:
             for transport in self.transports:
                 transport.faults = self.faults
 
     def tear(self, index: int) -> None:
-        """Append bytes of an unfinished record, as if the replay had died while it wrote."""
+        """Append bytes of an unfinished record, as if the replay had died while writing."""
         if self.rng.random() < 0.5:
             log = max((self.folder / str(index)).glob("*/*.log"))
             with log.open("ab") as file:

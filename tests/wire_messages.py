@@ -61,7 +61,7 @@ def push(rng: np.random.Generator, level: Level = Level.LOW, **changes: object) 
 
 
 def broken(rng: np.random.Generator, **columns: np.ndarray) -> Push:
-    """A push whose only trajectory has some columns replaced."""
+    """Return a push whose only trajectory has some columns replaced."""
     return push(rng, trajectories=(dataclasses.replace(trajectory(rng, 4), **columns),))
 
 
@@ -118,7 +118,7 @@ def every_message(rng: np.random.Generator) -> list[AnyMessage]:
 
 
 def plain(value: object) -> object:
-    """A message as something `==` compares wholly: arrays as dtype, shape and bytes; joined trajectories one by one."""
+    """Return a message in a form that `==` compares completely: arrays as dtype, shape and bytes."""
     if isinstance(value, Trajectories):
         return plain(tuple(value))
     if dataclasses.is_dataclass(value):

@@ -61,10 +61,10 @@ class CameraConfig(Section):
 
     back_end: Literal["caster", "pybullet"] = "caster"  # renderer: our own ray caster, or PyBullet's
     size_px: Annotated[int, Field(ge=32, le=1024)] = 224  # side of the square picture
-    field_of_view_deg: Annotated[float, Field(ge=30, le=120)] = 90.0  # horizontal and vertical
-    range_m: Positive = 5.0  # of vision: a ray that meets nothing nearer is free
-    height_m: Positive = 1.0  # above the ground
-    forward_m: Annotated[float, Field(ge=-100, le=100)] = 1.0  # mount, ahead of the car's centre
+    field_of_view_deg: Annotated[float, Field(ge=30, le=120)] = 90.0  # horizontal and vertical angle
+    range_m: Positive = 5.0  # range of vision; a ray that meets nothing nearer is free
+    height_m: Positive = 1.0  # height of the camera above the ground
+    forward_m: Annotated[float, Field(ge=-100, le=100)] = 1.0  # distance of the camera ahead of the car's centre
 
 
 class SimConfig(Section):
@@ -81,16 +81,16 @@ class VisionConfig(Section):
     weights: NameOrFolder = "pretrained"  # the weights in the package, or a folder made by `zsdist.pretrain`
     encoder: NameOrFolder = "efficientnet-lite0"  # or a folder with a CLIP model of open_clip or Hugging Face
     network: Literal["head", "student"] = "head"  # head on the encoder's tokens, or small network without an encoder
-    rays: Literal["all", "three", "none"] = "all"  # rays the agent gets; three: one per direction; none: it is blind
-    ray_quantile: Annotated[float, Field(gt=0, lt=1)] = 0.1  # of predicted distance, used as a ray's distance
-    cache_bytes: Annotated[int, Field(ge=0)] = 64 * 2**20  # per machine, of predictions kept in training; 0: no cache
+    rays: Literal["all", "three", "none"] = "all"  # rays the agent gets; three: one per direction; none: no vision
+    ray_quantile: Annotated[float, Field(gt=0, lt=1)] = 0.1  # quantile of the prediction used as a ray's distance
+    cache_bytes: Annotated[int, Field(ge=0)] = 64 * 2**20  # size of the cache of readings, per machine; 0: no cache
 
 
 class RewardConfig(Section):
     """Reward terms of Eqs. (18)-(20), and which reward the levels learn from."""
 
-    goal: float = 1000.0  # for reaching the goal
-    collision: float = -200.0  # for hitting an obstacle
+    goal: float = 1000.0  # reward for reaching the goal
+    collision: float = -200.0  # reward for hitting an obstacle
     safe: float = 0.0  # R_safe of the obstacle term, for an action without collision
     step: float = 0.0  # R_step of the goal term, for an action that does not reach the goal
     literal: bool = False  # learn from the paper's sum of the terms; false: from progress towards subgoal and goal
@@ -101,7 +101,7 @@ class AgentConfig(Section):
 
     epsilon_decay: Annotated[float, Field(gt=0, le=1)] = 0.995  # factor per finished episode (Table 2)
     epsilon_min: Share = 0.1  # lower bound of epsilon (Table 2)
-    guide_share: Share = 0.8  # share of exploratory actions that follow the guide; the others are uniform
+    guide_share: Share = 0.8  # share of exploratory actions that follow the guide policy; the others are uniform
     option_max_steps: Count = 24  # actions after which the high level chooses a new subgoal
     shield_share: Share = 0.7  # share of training episodes in which the shield masks unsafe actions
     attraction: Positive = 1.0  # k_att of Eq. (14)
@@ -110,7 +110,7 @@ class AgentConfig(Section):
     trail: NonNegative = 0.5  # weight of the repulsion from positions that the car has visited
     high_policy: Literal["learned", "planner", "goal"] = "learned"  # planner: over blocks; goal: flat DQN
     low_policy: Literal["learned", "planner", "field"] = "learned"  # planner: shortest path; field: potential field
-    explored_share: Share = 0.5  # share of a block's cells seen from which the block counts as explored
+    explored_share: Share = 0.5  # seen share of a block's cells from which the block counts as explored
 
 
 class LevelConfig(Section):
@@ -123,9 +123,9 @@ class LevelConfig(Section):
     double: bool = True  # double DQN; false: the target network chooses the next action too
     huber: bool = True  # Huber loss; false: squared error
     target_tau: Share = 0.01  # share of the soft target update, per update; 0: only a merge changes the target network
-    max_gradient_norm: Positive = 10.0  # gradients are clipped to it
+    max_gradient_norm: Positive = 10.0  # norm to which gradients are clipped
     guide_margin: NonNegative = 0.8  # value by which the guide's action should exceed the others
-    guide_margin_weight: NonNegative = 0.0  # of the margin loss; 0: it is not used
+    guide_margin_weight: NonNegative = 0.0  # weight of the margin loss; 0: it is not used
     updates_per_insert: Positive = 0.25  # updates per new transition, for any batch size; DQN updates every fourth step
     min_size: Count = 128  # stored transitions from which learning starts
 
@@ -151,8 +151,8 @@ class ReplayConfig(Section):
     shards: Count = 1  # replay processes, each with the transitions of some of the actors; at most one per actor
     n_step: Count = 1  # most rewards of a trajectory that are summed up in an n-step return
     prioritised: bool = False  # sample by the last temporal-difference error instead of uniformly
-    priority_exponent: Share = 0.6  # of the error; 0: uniform sampling
-    importance_exponent: Share = 0.4  # of the importance weights; 1: they correct the sampling bias completely
+    priority_exponent: Share = 0.6  # exponent of the error; 0: uniform sampling
+    importance_exponent: Share = 0.4  # exponent of importance weights; 1: no sampling bias is left
     adaptive: bool = True  # adapt the sizes of buffer and batch; false: keep the initial ones
     size_initial: Count = 10_000  # transitions in the buffer of a level
     size_min: Count = 1_000
@@ -167,7 +167,7 @@ class ReplayConfig(Section):
     adjust_every_episodes: Count = 10
     average_episodes: Count = 50  # latest episodes whose mean return decides
     target_return: float = 710.0  # R_target: mean paper return of A* on 60 training scenes of `iid`
-    max_bytes: Count = 256 * 2**20  # that the buffers of both levels may take; a run that needs more is refused
+    max_bytes: Count = 256 * 2**20  # limit for the buffers of both levels; a run that needs more is refused
 
 
 class MergeConfig(Section):
@@ -193,12 +193,12 @@ class TransportConfig(Section):
     """Transport of messages between roles. The kind alone may be written: `transport: memory`."""
 
     kind: Literal["memory", "zenoh"] = "zenoh"  # memory: within one process
-    endpoint: str = "tcp/127.0.0.1:7447"  # of the hub; with `tls` it is tls/HOST:PORT, by default tls/127.0.0.1:7447
+    endpoint: str = "tcp/127.0.0.1:7447"  # endpoint of the hub; with `tls` tls/HOST:PORT, default tls/127.0.0.1:7447
     tls: Folder | None = None  # folder made by `python -m zsdist.certs`; None: reachable from this machine only
-    mailbox_bytes: Count = 64 * 2**20  # of received messages that wait; what does not fit is dropped and sent again
+    mailbox_bytes: Count = 64 * 2**20  # size of received messages that wait; others are dropped and sent again
     window_frames: Count = 64  # unacknowledged frames per stream
     resend_after_s: Positive = 0.25  # age at which an unacknowledged frame is sent again
-    give_up_after_s: Positive = 60.0  # without progress at a live receiver; then the run ends with an error
+    give_up_after_s: Positive = 60.0  # time without progress at a live receiver after which the run fails
 
     @model_validator(mode="before")
     @classmethod
@@ -220,14 +220,14 @@ class RunConfig(Section):
     checkpoint_every_episodes: Count = 50
     cpus_per_role: Annotated[float, Field(gt=0)] = 0.1  # CPUs that each role requests from Ray
     standby: bool = True  # keep a spare process ready that takes over from one that dies
-    address: str | None = None  # of a Ray cluster; None: start Ray on this machine
-    final_evaluation_episodes: Annotated[int, Field(ge=0)] = 30  # of each policy after training; 0: no evaluation
+    address: str | None = None  # address of a Ray cluster; None: start Ray on this machine
+    final_evaluation_episodes: Annotated[int, Field(ge=0)] = 30  # per policy, after training; 0: no evaluation
 
 
 class Config(Section):
     """Settings of a whole run."""
 
-    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0  # of scenes, networks and exploration
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0  # seed of scenes, networks and exploration
     placement: Literal["inline", "ray"] = "ray"  # inline: all roles in one process
     run: RunConfig = RunConfig()
     scenes: ScenesConfig = ScenesConfig()

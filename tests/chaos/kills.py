@@ -71,8 +71,8 @@ class Log:
 
     def pushes(self) -> list[Push]:
         """Return the frames since the last call."""
-        bases = sorted(self._folder.glob("*.base"))  # a log counts once its base is there
-        found = [] if self._file is None else self._read()  # to its end: its writer left it before the next base
+        bases = sorted(self._folder.glob("*.base"))  # a log counts once its base exists
+        found = [] if self._file is None else self._read()  # to its end: it was complete before the next base
         if bases and bases[-1] != self._base:
             assert not self._rest, "a log ends in the middle of a record"
             self._base, self._file = bases[-1], bases[-1].with_suffix(".log").open("rb")

@@ -77,7 +77,7 @@ class Client:
         return box
 
     def ask(self, key: str) -> list[bytes]:
-        """All answers; none where the request is refused."""
+        """Return all answers; empty where the request is refused."""
         replies = self.session.get(f"{RUN}/{key}", payload=b"?", timeout=0.5)
         return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
 
@@ -96,11 +96,11 @@ def _keep(box: Inbox, sample: zenoh.Sample) -> None:
 
 
 def heard(box: Inbox, send: Client, key: str) -> set[str]:
-    """Keys of the messages that arrive in `box` before one that `send` may send under `key`."""
+    """Return the keys of the messages that arrive in `box` before one that `send` may send under `key`."""
     last, tries = b"last %d" % next(NUMBERS), 0
     box.seen.clear()
     while not any(message.payload == last for message in box.seen):
-        send.put(key, last)  # repeatedly: a subscription takes a while to spread
+        send.put(key, last)  # repeatedly: a subscription takes a while to become known
         tries += 1
         assert tries < 50 * PATIENCE_S, f"nothing came under {key}"
         box.wait(len(box.seen) + 1, 0.02)
@@ -122,7 +122,7 @@ def hub(folder):
 
 @pytest.fixture
 def connect(hub, folder):
-    """A function that connects a client with the certificate of a name."""
+    """Return a function that connects a client with the certificate of a name."""
     opened = []
 
     def make(name: str) -> Client:

@@ -1,4 +1,4 @@
-"""Settings of who may reach the hub, and paths in settings."""
+"""Settings for access to the hub, and paths in settings."""
 
 from pathlib import Path
 

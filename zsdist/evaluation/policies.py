@@ -28,7 +28,7 @@ def check_together(policies: Sequence[NamedPolicy], no_shield: bool) -> None:
     """Check that policies can be evaluated as training seeds of one method, before the first of them drives.
 
     Args:
-        policies: in the order given.
+        policies: policies in the order given.
         no_shield: whether each also drives without the shield.
 
     Raises:

@@ -47,14 +47,14 @@ class ChaseCamera:
         """
         shown = replace(self._scene, obstacles=(*self._scene.obstacles, *self._mast(), *_car(pose)))
         picture = self._camera.render(shown, _behind(pose), pitch_rad=self._pitch_rad, people=people)
-        self._camera.close()  # frees what it keeps of the scene, which is not rendered again
+        self._camera.close()  # frees data of this scene, which is not rendered again
         return cv2.GaussianBlur(picture, (0, 0), SMOOTHING_PX)
 
     def _mast(self) -> tuple[Obstacle]:
         return (Obstacle("pole", *self._scene.goal, radius_m=MAST_RADIUS_M),)
 
     def _appearance_of(self, scene: Scene, primitives: Primitives) -> Appearance:
-        """Return the scene's own appearance, extended by that of the car and the mast."""
+        """Return the scene's own appearance, extended by the car and the mast."""
         added = []
         for owner, part in zip(primitives.owners[self._shapes :], primitives.parts[self._shapes :], strict=True):
             kind = scene.obstacles[owner].kind

@@ -23,8 +23,8 @@ from zsdist.replay.sizing import cumulative_average_reward
 from zsdist.reporting.runs import Run
 from zsdist.types import Outcome
 
-LAST_SHARE = 0.1  # of the episodes, over which the final value is taken
-BAND_SHARE = 0.1  # of the curve's range, within which it has converged
+LAST_SHARE = 0.1  # share of the episodes over which the final value is averaged
+BAND_SHARE = 0.1  # share of the curve's range within which it has converged
 LEAST_EPISODES = 20  # with fewer, a tenth is too few to average
 
 

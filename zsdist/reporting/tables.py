@@ -78,7 +78,7 @@ def every_policy(evaluations: Sequence[Evaluation], reference: str | None) -> li
     """Return success, collision and SPL of every policy on each kind of scenes that was driven, best first.
 
     Args:
-        evaluations: of policies, baselines, ablations and variants.
+        evaluations: evaluations of policies, baselines, ablations and variants.
         reference: label of the policy that the others are compared with, scene by scene; None: no comparison.
     """
     compared = [evaluation for evaluation in evaluations if not evaluation.variant.startswith(ORACLE)]

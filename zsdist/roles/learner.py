@@ -57,7 +57,7 @@ class Learner(Role):
         super().__init__(context)
         self.level = level
         self.dqn = dqn
-        self.version = 0  # of the weights last broadcast
+        self.version = 0  # version of the weights last broadcast
         self.updates = 0
         self.merge = 0  # index of the last merge whose winner was taken over
         self.waiting_data_s = 0.0
@@ -68,7 +68,7 @@ class Learner(Role):
         self._paused = False
         self._recent_batches: deque[Batch] = deque(maxlen=DISTIL_BATCHES)
         self._sources = [_ShardSource() for _ in range(context.config.replay.shards)]
-        self._batch_size = 0  # of the last update
+        self._batch_size = 0  # batch size of the last update
         self._starved_since_s: float | None = None
         self._published_updates = -1
         self._published_s = -REPEAT_EVERY_S
@@ -119,7 +119,7 @@ class Learner(Role):
         return State(self.context.name, meta, arrays)
 
     def _published_state(self, now: float) -> State:
-        """Return the state after its weights were published, so that those of a checkpoint have their own version."""
+        """Return the state after its weights were published, so that a checkpoint's weights have their own version."""
         if self.updates != self._published_updates:
             self._publish_weights(now)
         return self.state()

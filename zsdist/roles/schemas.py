@@ -19,7 +19,7 @@ from zsdist.wire.messages import EPISODES, Records, State
 MAX_ACTORS, MAX_LEASES, MAX_DRIVES, MAX_PATH = 4096, 256, 65_536, 65_536
 
 Count = Annotated[int, Field(ge=0, lt=MAX_COUNT)]
-Number = Annotated[int, Field(ge=1, lt=2**31)]  # of an episode
+Number = Annotated[int, Field(ge=1, lt=2**31)]  # number of an episode
 Figure = Annotated[float, Field(ge=-1e12, le=1e12)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,64}$")]
 Text = Annotated[str, Field(max_length=1000)]
@@ -37,7 +37,7 @@ class Phase(StrEnum):
 
     COLLECT = "collect"  # waiting for the learners' candidates
     DRIVE = "drive"  # actors drive the candidates
-    PROMOTE = "promote"  # waiting for the learners to take over the winner
+    PROMOTE = "promote"  # waiting for the learners to promote the winner
     DONE = "done"
 
 

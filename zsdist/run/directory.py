@@ -216,7 +216,7 @@ class RunDirectory:
         payloads = {name: codec.encode(state) for name, state in states.items()}
         final = self.folder / "checkpoints" / f"{episodes:08d}"
         partial, aside = (final.with_name(f".{final.name}.{suffix}") for suffix in ("partial", "old"))
-        for left_over in (partial, aside):  # of a killed process
+        for left_over in (partial, aside):  # left by a killed process
             shutil.rmtree(left_over, ignore_errors=True)
         partial.mkdir(parents=True)
         for name, payload in payloads.items():

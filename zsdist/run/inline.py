@@ -19,7 +19,7 @@ from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders
 
-TICK_S = 0.01  # of virtual time, for each round in which some role worked
+TICK_S = 0.01  # virtual time for each round in which some role worked
 
 
 def run(

@@ -122,7 +122,7 @@ def vision_here(config: Config) -> VisionIdentity:
 
 @dataclass(frozen=True)
 class RunSpec:
-    """All that the roles of a run share, wherever they live.
+    """Specification of a run: all that its roles share, in any process.
 
     Attributes:
         config: resolved configuration.

@@ -8,7 +8,7 @@ from zsdist.roles.replay import shards
 from zsdist.run.program import RoleSpec
 
 RESTARTED = ("actor", shards.ROLE, "hub")  # kinds of roles whose death loses nothing that counts
-RESTARTS_ALLOWED = 20  # of one role, before the run is given up
+RESTARTS_ALLOWED = 20  # restarts of one role before the run is given up
 
 
 class Restarts:

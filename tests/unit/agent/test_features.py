@@ -20,7 +20,7 @@ CELLS, FINE = GRID.cells, GRID.fine_size
 
 
 def world(seed):
-    """A random believed world and a car in it, as the parts of a `Situation`."""
+    """Return a random believed world with a car in it, as the parts of a `Situation`."""
     rng = np.random.default_rng(seed)
     occupied = np.zeros((FINE, FINE), bool)
     for _ in range(14):
@@ -44,7 +44,7 @@ def world(seed):
 
 
 def reflected(parts):
-    """The same world with north and south exchanged."""
+    """Return the same world with north and south exchanged."""
     state = parts["state"]
     turned = (-np.arange(8)) % 8
     return parts | {
@@ -60,7 +60,7 @@ def reflected(parts):
 
 
 def quarter_turned(parts):
-    """The same world turned by 90 degrees to the left."""
+    """Return the same world turned by 90 degrees to the left."""
     state, (x, y) = parts["state"], parts["goal"]
 
     def turned(array):

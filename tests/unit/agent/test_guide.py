@@ -82,7 +82,7 @@ def test_the_planner_chooses_the_goal_where_the_way_is_about_straight_and_else_t
     assert choose(situation(goal=GRID.centre(30, 12))) == GOAL_CHOICE
     wall = np.zeros((GRID.fine_size, GRID.fine_size), bool)
     x, y = GRID.fine_index(*GRID.centre(26, 12))
-    wall[y - 30 : y + 30, x : x + 3] = True  # the way round it is long, and begins straight ahead
+    wall[y - 30 : y + 30, x : x + 3] = True  # the path around it is long, and begins straight ahead
     assert choose(situation(wall, goal=GRID.centre(30, 12))) in (0, 1, 7)
 
 

@@ -31,7 +31,7 @@ def networks(seed=0):
 
 
 class Drive:
-    """One episode with all its decisions, rewards, trajectories, masks and poses."""
+    """Record of one episode: its decisions, rewards, trajectories, masks and poses."""
 
     def __init__(self, scene, q=None, config=CONFIG, steps=40, seed=0, recorded=True, **begin):
         self.env, visual_act = LatticeEnv(config=config), FakeVisualAct()

@@ -15,7 +15,7 @@ TURNS = [Action.TURN_LEFT_90, Action.TURN_RIGHT_90]
 
 
 def known_free(occupied=None):
-    """A belief in which all was seen, free but for `occupied` squares."""
+    """Return a belief map in which all ground was seen and is free except for the `occupied` fine cells."""
     belief = BeliefMap(GRID)
     belief.clear_disc(0.0, 0.0, 20.0)
     if occupied is not None:
@@ -35,7 +35,7 @@ def goals(ix, iy):
 
 
 def visited(*states):
-    """How often the car was in each state."""
+    """Return the number of visits of each state, `(32, 32, 8)`."""
     visits = np.zeros((32, 32, 8), np.int32)
     for state in states:
         visits[state.iy, state.ix, state.heading] += 1
@@ -64,13 +64,13 @@ def test_the_car_does_not_sweep_unseen_ground_while_there_is_another_way():
     belief.clear_disc(x, y, 1.5)
     for ahead in np.arange(0.0, 6.0, 0.3):
         belief.clear_disc(x + 1.0 + ahead, y, 0.9)
-    belief.clear_disc(x + 6.0, y, 1.8)  # where the car could turn about
+    belief.clear_disc(x + 6.0, y, 1.8)  # room in which the car could turn round
     mask, _ = allowed(belief)
     assert mask[Action.FORWARD] and not mask[Action.LEFT_45] and not mask[Action.RIGHT_45]
 
 
 def pocket():
-    """Two walls 1.9 m apart that begin ahead of `EAST` and are closed at the far end: no room to turn inside."""
+    """Return two walls 1.9 m apart that begin ahead of `EAST` and are closed at the far end, with no room to turn."""
     squares = np.zeros((GRID.fine_size, GRID.fine_size), bool)
     fx, fy = GRID.fine_index(*GRID.centre(20, 16))
     squares[fy - 9 : fy - 7, fx - 4 : fx + 20] = True
@@ -94,7 +94,7 @@ def test_a_passage_too_narrow_to_turn_in_is_entered_only_once_its_end_was_seen()
     state, end = LatticeState(18, 16, 0), slice(fx + 10, fx + 60)
     belief = known_free(passage)
     assert shield.judge(belief, state, goals(28, 16), visited(state)).allowed[Action.FORWARD]
-    belief._seen[fy - 40 : fy + 40, end] = False  # what lies at its end is unknown, and there is a way round
+    belief._seen[fy - 40 : fy + 40, end] = False  # its end is unseen, and there is a path around it
     judgement = shield.judge(belief, state, goals(28, 16), visited(state))
     assert not judgement.allowed[Action.FORWARD] and judgement.allowed.any()
 
@@ -123,7 +123,7 @@ def test_where_everything_is_blocked_only_turns_in_place_are_left():
 
 
 def seen_disc_beyond_a_wall():
-    """All that is known is a disc about the car and a wall across the way to the goal."""
+    """Return a belief map that knows only a disc around the car and a wall across the path to the goal."""
     belief = BeliefMap(GRID)
     belief.clear_disc(*GRID.centre(16, 16), 1.5)
     wall = np.zeros((GRID.fine_size, GRID.fine_size), bool)
@@ -138,7 +138,7 @@ def test_the_car_looks_in_all_directions_before_it_enters_unseen_ground():
     assert list(np.flatnonzero(shield.judge(belief, EAST, goals(28, 16), visited(*been)).allowed)) == TURNS
     been += [EAST._replace(heading=heading) for heading in (2, 4)]
     south = EAST._replace(heading=6)
-    assert not shield.judge(belief, been[-1], goals(28, 16), visited(*been)).gave_way  # one look is left to take
+    assert not shield.judge(belief, been[-1], goals(28, 16), visited(*been)).gave_way  # one observation is left
     judgement = shield.judge(belief, south, goals(28, 16), visited(*been, south))
     assert judgement.allowed.any() and judgement.gave_way
 
@@ -187,7 +187,7 @@ def test_backward_reachability_agrees_with_the_cost_to_go_and_forward_reachabili
 
 
 def blob_cells(squares):
-    """Cells whose centre lies in an occupied square."""
+    """Return the cells whose centre lies in an occupied fine cell."""
     start = GRID.fine_border + 2
     return squares[start::4, start::4][:32, :32] & squares[start - 1 :: 4, start - 1 :: 4][:32, :32]
 

@@ -7,7 +7,7 @@ from zsdist.common import code_hash
 
 @pytest.fixture
 def hash_of(tmp_path):
-    """Hash of `zsdist.top` in a package of the given files."""
+    """Return the hash of `zsdist.top` in a package of the given files."""
     numbers = itertools.count()
 
     def make(files: dict[str, str]) -> str:

@@ -44,7 +44,7 @@ def test_the_table_lists_every_stream_of_the_module():
 
 
 def test_seeds_become_generators_in_the_table_alone():
-    """Elsewhere a generator is made only from a constant, from a hash, or from a seed that a task carries."""
+    """Generators made elsewhere come only from a constant, a hash, or the seed of a task."""
     allowed = re.compile(r"default_rng\((\d+|task\.seed|int\(scene\.hash\(\), 16\))\)")
     strangers = [
         f"{path.relative_to(PACKAGE)}: {line.strip()}"

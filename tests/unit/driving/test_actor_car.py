@@ -31,7 +31,7 @@ def begun(car=None, most_steps=6, **task):
 
 
 def drive(car, perception, steps=99):
-    """Drive until the episode is over and its last state observed, or so many steps; return the trajectories."""
+    """Drive for a number of steps, or until the last state was observed; return the trajectories."""
     trajectories = []
     for _ in range(steps):
         ended = car.over

@@ -20,7 +20,7 @@ STANDING = Obstacle("person", 8.0, 8.0, 0.3)
 
 
 class Counted(FakeVisualAct):
-    """Remembers how many pictures it read at once."""
+    """Vision model that records the batch sizes of its readings."""
 
     def __init__(self):
         super().__init__()
@@ -43,7 +43,7 @@ def perception(visual_act, cached=True, vision="vision", rays="all"):
 
 
 class MovedEnv(LatticeEnv):
-    """Places the car aside of the lattice by so many metres and radians, and keeps the poses asked for pictures."""
+    """Environment that places the car off the lattice by metres and radians, and records the poses of pictures."""
 
     def __init__(self, moved, goal):
         super().__init__()
@@ -76,7 +76,7 @@ def test_a_picture_is_rendered_and_read_once_for_all_cars_and_episodes(visual_ac
     sees = perception(visual_act)
     fresh = sees.views([first, other])
     known = sees.views([other, again])
-    assert visual_act.batches == [1, 1]  # each by itself
+    assert visual_act.batches == [1, 1]  # one picture at a time
     assert len(first.env.asked) == len(other.env.asked) == 1 and again.env.asked == []
     assert sees.statistics() == {"cache_hits": 2, "cache_misses": 2, "cache_bypasses": 0}
     for one, two in zip(fresh, reversed(known), strict=True):
@@ -130,7 +130,7 @@ def test_the_memory_is_bypassed_where_it_must_not_be_used(visual_act, made):
     assert sees.hits == sees.misses == 0
     assert sees.bypasses == (2 if looking.trains else 0)
     sees.views([car()])
-    assert sees.misses == 1  # nothing had been kept
+    assert sees.misses == 1  # nothing had been cached
 
 
 def test_a_drive_of_a_candidate_does_not_use_readings_of_a_training_episode(visual_act):

@@ -22,7 +22,7 @@ def write(file, records, baseline="astar", seed=0):
 
 
 def write_learned(file, records, policy, weights=0, **kind):
-    """Episodes of a learned policy, whose networks are those of the seed `weights`."""
+    """Return lines of episodes of a learned policy whose networks have the hash `weights`."""
     networks = {
         level: network.initial_parameters(shape.state_size, shape.actions, (8,), weights)
         for level, shape in SHAPES.items()

@@ -37,7 +37,7 @@ SHUT_IN = Scene(
 
 
 class Scripted(Driver):
-    """Repeats a list of actions, and remembers what it was shown."""
+    """Driver that repeats a list of actions, and records its observations."""
 
     def __init__(self, *actions):
         self.actions, self.seen, self.results, self.truth = actions, [], [], None
@@ -166,7 +166,7 @@ def test_watching_does_not_change_an_episode():
 
 
 def test_shuffled_advice_depends_on_the_seed_of_the_episode():
-    config = load(overrides=("sim.max_steps=25", "seed=1"))  # of networks in which the advice turns a choice
+    config = load(overrides=("sim.max_steps=25", "seed=1"))  # with this seed, the advice changes an action
     driver = learned(config, shuffled=("advice",))
     runner = EpisodeRunner(LatticeEnv(config=config), config, driver, Observability.CAMERA, lambda: 0.0)
     plain = examine(learned(config), POLE, Observability.CAMERA, config).poses

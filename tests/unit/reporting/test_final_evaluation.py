@@ -1,4 +1,4 @@
-"""The comparison at the end of a run; nobody drives: the results are made up."""
+"""Comparison at the end of a run, with made-up results instead of drives."""
 
 import io
 import json
@@ -54,7 +54,7 @@ def test_only_learned_policies_have_weights():
 
 
 class Comparison:
-    """A run whose policy is evaluated by a function that makes up a result."""
+    """Return a run whose policy is evaluated by a function that makes up a result."""
 
     def __init__(self, folder, monkeypatch, note=None):
         self.folder, self.output, self.asked = folder, io.StringIO(), []

@@ -43,7 +43,7 @@ def of_network(scene, parameters):
 
 
 def always(choice, value):
-    """A network that values one choice, for any input."""
+    """Return a network that prefers one choice for any input."""
     parameters = network.initial_parameters(HIGH_STATE_SIZE, GOAL_CHOICE + 1, (8,), 0)
     parameters["output.weight"][:] = 0.0
     parameters["output.bias"][choice] = value

@@ -26,7 +26,7 @@ def sections(text):
 
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory):
-    """The page of a real, short run without physics."""
+    """Return the page of a real, short run without physics."""
     folder = tmp_path_factory.mktemp("runs") / "run"
     rehearse(start(folder))
     return written([folder], tmp_path_factory.mktemp("page"))

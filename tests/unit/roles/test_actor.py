@@ -32,7 +32,7 @@ def bench():
 
 
 class Bench:
-    """An actor without cars, and a learner played by the test."""
+    """Actor without cars; the test plays a learner."""
 
     def __init__(self):
         broker = MemoryBroker()

@@ -38,7 +38,7 @@ def grant(outboxes, credit, now=0.0):
 
 
 def driven(outboxes, steps):
-    """Return the account of a car that has driven so many steps."""
+    """Return the account of a car that has driven a number of steps."""
     account = CreditAccount()
     for _ in range(steps):
         assert outboxes.reserve(account)

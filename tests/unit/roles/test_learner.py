@@ -32,7 +32,7 @@ def batch(rng, rows=4):
 
 
 class Bench:
-    """A learner; the test plays the replay and the scheduler."""
+    """Learner at a memory transport; the test plays the replay and the scheduler."""
 
     def __init__(self, shards=1):
         self.rng, self.broker, self.now = np.random.default_rng(0), MemoryBroker(), 0.0

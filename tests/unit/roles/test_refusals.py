@@ -1,4 +1,4 @@
-"""Messages that a role must not act on are counted by reason in its statistics, and change nothing."""
+"""Refused messages: a role counts them by reason in its statistics, and nothing else changes."""
 
 import dataclasses
 
@@ -36,7 +36,7 @@ def test_a_replay_refuses_pushes_under_another_actors_key_or_of_another_run(benc
         21,
         1,
         21,
-    )  # states of another size
+    )  # with states of another size
 
 
 def test_a_replay_refuses_orders_that_are_invalid_too_large_or_stale(bench):

@@ -24,7 +24,7 @@ def here():
 
 @pytest.fixture
 def trained(tmp_path):
-    """Writes the checkpoint of a run that was trained with a given vision model."""
+    """Return a function that writes the checkpoint of a run trained with a given vision model."""
 
     def write(vision):
         folder = directory.create(tmp_path / "run", SETTINGS)

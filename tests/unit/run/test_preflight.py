@@ -29,13 +29,13 @@ def test_a_run_has_at_least_the_shards_of_its_checkpoint(shards, held, fits):
 
 
 def test_every_role_on_this_machine_needs_its_certificate(tmp_path):
-    preflight.check_certificates(parse({}))  # without certificates nothing is asked for
+    preflight.check_certificates(parse({}))  # without `tls` no certificate is needed
     certificates.make(tmp_path, permissions.HUB, permissions.client_names(1), ["127.0.0.1"], days=1)
     settings = {"transport": {"tls": str(tmp_path), "endpoint": "tls/192.0.2.1:7447"}}
     preflight.check_certificates(parse(settings | {"run": {"actors": 1}}))
     with pytest.raises(TransportError, match=r"actor-1"):
         preflight.check_certificates(parse(settings | {"run": {"actors": 2}}))
-    preflight.check_certificates(parse(settings | {"run": {"actors": 2, "address": "auto"}}))  # they live elsewhere
+    preflight.check_certificates(parse(settings | {"run": {"actors": 2, "address": "auto"}}))  # actors run elsewhere
 
 
 def test_a_trial_drives_the_parts_of_an_actor():

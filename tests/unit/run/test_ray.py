@@ -15,7 +15,7 @@ SPEC = RoleSpec("actor", "0", 7)
 
 
 class CountingRole:
-    """A role that finishes after some steps, or fails in the first one."""
+    """Role that finishes after some steps, or fails in the first one."""
 
     def __init__(self, steps, error=None):
         self.left, self.error, self.steps = steps, error, 0
@@ -28,7 +28,7 @@ class CountingRole:
 
 
 class MadeUpSpec:
-    """A run of one made-up role."""
+    """Specification of a run with one made-up role."""
 
     def __init__(self, folder, role):
         self.folder, self.role, self.closed = folder, role, threading.Event()

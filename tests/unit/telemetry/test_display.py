@@ -13,7 +13,7 @@ RUN = "test"
 
 
 class Watched:
-    """A run that publishes what a test says, with a display of it."""
+    """Run that publishes the statistics of a test, with a display of them."""
 
     def __init__(self, monkeypatch, **options):
         self.now_s = 100.0

@@ -1,6 +1,6 @@
 """Replay role: stores both levels' transitions, in sizes that follow the reward, and paces actors and learners.
 
-Each level's replay writes what it accepts into a journal before anything is acknowledged. The successor of a replay
+Each level's replay writes accepted frames into a journal before they are acknowledged. The successor of a replay
 that died resumes from the journals.
 """
 

@@ -30,7 +30,7 @@ def trajectory(first, length):
 
 
 class Bench:
-    """A replay; the test plays all other roles at the other end of a memory transport."""
+    """Replay at a memory transport; the test plays all other roles at the other end."""
 
     def __init__(self, folder):
         self.folder, self.broker = folder, MemoryBroker()
@@ -76,7 +76,7 @@ def bench(tmp_path):
 
 
 def lasting(state: State):
-    """The part of a state that a successor has too: all but the generator and granted credit, which is granted anew."""
+    """Return the part of a state that a successor shares: all but the generator and the granted credit."""
     meta = {name: value for name, value in state.meta["low"].items() if name != "rng"}
     streams = {name: inserted for name, (inserted, _) in meta["limiter"]["streams"].items()}
     current = {actor: stream | {"granted": 0} for actor, stream in meta["inbox"]["current"].items()}
@@ -173,7 +173,7 @@ def test_a_resumed_run_begins_a_journal_from_its_checkpoint_and_accepts_new_epoc
 
 
 def ask_twice_for_five(bench):
-    """Two requests for 5 batches each, of 8 transitions, which allow an update each; one has been served."""
+    """Send two requests for 5 batches each, of 8 transitions, which allow an update each; one has been served."""
     bench.replies.drain()
     for _ in range(2):
         request = codec.encode(SampleRequest(1, Level.LOW, 1, batches=5))
@@ -206,7 +206,7 @@ def test_requests_that_waited_long_get_what_the_limiter_allows(bench):
 
 def test_requests_do_not_wait_once_actors_would_have_to_wait(tmp_path):
     bench = Bench(tmp_path / "journal")
-    settings = {"min_size": 4, "updates_per_insert": 1 / 64}  # half of the band is worth two updates
+    settings = {"min_size": 4, "updates_per_insert": 1 / 64}  # half of the band corresponds to two updates
     bench.begin(config=parse({"low": settings, "replay": {"batch_initial": 16}}))
     bench.issue(a=7)
     bench.push(0, 128, trajectory(0, 128))

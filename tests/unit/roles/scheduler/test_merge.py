@@ -65,7 +65,7 @@ def test_the_comparison_is_kept_in_the_summary():
 
 
 def merges(every, target):
-    """Counts of finished episodes at which a run has its merges."""
+    """Return the counts of finished episodes at which a run has its merges."""
     last, found = 0, []
     while last < target and (due := next_merge_at(last, every, target)) <= target:
         found.append(due)
@@ -77,7 +77,7 @@ def merges(every, target):
     ("every", "target", "expected"),
     [
         (4, 8, [4, 8]),
-        (4, 9, [4, 8]),  # the last episode alone is worth no merge
+        (4, 9, [4, 8]),  # the last episode alone gives no merge
         (4, 10, [4, 8, 10]),  # half of `every` has passed at the end
         (4, 11, [4, 8, 11]),
         (5, 7, [5]),

@@ -32,7 +32,7 @@ WEIGHTS = {"w": np.zeros(1, np.float32)}
 
 
 class MemoryLog:
-    """The files of a run directory, in memory."""
+    """Run log that keeps the files of a run directory in memory."""
 
     def __init__(self):
         self.checkpoints, self.episodes, self.summaries = [], [], []
@@ -54,7 +54,7 @@ class MemoryLog:
 
 
 class Bench:
-    """A scheduler, with the supervisor, the actors, the learners and the replay played by the test."""
+    """Scheduler at a memory transport; the test plays supervisor, actors, learners and replay."""
 
     def __init__(self, settings=SETTINGS, actors=(ACTOR,), restored=None):
         broker = MemoryBroker()
@@ -79,7 +79,7 @@ class Bench:
         self.scheduler.step(self.now)
 
     def orders(self):
-        """Newest orders by role and jobs by actor, after the next heartbeat."""
+        """Return the newest orders by role and jobs by actor, after the next heartbeat."""
         self.now += HEARTBEAT_S
         self.step()
         newest = {}
@@ -101,7 +101,7 @@ class Bench:
         self._push(EVALUATION, actor, about)
 
     def close(self, actor=ACTOR):
-        """The last frames of an actor's epoch."""
+        """Send the last frames of an actor's epoch."""
         for stream in (EPISODES, EVALUATION):
             self._push(stream, actor, None)
         self.step()
@@ -133,7 +133,7 @@ class Bench:
         self.step()
 
     def reply(self, requests, merge=0, frames_expected=0):
-        """The roles send their states, the learners as of after so many merges."""
+        """Send the states of all roles, of the learners as after a number of merges."""
         for request in requests:
             role = codec.decode(request.payload).role
             level_replay = {"open": frames_expected, "books": {"stored": merge}}
@@ -143,7 +143,7 @@ class Bench:
 
 
 def merged(answered_before_the_barrier):
-    """A merge at episode 4, when the checkpoint of episode 3 had been asked for, but not written."""
+    """Bring a scheduler to a merge at episode 4, with the checkpoint of episode 3 requested and not written."""
     bench = Bench()
     bench.finish(1, 2, 3)
     early = bench.asked.drain()
@@ -204,7 +204,7 @@ def test_the_drives_of_a_merge_go_to_all_actors_and_stop_when_it_is_decided():
 
 
 def ended(bench):
-    """The rest of a run whose actors have been ordered to close."""
+    """Play the rest of a run whose actors have been ordered to close."""
     assert bench.orders()["actor"]["closing"]
     assert bench.log.summaries == [] and not bench.asked
     bench.close()
