@@ -230,7 +230,7 @@ class Mailboxes:
         self._rounds = ROUNDS_A_ROLE
 
     def fire(self, count: int) -> list[tuple[str, bytes]]:
-        """Send inputs and let the role take a step; return what was sent if it raises an error."""
+        """Send inputs and let the role take a step; return the inputs if it raises an error."""
         if self._rounds >= ROUNDS_A_ROLE:
             self._begin()
         self._rounds += 1

@@ -1,4 +1,4 @@
-"""Shield: masks actions that would hit something on the belief map or end where no free path leads on."""
+"""Shield: mask over actions that would hit something on the belief map or end without a free path; never a choice."""
 
 from functools import cache
 from itertools import product

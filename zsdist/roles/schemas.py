@@ -33,7 +33,7 @@ BEST: Final = "best"  # the winner of the last merge: the paper's "historical st
 
 
 class Phase(StrEnum):
-    """Phase of a merge, in the order in which a merge passes them."""
+    """Phases of a merge, in their order."""
 
     COLLECT = "collect"  # waiting for the learners' candidates
     DRIVE = "drive"  # actors drive the candidates

@@ -81,7 +81,7 @@ def warm_up(config: Config) -> VisionIdentity:
 
 
 def try_out(parts: ActorParts, config: Config) -> None:
-    """Drive a car for two steps, so that all that is loaded at first use is loaded (half a second)."""
+    """Drive a car for two steps, which loads everything that is loaded at first use (half a second)."""
     car = ActorCar(parts.make_env(), config)
     car.begin(EpisodeTask(parts.schedule.training(1), 1, 1.0, True, (0,)), dict.fromkeys(Level, 0))
     q = q_functions({level: _untrained(config, level) for level in Level})

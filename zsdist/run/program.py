@@ -1,4 +1,4 @@
-"""Composition root: the roles of a run and the construction of each. No role knows its process."""
+"""Composition root: the roles of a run and the construction of each. No role knows where it runs."""
 
 import threading
 import uuid

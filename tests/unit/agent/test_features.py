@@ -64,7 +64,7 @@ def quarter_turned(parts):
     state, (x, y) = parts["state"], parts["goal"]
 
     def turned(array):
-        return np.rot90(array, k=-1).copy()  # rows run north, so the other way round
+        return np.rot90(array, k=-1).copy()  # rows run north, so the sense of rotation is reversed
 
     return parts | {
         "state": LatticeState(CELLS - 1 - state.iy, state.ix, (state.heading + 2) % 8),

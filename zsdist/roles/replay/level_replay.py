@@ -29,7 +29,7 @@ from zsdist.wire.frame import PLAIN
 from zsdist.wire.messages import Push, SampleReply, State
 
 HOLD_REQUEST_S = 0.3  # a request that cannot be served for so long is answered with "no batch yet"
-PACE_EVERY_S = 0.05  # oldest that a journal's pace may be; its transitions are always complete
+PACE_EVERY_S = 0.05  # largest age of the pace in a journal; its transitions are always complete
 
 
 class Entry(IntEnum):

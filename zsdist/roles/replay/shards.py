@@ -1,7 +1,7 @@
 """Division of the replay among several processes: the actors that push to each, and its part of every size.
 
 Each shard is a whole replay for its actors, with limiter, ring and journal of its own. The ratio of updates to inserts
-thus holds in each shard, and in all of them together. A shard's part of every size is the share of its actors among all
+thus holds in each shard, and in all of them together. A shard gets the same share of every size as it has of all
 actors. It thus stores, and gives in batches, the share of transitions that its actors produce.
 """
 
