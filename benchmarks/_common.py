@@ -1,6 +1,6 @@
-"""Functions that the scripts share: import of optional modules, and the report at the end.
+"""Functions that the benchmarks share: import of optional modules, and the report at the end.
 
-It imports nothing but the standard library, since the peers' environments have neither zsdist nor its dependencies.
+It imports only the standard library, since the peers' environments have neither zsdist nor its dependencies.
 """
 
 import importlib
@@ -15,8 +15,8 @@ def require(module: str, install: str) -> ModuleType:
     """Import a module, or end the script with one line that says how to install it.
 
     Args:
-        module: its full name.
-        install: command that installs it.
+        module: full name of the module.
+        install: command that installs the module.
     """
     try:
         return importlib.import_module(module)

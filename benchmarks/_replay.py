@@ -1,6 +1,6 @@
-"""Replay service in processes of its own, and the actors and learners that load it; for `replay`, `scale`, `learner`.
+"""Replay service in processes of its own, with synthetic actors and learners as its clients.
 
-Hub, replay role, outbox, codec and transport are the package's own. Only the content of the trajectories is made up.
+Hub, replay role, outbox, codec and transport are the package's own. Only the content of the trajectories is synthetic.
 """
 
 import multiprocessing
@@ -32,18 +32,18 @@ from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders, Push, SampleReply, SampleRequest
 
 psutil = require("psutil", "pip install psutil")
-keep_freed_memory()  # as every role's process does; those of hub and replay run this line too
+keep_freed_memory()  # as in every role's process; the processes of hub and replay run this line too
 
 RUN = "benchmark"
 ACTIONS = 5
 ENDPOINT = "tcp/127.0.0.1:7600"  # or the next free port above it
-TRAJECTORIES = 64  # different ones, which all actors push in turn
+TRAJECTORIES = 64  # number of distinct trajectories, which all actors push in turn
 ANSWER_WITHIN_S = 10.0
 _spawn = multiprocessing.get_context("spawn")
 
 
 class ReplayService:
-    """Hub and replay, a process each, as in a run."""
+    """Hub and replay in a process each, as in a run."""
 
     def __init__(self, config: Config, state_size: int) -> None:
         self._processes: dict[str, multiprocessing.process.BaseProcess] = {}
@@ -74,7 +74,7 @@ class ReplayService:
         return {name: spent.user + spent.system for name, spent in times.items()}
 
     def resident_bytes(self) -> int:
-        """Return the resident memory of the replay's process."""
+        """Return the resident memory of the replay's process in bytes."""
         return psutil.Process(self._processes["replay"].pid).memory_info().rss
 
     def _start(self, name: str, serve: object, *arguments: object) -> str:
@@ -129,12 +129,12 @@ class Actors:
 
     @property
     def produced(self) -> int:
-        """Transitions in numbered frames."""
+        """Number of transitions in numbered frames."""
         return sum(outbox.produced for outbox in self.outboxes.values())
 
     @property
     def unacknowledged(self) -> int:
-        """Frames that the replay has not acknowledged."""
+        """Number of frames that the replay has not acknowledged."""
         return sum(outbox.statistics()["unacknowledged_frames"] for outbox in self.outboxes.values())
 
     @property
@@ -144,7 +144,7 @@ class Actors:
 
     @property
     def heard(self) -> bool:
-        """Whether the replay accepts every one of them."""
+        """True if the replay has granted credit to every actor."""
         return all(outbox.credit is None or outbox.credit > 0 for outbox in self.outboxes.values())
 
     def step(self, ahead: int) -> bool:
@@ -168,28 +168,28 @@ class Actors:
         return busy
 
     def run(self, seconds: float, ahead: int) -> None:
-        """Push for `seconds`."""
+        """Push trajectories for `seconds`, with `ahead` transitions waiting per actor."""
         until_s = time.monotonic() + seconds
         while time.monotonic() < until_s:
             if not self.step(ahead):
                 self.wake.wait(0.01)
 
     def settle(self) -> None:
-        """Wait until the replay has acknowledged all that was pushed."""
+        """Wait until the replay has acknowledged everything that was pushed."""
         while self.unacknowledged or any(outbox.waiting for outbox in self.outboxes.values()):
             if not self.step(0):
                 self.wake.wait(0.01)
 
 
 class Sampler:
-    """Learner that receives batches and learns nothing from them."""
+    """Learner that receives batches and does not train on them."""
 
     def __init__(self, transport: Transport, mailbox_bytes: int, level: Level) -> None:
         self.batches = 0
         self.transitions = 0
-        self.lost = 0  # batches in answers that did not come
+        self.lost = 0  # number of batches in replies that did not arrive
         self._transport, self._level = transport, level
-        self._asked: deque[tuple[float, int]] = deque()  # when, and batches, of each request
+        self._asked: deque[tuple[float, int]] = deque()  # time and number of batches of each request
         self.wake = threading.Event()
         self._box = Mailbox(mailbox_bytes, self.wake.set)
 
@@ -215,7 +215,7 @@ class Sampler:
         return batch
 
     def run(self, seconds: float, at_once: int = BATCHES_AN_ANSWER) -> None:
-        """Receive batches for `seconds`, `at_once` in a message."""
+        """Receive batches for `seconds`, `at_once` of them in a message."""
         until_s = time.monotonic() + seconds
         while time.monotonic() < until_s:
             if self.step(at_once=at_once) is None:
@@ -236,7 +236,7 @@ class Sampler:
 
 
 def make_trajectories(state_size: int) -> list[Trajectory]:
-    """Return the trajectories to push, the same in each run."""
+    """Return the trajectories to push, the same in every call."""
     rng = np.random.default_rng(0)
     return [make_trajectory(rng, state_size) for _ in range(TRAJECTORIES)]
 

@@ -26,7 +26,7 @@ from zsdist.types import Pose
 
 FAMILIES = ("iid", "street", "ood-all")
 ALL_FAMILIES = tuple(families.FAMILIES)
-MOST_ROLL_DEG, MOST_PITCH_DEG = 0.3, 3.0  # of the car while it drives
+MOST_ROLL_DEG, MOST_PITCH_DEG = 0.3, 3.0  # largest angles of the car while it drives
 BACK_ENDS = ("caster", "pybullet")
 SIZES_PX = (224, 128, 64)
 DEPTH_TOLERANCE_M = 0.02
@@ -64,7 +64,7 @@ def _scenes(of_each: int) -> list[Scene]:
 def _speed(views: list[tuple[Scene, Pose]], repeats: int) -> dict[str, float]:
     """Return median milliseconds of `render` and of `render_labelled` (with depth and segments) in a prepared scene.
 
-    The back ends take turns. `new_scene` is the time of a first picture, with the preparation of the scene.
+    The back ends alternate. `new_scene` is the time of a first picture, including the preparation of the scene.
     """
     figures = {}
     for size in SIZES_PX:
@@ -87,7 +87,7 @@ def _speed(views: list[tuple[Scene, Pose]], repeats: int) -> dict[str, float]:
 
 
 def _milliseconds(draw: Callable[[Scene, Pose], object], scene: Scene, pose: Pose) -> float:
-    began = time.thread_time()  # processor time of this thread, whatever else the machine does
+    began = time.thread_time()  # CPU time of this thread, so that other load on the machine does not count
     draw(scene, pose)
     return 1e3 * (time.thread_time() - began)
 
@@ -113,7 +113,7 @@ def _agreement(views: int) -> dict[str, float]:
 
 
 def _agreements(indices: range) -> list[tuple[float, float]]:
-    """Return both shares for some views, each from a random pose in one scene of each family in turn."""
+    """Return both shares for each view, from a random pose in a scene; the families alternate."""
     ours, theirs = (make_camera(CameraConfig(back_end=name)) for name in BACK_ENDS)
     shares = []
     for index in indices:
@@ -128,7 +128,7 @@ def _agreements(indices: range) -> list[tuple[float, float]]:
         same = segment == their_segment
         seen = same & np.isfinite(depth) & np.isfinite(their_depth)
         near = np.abs(depth[seen] - their_depth[seen]) <= DEPTH_TOLERANCE_M
-        # No pixel is left if a surface nearer than PyBullet's near plane fills the picture: then nothing agrees.
+        # No pixel is left if a surface nearer than PyBullet's near plane fills the picture; then the share is 0.
         shares.append((float(np.mean(same)), float(np.mean(near)) if len(near) else 0.0))
     return shares
 

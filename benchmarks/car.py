@@ -22,7 +22,7 @@ from zsdist.sim.scenes.manifest import split_seed
 from zsdist.sim.scenes.scene import Scene, Start
 from zsdist.types import Action, LatticeState, Pose
 
-SEQUENCE = 10  # actions
+SEQUENCE = 10  # number of actions in a sequence
 SHARES = (0.4, 0.15, 0.15, 0.15, 0.15)  # share of each action, in the order of `Action`
 WITHIN_M, WITHIN_DEG = 0.10, 5.0
 FAMILIES = ("iid", "ood-layout", "ood-clusters", "ood-dynamic")
@@ -120,7 +120,7 @@ def _agreement(world: World, rng: np.random.Generator, scenes: list[Scene], pose
 
 
 def _allowed_actions(world: World, rng: np.random.Generator, scenes: list[Scene], most: int) -> dict[str, float]:
-    """Return the collisions in actions that the footprint table allows on the true map of standing obstacles."""
+    """Return the number of collisions in actions that the footprint table allows on the true map."""
     table = FootprintTable(GRID)
     driven = collisions = unconfirmed = 0
     for scene in scenes:
@@ -140,7 +140,7 @@ def _allowed_actions(world: World, rng: np.random.Generator, scenes: list[Scene]
 
 
 def _replays(world: World, scenes: list[Scene]) -> dict[str, int]:
-    """Return the number of drives that are not bit-identical when repeated after all others or in a new world."""
+    """Return the number of drives that are not bit-identical when repeated after all others, or in a new world."""
 
     def drive(where: World, index: int) -> list[float]:
         rng = np.random.default_rng(index)

@@ -1,4 +1,4 @@
-"""This checkout against another one: the same benchmarks in turn, and how much faster or slower each figure is.
+"""Comparison of this checkout with another one: the same benchmarks alternately, and the ratio of each figure.
 
 `python benchmarks/compare.py OTHER_CHECKOUT [--subjects sim learner] [--pairs 10]` runs each subject's `--quick` form
 in the other checkout and in this one alternately. For every rate or time it takes the ratio of each pair (above 1:
@@ -19,12 +19,12 @@ from _common import report
 
 SUBJECTS = ("sim", "learner", "wire", "replay")
 HERE = Path(__file__).resolve().parents[1]
-SLOW_IS_LESS = ("_ms", "_us")  # endings of figures of which less is better
-RATE = "_per_s"  # and, with `_per_cpu_s`, of those of which more is better
+SLOW_IS_LESS = ("_ms", "_us")  # endings of the names of figures for which less is better
+RATE = "_per_s"  # part of the names of figures for which more is better, like `_per_cpu_s`
 
 
 def main() -> None:
-    """Run the pairs and print each figure's ratio."""
+    """Run the pairs of benchmarks and print the ratio of each figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("other", type=Path, help="a checkout of an earlier commit")
     parser.add_argument("--subjects", nargs="+", choices=SUBJECTS, default=SUBJECTS)
@@ -33,7 +33,7 @@ def main() -> None:
     figures, ratios = {"pairs": options.pairs}, {}
     for subject in options.subjects:
         pairs = []
-        for number in range(options.pairs + 1):  # the first compiles what is compiled at first use, and is left out
+        for number in range(options.pairs + 1):  # the first pair includes compilation and is left out
             before, after = measured(options.other.resolve(), subject), measured(HERE, subject)
             pairs.append({name: faster(name, before[name], after[name]) for name in before.keys() & after.keys()})
             print(f"{subject}: pair {number} of {options.pairs}", file=sys.stderr, flush=True)
@@ -58,7 +58,7 @@ def measured(checkout: Path, subject: str) -> dict[str, float]:
 
 
 def faster(name: str, before: float, after: float) -> float | None:
-    """Return how many times as fast `after` is; None where the figure is neither a rate nor a time, or is 0."""
+    """Return the speed of `after` relative to `before`; None if the figure is neither a rate nor a time, or is 0."""
     if not before or not after:
         return None
     if RATE in name or "_per_cpu_s" in name:

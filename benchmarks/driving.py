@@ -85,7 +85,7 @@ def main() -> None:
 
 
 def _trained(runs: list[Path]) -> dict[str, tuple[str, ...]]:
-    """Return arguments of `zsdist.evaluate` by the name of a run; raise `ConfigError` where a folder holds no run."""
+    """Return arguments of `zsdist.evaluate` by name of the run; raise `ConfigError` if a folder holds no run."""
     contenders: dict[str, tuple[str, ...]] = {}
     for run in runs:
         name = config.load(run / "config.yaml").run.name
@@ -96,9 +96,9 @@ def _trained(runs: list[Path]) -> dict[str, tuple[str, ...]]:
 def _evaluated(
     contender: str, arguments: tuple[str, ...], split: str, episodes: int, seed: int, folder: Path
 ) -> dict[str, float | None]:
-    """Return the result of one contender on one split; over training seeds, the interquartile mean.
+    """Return the result of one contender on one split; with several training seeds, the interquartile mean.
 
-    Episodes that the contender's file has already are not driven again.
+    Episodes that are already in the contender's file are not driven again.
     """
     command = [sys.executable, "-m", "zsdist.evaluate", *arguments, "--scenes", split, "--seed", str(seed)]
     file = "full" if contender == NO_SHIELD else contender  # `--no-shield` drives with the shield as well

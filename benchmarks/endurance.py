@@ -24,7 +24,7 @@ from zsdist.sim.scenes.families import draw
 FAMILIES = ("singleton", "iid", "street")
 ACTIONS = 5
 PARTS = 10
-DISTINCT = 900  # scenes of each family before they repeat: many more than any cache holds
+DISTINCT = 900  # number of scenes of each family before they repeat: many more than any cache holds
 
 
 def main() -> None:

@@ -41,7 +41,7 @@ CASES = (  # name, state features, hidden, batch size
     ("features120_batch256", 120, (128, 128), 256),
     ("features120_batch16", 120, (128, 128), 16),
 )
-STORED = 4_000  # transitions in the replay of the fed learner
+STORED = 4_000  # number of transitions in the replay of the fed learner
 JOINERS = 9
 Update = Callable[[Batch], object]
 
@@ -125,7 +125,7 @@ def default_levels(updates: int, repeats: int) -> dict[str, float]:
 
 
 def fed(updates: int) -> dict[str, float]:
-    """Return updates a second of the low level's role, its share of time without a batch, and late joiners' waits."""
+    """Return updates a second of the low level's role, its share of time without a batch, and waits of late joiners."""
     shape = program.SHAPES[Level.LOW]
     low = {"min_size": STORED, "updates_per_insert": 10_000.0}
     config = parse({"high": {"min_size": 10**9}, "low": low, "replay": {"size_initial": STORED}})
@@ -171,7 +171,7 @@ def _join(endpoint: str) -> float:
 
 
 def make_batches(state_size: int, batch_size: int, actions: int = ACTIONS) -> list[Batch]:
-    """Return random batches of these shapes."""
+    """Return 16 random batches of these shapes."""
     rng = np.random.default_rng(0)
     return [
         Batch(
@@ -189,7 +189,7 @@ def make_batches(state_size: int, batch_size: int, actions: int = ACTIONS) -> li
 
 
 def rate(update: Callable, batches: list, updates: int) -> float:
-    """Return updates a second over `updates` of them."""
+    """Return updates a second, measured over `updates` of them."""
     started = time.perf_counter()
     for i in range(updates):
         update(batches[i % len(batches)])
@@ -205,7 +205,7 @@ def cpu_s(update: Update, batches: list[Batch], updates: int) -> float:
 
 
 def plain_torch(state_size: int, config: LevelConfig, device: str) -> Update:
-    """Return the usual form of the same update: default Adam, `clip_grad_norm_`, a soft copy tensor by tensor."""
+    """Return the same update in its usual form: default Adam, `clip_grad_norm_`, and a soft copy tensor by tensor."""
     parameters = network.initial_parameters(state_size, ACTIONS, config.hidden, seed=0)
     online = torch_network.policy_network(parameters).to(device)
     target = torch_network.target_network(parameters).to(device)

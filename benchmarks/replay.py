@@ -5,16 +5,16 @@ and replay are processes of their own; one client pushes trajectories through th
 receives batches, with as many in flight as a run's learner has (16). Each peer has a client of its own and gets the
 same transitions (256 features, so 2,048 bytes of float32 states each) into a ring of the same size:
 
-- a Ray actor holding a numpy ring, 64 transitions a call, 16 calls in flight, and 16 batches the other way;
+- a Ray actor with a numpy ring, 64 transitions a call, 16 calls in flight, and 16 batches in flight when sampling;
 - Reverb, where DIR/reverb has it: its trajectory writer, which sends each state once, and its TrajectoryDataset;
 - TorchRL, where DIR/torchrl has it: a storage in the client's own process, without a service.
 
-`make peers` creates DIR; a missing peer is left out. An insert counts once the other side has acknowledged it,
-so each round ends with all of it stored; ours also rounds states to half floats, checks every value and holds masks and
+`make peers` creates DIR; a missing peer is left out. An insert counts once the other side has acknowledged it, so each
+round ends with everything stored. Ours also rounds states to half floats, checks every value, and stores masks and
 guide actions, which the peers do not get. One system is loaded at a time, in turn, and a figure is the median of the
-rounds. `sample` is a batch a message on both sides, `sample_4` four batches a message, as a run's learner takes them; a
-Ray actor can do that too. `batch_ms` are batches asked for one at a time; Reverb's dataset fetches ahead, so that its
-figure is a bound, and it is held against our `sample_4`.
+rounds. `sample` is one batch a message on both sides, `sample_4` four batches a message, as a run's learner requests
+them; a Ray actor can do that too. `batch_ms` is the time of batches requested one at a time. Reverb's dataset fetches
+ahead, so its time is a lower bound, and its samples a second are compared with our `sample_4`.
 """
 
 import argparse
@@ -42,7 +42,7 @@ from zsdist.types import Level
 STATE_SIZE = 256
 BATCH = 256
 CAPACITY = 10_000  # as the peers'
-AHEAD = 256  # transitions the client has waiting: enough to fill a frame
+AHEAD = 256  # number of transitions that the client has waiting: enough to fill a frame
 HERE = Path(__file__).parent
 PEERS = {  # script, environment below the folder of peers (None: this one)
     "ray_actor": ("ray_actor.py", None),
@@ -71,7 +71,7 @@ class Ours:
         filler.settle()
 
     def insert(self, seconds: float) -> float:
-        """Return inserted transitions a second, the wait for the last acknowledgement included."""
+        """Return inserted transitions a second, including the wait for the last acknowledgement."""
         before, began_s = self._writer.produced, time.perf_counter()
         self._writer.run(seconds, AHEAD)
         self._writer.settle()
@@ -98,12 +98,12 @@ class Ours:
 
     @property
     def resent(self) -> int:
-        """Frames that had to be sent again."""
+        """Number of frames that were sent again."""
         return self._writer.resent
 
     @property
     def lost(self) -> int:
-        """Batches that were requested and did not arrive."""
+        """Number of batches that were requested and did not arrive."""
         return self._reader.lost
 
     def close(self) -> None:
@@ -113,7 +113,7 @@ class Ours:
 
 
 class PeerProcess:
-    """Client of a peer, a process in the peer's own environment."""
+    """Client of a peer, in a process of the peer's own environment."""
 
     def __init__(self, python: Path, script: str, data: Path, errors: Path) -> None:
         self._process = subprocess.Popen(
@@ -126,7 +126,7 @@ class PeerProcess:
         self._errors = errors
 
     def wait_until_ready(self) -> None:
-        """Wait until it accepts commands."""
+        """Wait until the peer accepts commands."""
         self._answer()
 
     def insert(self, seconds: float) -> float:
@@ -146,7 +146,7 @@ class PeerProcess:
         return self._ask(f"latency {count}")
 
     def close(self) -> None:
-        """Let it end, then kill it if need be: a Reverb dataset's threads sometimes keep their process alive."""
+        """Let the process end, or kill it: the threads of a Reverb dataset sometimes keep their process alive."""
         self._process.stdin.close()
         try:
             self._process.wait(timeout=10)

@@ -91,7 +91,7 @@ class Actors:
 
 
 class Sampler:
-    """Learner that takes batches and does not train on them."""
+    """Learner that receives batches and does not train on them."""
 
     def __init__(self, transport: Transport, mailbox_bytes: int) -> None:
         self.batches = 0
@@ -142,7 +142,7 @@ PARTS = ("actors", "replay", "learner", "zenoh")
 
 
 def run_case(kind: str, actors: int, updates_per_insert: float, warm_up_s: float, measured_s: float) -> dict:
-    """Return the transitions stored in `measured_s`, and the CPU seconds that each part took for them."""
+    """Return the number of transitions stored in `measured_s`, and the CPU seconds of each part for them."""
     config = parse({"run": {"actors": actors}, "low": {"updates_per_insert": updates_per_insert}})
     folder = tempfile.TemporaryDirectory()
     hub = ZenohHub(ENDPOINT) if kind == "zenoh" else None
@@ -191,7 +191,7 @@ def run_case(kind: str, actors: int, updates_per_insert: float, warm_up_s: float
 
 
 def _step_in_turn(steps: dict[str, Callable[[float], object]], seconds: float) -> dict[str, float]:
-    """Step all parts in turn for a time; return the CPU seconds of each, and of all other threads as `zenoh`."""
+    """Step all parts in turn for `seconds`; return the CPU seconds of each, and of all other threads as `zenoh`."""
     spent_s = dict.fromkeys(steps, 0.0)
     process_s, thread_s = time.process_time(), time.thread_time()
     until_s = time.monotonic() + seconds

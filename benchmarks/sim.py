@@ -17,7 +17,7 @@ import time
 import uuid
 from collections.abc import Callable
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # one core, as each role has; before numpy and torch read it
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # one core, as for each role; set before numpy and torch read it
 
 import numpy as np
 import torch
@@ -69,15 +69,15 @@ class Onlooker:
 
 @dataclasses.dataclass
 class Design:
-    """A simulated car with or without a camera and a network.
+    """Simulated car with or without a camera and a network.
 
     Attributes:
         name: name in the table.
         env: environment of the car.
         camera: whether a picture is drawn after each action.
         read: network that reads the pictures `(1, px, px, 3)`; None: no network.
-        perception: camera and network with a reading cache, in the place of `camera` and `read`.
-        parts_ms: CPU time of each action's physics, camera and network.
+        perception: camera and network with a reading cache, in place of `camera` and `read`.
+        parts_ms: CPU milliseconds of each action's physics, camera and network.
         rates: RL steps per CPU-second, one for each round.
     """
 
@@ -216,7 +216,7 @@ def _figures(designs: list[Design], actions: int) -> dict[str, float]:
 
 
 def _floor(figures: dict[str, float], head: Callable[[], object]) -> dict[str, float]:
-    """Return the cost of each part of an action alone, their sum, and the same measured together."""
+    """Return the cost of each part of an action alone, their sum, and the cost of all parts measured together."""
     times = []
     for _ in range(60):
         began = time.process_time()
@@ -291,7 +291,7 @@ class _Crew:
         self._cars = [ActorCar(parts.make_env(), config) for _ in range(cars)]
 
     def drive(self, steps: int) -> float:
-        """Drive at least `steps` steps; return the CPU milliseconds of one, without resets."""
+        """Drive at least `steps` steps; return the CPU milliseconds of one step, without resets."""
         driven, spent_s = 0, 0.0
         while driven < steps:
             for car in self._cars:

@@ -79,7 +79,7 @@ def main() -> None:
 
 
 def _use_empty_cache(folder: Path) -> None:
-    """Give the following runs an empty folder for temporary files, which holds the cache of vision readings."""
+    """Give the following runs an empty folder for temporary files, and so an empty cache of vision readings."""
     folder.mkdir()
     os.environ["TMPDIR"] = tempfile.tempdir = str(folder)
 
@@ -182,7 +182,7 @@ def _watch(run: subprocess.Popen, folder: Path) -> list[Statistics]:
 
 
 def _cpu_s(pid: int) -> float | None:
-    """Return user and system time of a process so far; None where it has ended."""
+    """Return the CPU seconds of a process so far, user and system; None if it has ended."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:

@@ -12,7 +12,7 @@ import statistics
 import time
 from collections.abc import Callable
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # one core, as a role has it; before numpy and torch read it
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # one core, as for a role; set before numpy and torch read it
 
 import numpy as np
 import torch
@@ -79,14 +79,14 @@ def _readers(model: VisualAct, weights: str, camera: CameraConfig) -> dict[str, 
 
 
 def _milliseconds(readers: dict[str, Reader], pictures: list[np.ndarray]) -> dict[str, dict[str, float]]:
-    """Return the median time of each reader, cold and cached; the readers take turns on each picture."""
+    """Return the median milliseconds of each reader, cold and cached; the readers alternate on each picture."""
     flushed = np.zeros(FLUSHED_BYTES // 8)
     times: dict[str, dict[str, list[float]]] = {name: {"cold": [], "cached": []} for name in readers}
     for picture in pictures[:WARM_UP] + pictures:
         for name, read in readers.items():
             flushed += 1
             for state in ("cold", "cached"):
-                began = time.thread_time()  # processor time of this thread, whatever else the machine does
+                began = time.thread_time()  # CPU time of this thread, so that other load on the machine does not count
                 read(picture)
                 times[name][state].append(1e3 * (time.thread_time() - began))
     return {

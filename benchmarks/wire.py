@@ -24,7 +24,7 @@ from zsdist.wire.codec import decode, encode
 from zsdist.wire.messages import Push
 
 ACTIONS = 5
-LENGTH = 8  # transitions per trajectory
+LENGTH = 8  # number of transitions per trajectory
 CASES = (  # name, state features, transitions per frame
     ("low_frame16", LOW_STATE_SIZE, 16),
     ("low_frame64", LOW_STATE_SIZE, 64),
@@ -115,7 +115,7 @@ def pickle_pairs(frame: Push) -> bytes:
 
 
 def unpickle(payload: bytes) -> object:
-    """Return what `pickle_pairs` pickled."""
+    """Return the columns that `pickle_pairs` pickled."""
     return pickle.loads(zstandard.ZstdDecompressor().decompress(payload))
 
 

@@ -1,7 +1,7 @@
 """Train in the scenes of a folder, in this process, and print how the episodes end.
 
 Usage: `python examples/train_on_folder.py [SCENES] [RUN] [EPISODES]`, by default `configs/scenes runs/example 4`.
-RUN is a new folder. The same from the shell:
+RUN is a new folder. The same from a shell:
 `python -m zsdist.launch --single-process --episodes 4 --set 'scenes.train=["configs/scenes"]' --run-dir runs/example`
 """
 

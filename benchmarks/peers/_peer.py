@@ -1,8 +1,8 @@
-"""Functions of the peers' scripts: commands arrive as lines on standard input, answers leave as JSON lines.
+"""Functions of the peers' scripts: commands are lines on standard input, answers are JSON lines on standard output.
 
 A peer runs in its own environment, so nothing of zsdist is imported here. `insert`, `sample` and `sample_4` (four
-batches a message) run for the given seconds and answer transitions a second; `latency` answers the milliseconds of the
-given number of batches, one after the other.
+batches a message) run for the given seconds and answer with transitions a second. `latency` answers with the
+milliseconds of the given number of batches, one after the other.
 """
 
 import json
@@ -25,15 +25,15 @@ COLUMNS = ("state", "action", "reward", "discount", "next_state")
 
 
 class Peer(Protocol):
-    """Replay that is loaded the way its documentation recommends."""
+    """Client of a replay, used as its documentation recommends."""
 
     def insert(self, seconds: float) -> int:
-        """Offer transitions for `seconds`; return how many were stored and acknowledged."""
+        """Offer transitions for `seconds`; return the number that was stored and acknowledged."""
 
     def draw(self, batches: int) -> Iterator[int]:
-        """Draw batches without end, `batches` in a message if that can be chosen; yield each message's transitions.
+        """Draw batches endlessly, `batches` in a message if the peer allows it; yield the transitions of each message.
 
-        As many are in flight as is best for the peer.
+        The number of messages in flight is the best one for the peer.
         """
 
     def one(self) -> None:
@@ -41,7 +41,7 @@ class Peer(Protocol):
 
 
 def transitions() -> dict[str, np.ndarray]:
-    """Return the transitions that zsdist's client pushes, as columns of `(n,)` or `(n, D)`, in trajectories of 8."""
+    """Return the transitions that zsdist's client pushes, as columns `(n,)` or `(n, D)`, from trajectories of 8."""
     with np.load(Path(sys.argv[1])) as file:
         return {name: file[name] for name in COLUMNS}
 

@@ -1,4 +1,4 @@
-"""Ray actor that holds a numpy ring; 16 calls in flight and 64 transitions an insert are its best here."""
+"""Ray actor that holds a numpy ring; 16 calls in flight and 64 transitions an insert were the fastest here."""
 
 import os
 import time
@@ -12,11 +12,11 @@ ray = require("ray", "pip install ray")
 
 CAPACITY = 10_000
 IN_FLIGHT = 16
-CHUNK = 64  # transitions a call
+CHUNK = 64  # number of transitions a call
 
 
 class Ring:
-    """Ring in the actor's process."""
+    """Ring of transitions in the actor's process."""
 
     def __init__(self, columns: dict[str, np.ndarray]) -> None:
         self._columns = {name: np.empty((CAPACITY, *rows.shape[1:]), rows.dtype) for name, rows in columns.items()}
@@ -24,7 +24,7 @@ class Ring:
         self._rng = np.random.default_rng(0)
 
     def insert(self, columns: dict[str, np.ndarray]) -> int:
-        """Store rows over the oldest."""
+        """Store rows in place of the oldest ones; return their number."""
         count = len(columns["action"])
         places = (self._head + np.arange(count)) % CAPACITY
         for name, rows in columns.items():
@@ -59,7 +59,7 @@ class RayActor:
         self._ring = ray.remote(Ring).remote(rows)
 
     def insert(self, seconds: float) -> int:
-        """Keep `IN_FLIGHT` calls in flight."""
+        """Insert for `seconds` with `IN_FLIGHT` calls in flight; return the number of stored transitions."""
         flight: deque = deque()
         count, number, until_s = 0, 0, time.perf_counter() + seconds
         while time.perf_counter() < until_s:
@@ -70,7 +70,7 @@ class RayActor:
         return count + sum(ray.get(list(flight)))
 
     def draw(self, batches: int) -> Iterator[int]:
-        """Keep `IN_FLIGHT` batches in flight."""
+        """Draw batches with `IN_FLIGHT` of them in flight; yield the transitions of each message."""
         flight = deque(self._ring.sample.remote(batches * BATCH) for _ in range(IN_FLIGHT // batches))
         while True:
             drawn = ray.get(flight.popleft())
@@ -78,7 +78,7 @@ class RayActor:
             yield len(drawn["action"])
 
     def one(self) -> None:
-        """Wait for one call."""
+        """Draw one batch and wait for it."""
         ray.get(self._ring.sample.remote(BATCH))
 
 

@@ -19,7 +19,7 @@ reverb = require("reverb", "make peers")
 tf = require("tensorflow", "make peers")
 
 CAPACITY = 10_000
-LENGTH = 8  # transitions of a trajectory
+LENGTH = 8  # number of transitions of a trajectory
 ONLY_SERVER = "--server"
 
 
@@ -41,7 +41,7 @@ def run_server(rows: dict[str, np.ndarray]) -> None:
 
 
 class Reverb:
-    """Client of the table."""
+    """Client of the server's table."""
 
     def __init__(self) -> None:
         self._rows = transitions()
@@ -72,7 +72,7 @@ class Reverb:
             yield len(batch.data["action"].numpy())
 
     def one(self) -> None:
-        """Take the next batch of the dataset; it may be there already, so this is a lower bound of a round trip."""
+        """Take the next batch of the dataset; it may have arrived already, so this is a lower bound of a round trip."""
         next(self.draw(1))
 
     def _episode(self, writer: "reverb.TrajectoryWriter") -> int:

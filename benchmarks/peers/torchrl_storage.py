@@ -1,4 +1,4 @@
-"""TorchRL's LazyTensorStorage in this process: no service between client and storage; a bound, no competitor."""
+"""TorchRL's LazyTensorStorage in this process: without a service in between, so it is a bound, not a competitor."""
 
 import time
 from collections.abc import Iterator
@@ -10,11 +10,11 @@ tensordict = require("tensordict", "make peers")
 data = require("torchrl.data", "make peers")
 
 CAPACITY = 10_000
-CHUNK = 64  # transitions a call
+CHUNK = 64  # number of transitions a call
 
 
 class TorchRL:
-    """Buffer and the transitions to insert."""
+    """Replay buffer in this process, and the transitions to insert."""
 
     def __init__(self) -> None:
         torch.set_num_threads(1)

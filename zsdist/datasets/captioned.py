@@ -16,12 +16,12 @@ from zsdist.sim.scenes.manifest import Split
 from zsdist.sim.scenes.scene import Scene
 from zsdist.vision.words.vocabulary import CONCEPTS, SIDES, caption
 
-CELLS = 14  # along a side, like the default encoder's tokens
-CAPTION_SHARE = 0.02  # of the picture that a kind must cover to be in the caption
-MOST_CAPTIONED = 3  # kinds in a caption
-DOMINANT_SHARE = 0.06  # of the picture that the dominant kind must cover
+CELLS = 14  # number of cells along a side, like the default encoder's tokens
+CAPTION_SHARE = 0.02  # share of the picture that a kind must cover to be in the caption
+MOST_CAPTIONED = 3  # most kinds in a caption
+DOMINANT_SHARE = 0.06  # share of the picture that the dominant kind must cover
 DOMINANT_TIMES = 2.0  # the dominant kind must also cover this many times as much as any other kind
-_NATURAL_SHARE = 0.75  # of varied cameras show natural colours, which are almost the only difference between grounds
+_NATURAL_SHARE = 0.75  # share of varied cameras with natural colours, almost the only difference between grounds
 _TILT_JITTER_RAD = 0.05
 
 
@@ -33,7 +33,7 @@ class CaptionedView:
         image: `(size_px, size_px, 3)` uint8.
         cells: `(14, 14, C)` float16, share of each cell that shows the concept; the shares of a cell sum to 1.
         caption: caption of the whole picture, in training words.
-        dominant: index of the kind that covers by far the most (`dominant_kind`); -1: none.
+        dominant: index of the dominant kind (`dominant_kind`); -1: none.
         ground: index of the concept of the ground.
         scene: name of the scene.
         scene_hash: `Scene.hash()`; it groups the pictures of one scene.
@@ -51,7 +51,7 @@ class CaptionedView:
 def captioned_views(
     families: Sequence[str], split: Split, count: int, seed: int, camera: CameraConfig, varied: bool = False
 ) -> Iterator[CaptionedView]:
-    """Yield captioned pictures, the same for the same arguments; families take turns, a scene gives several pictures.
+    """Yield captioned pictures, the same for the same arguments. Families alternate; a scene gives several pictures.
 
     Args:
         families: names of families in `families.FAMILIES`.
@@ -73,7 +73,7 @@ def describe(segments: np.ndarray, ground: str, rng: np.random.Generator) -> tup
     Args:
         segments: `(size_px, size_px)` uint8 from a camera.
         ground: name of the scene's ground.
-        rng: chooses the words of the caption.
+        rng: source of the choice of words.
     """
     concepts = _concept_of_segment(ground)[segments]
     cells = cell_shares(concepts, CELLS)
@@ -87,8 +87,8 @@ def cell_shares(concepts: np.ndarray, side: int) -> np.ndarray:
     """Return the share of each concept in each of `side` x `side` cells, `(side, side, C)` float32.
 
     Args:
-        concepts: `(px, px)` indices of concepts; px is `side` or more.
-        side: cells along a side.
+        concepts: `(px, px)` int64, index of the concept at each pixel; px is `side` or more.
+        side: number of cells along a side.
     """
     cell = np.arange(len(concepts)) * side // len(concepts)
     numbers = (cell[:, None] * side + cell) * len(CONCEPTS) + concepts
@@ -133,7 +133,7 @@ def _concept_of_segment(ground: str) -> np.ndarray:
 
 
 def _side(shares: np.ndarray) -> str:
-    """Return the third of the picture with the centre of a kind, from its share of each cell `(14, 14)`."""
+    """Return the third of the picture with a kind's centre (one of `SIDES`), from its share of each cell `(14, 14)`."""
     columns = shares.sum(0)
     middle = float((columns * (np.arange(CELLS) + 0.5)).sum() / columns.sum()) / CELLS
     return SIDES[min(int(3 * middle), 2)]

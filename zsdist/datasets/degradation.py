@@ -1,4 +1,4 @@
-"""Random degradation of training pictures like that of real cameras: gain, colour cast, contrast, blur and noise."""
+"""Random degradation of training pictures, as by real cameras: gain, colour cast, contrast, blur and noise."""
 
 import cv2
 import numpy as np
@@ -13,7 +13,7 @@ def degrade(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     values = image.astype(np.float32)
     level = values.mean()
     contrast, cast = rng.uniform(0.7, 1.3), rng.uniform(0.85, 1.15, 3).astype(np.float32)
-    # At most towards middle grey: a black picture teaches nothing.
+    # At most towards middle grey: a black picture carries no information.
     shift = rng.uniform(-0.2, 0.2) * level + rng.uniform(0, 0.4) * (127.0 - level)
     values = (values - level) * (contrast * cast) + level + shift
     if rng.random() < 0.2:  # less saturation

@@ -20,13 +20,13 @@ from zsdist.types import Pose
 from zsdist.vision.labels import nearest
 from zsdist.vision.rays import RAYS, ray_angles_rad
 
-_PYBULLET_SHARE = 0.12  # of the training scenes are drawn by PyBullet, which is four times as slow and has no textures
+_PYBULLET_SHARE = 0.12  # share of training scenes drawn by PyBullet, four times as slow and without textures
 _TILT_JITTER_RAD = 0.05
 
 
 @dataclass(frozen=True)
 class LabelledView:
-    """One picture and its truth, for R rays and the directions forward, left, right.
+    """Picture and its ground truth, for R rays and the directions forward, left, right.
 
     Attributes:
         image: `(size_px, size_px, 3)` uint8.
@@ -34,10 +34,10 @@ class LabelledView:
             the camera's range, which stands for "free".
         ray_dynamic: `(R,)` bool, whether the ray meets an obstacle of a kind that moves.
         ray_segment: `(R,)` uint8, segment that the ray meets: `Kind.segment_id`, `SEGMENT_WALL`, or 0 if it is free.
-        clearance_m: `(3,)` float32, shortest distance of each direction's rays.
+        clearance_m: `(3,)` float32, shortest distance along the rays of each direction.
         dynamic: `(3,)` bool, whether the kind of that nearest obstacle moves.
         goal_bearing_rad: direction of the scene's goal from the car's heading, left positive.
-        goal_distance_m: distance of the goal from the car's centre.
+        goal_distance_m: distance of the scene's goal from the car's centre.
         pose: pose of the car.
         scene: name of the scene.
         scene_hash: `Scene.hash()`; it groups the pictures of one scene.
@@ -59,7 +59,7 @@ class LabelledView:
 def labelled_views(
     families: list[str], split: Split, count: int, seed: int, camera: CameraConfig, varied: bool = False
 ) -> Iterator[LabelledView]:
-    """Yield pictures with labels, the same for the same arguments; families take turns, a scene gives several pictures.
+    """Yield labelled pictures, the same for the same arguments. Families alternate; a scene gives several pictures.
 
     Args:
         families: names of families in `families.FAMILIES`.
@@ -76,13 +76,13 @@ def labelled_views(
 
 
 def label(scene: Scene, pose: Pose, camera: CameraConfig, people: np.ndarray | None = None) -> dict[str, Any]:
-    """Return the truth of one pose: the label fields of `LabelledView`.
+    """Return the ground truth at one pose: the label fields of `LabelledView`.
 
     Args:
         scene: scene with its obstacles.
         pose: pose of the car.
         camera: field of view, mount and range.
-        people: `(W, 2)` positions of the walking obstacles; None: their start positions.
+        people: `(W, 2)`, positions of the walking obstacles; None: their start positions.
     """
     angles_rad = camera_angles_rad(camera)
     met = rays_met(scene, pose, camera, angles_rad, people)

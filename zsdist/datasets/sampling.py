@@ -17,10 +17,10 @@ from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Pose
 
 POSES_PER_SCENE = 8
-PLACE_HALF_M = 11.0  # poses are drawn within plus and minus this
-NATURAL_SHARE = 0.25  # of varied cameras show scenes with the appearance of a drive
-_SCENES = 1_000_000  # of a family and split, from which a call draws
-_NEAR_SHARE = 0.6  # of the poses face an obstacle close by; with fewer, most pictures would be empty
+PLACE_HALF_M = 11.0  # x and y of poses are drawn between minus and plus this
+NATURAL_SHARE = 0.25  # share of varied cameras that show scenes with the appearance of a drive
+_SCENES = 1_000_000  # number of scenes of a family and split from which one is drawn
+_NEAR_SHARE = 0.6  # share of poses that face an obstacle close by; with fewer, most pictures would be empty
 _NEAR_M = (0.9, 4.5)  # distance of the car's centre from the surface of that obstacle
 _MOUNT_JITTER_M = 0.15
 
@@ -30,13 +30,13 @@ def drawn_scenes(
 ) -> Iterator[tuple[str, Scene, int]]:
     """Yield scenes for `count` pictures, each as (family, scene, number of pictures to take in it).
 
-    Each scene is drawn when it is asked for, so that its pictures can use the same `rng`.
+    Each scene is drawn when it is requested, so that its pictures can use the same `rng`.
 
     Args:
-        families: names of the families, which take turns.
+        families: names of the families, which alternate.
         split: range of the families' seeds for the scenes; an unknown one raises `SceneError`.
         count: number of pictures.
-        rng: draws the scenes.
+        rng: source of the scenes.
     """
     left, turns = count, itertools.cycle(families)
     while left > 0:
@@ -47,7 +47,7 @@ def drawn_scenes(
 
 
 def free_pose(scene: Scene, rng: np.random.Generator, people: np.ndarray | None = None) -> Pose:
-    """Return a random pose in which the car touches nothing; most often it faces an obstacle close by."""
+    """Return a random pose in which the car touches nothing; in most cases it faces an obstacle close by."""
     circles, boxes = scene.circles(people), scene.boxes()
     while True:
         if scene.obstacles and rng.random() < _NEAR_SHARE:
@@ -75,8 +75,8 @@ def varied_camera(config: CameraConfig, rng: np.random.Generator, natural_share:
     """Return a camera at a random height that shows scenes with a random appearance, or with that of a drive.
 
     Args:
-        config: settings of the camera, of which the height is varied.
-        rng: draws height and appearance.
+        config: settings of the camera; its height is varied.
+        rng: source of height and appearance.
         natural_share: share of cameras that show scenes with the appearance of a drive.
     """
     natural = rng.random() < natural_share

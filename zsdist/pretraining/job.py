@@ -24,13 +24,13 @@ class Job:
 
     Attributes:
         images: number of pictures to train the head on.
-        epochs: passes over the pictures in every stage; 0: the default of each stage.
-        seed: of scenes, poses, appearance and weights.
-        families: scene families, out of those for the training of vision.
+        epochs: number of passes over the pictures in every stage; 0: the default of each stage.
+        seed: seed of scenes, poses, appearance and weights.
+        families: scene families, from those for the training of vision.
         cityscapes: folder of photographs to train the head on; "": rendered pictures.
-        stages: trained stages, out of `STAGES`.
-        config: has the camera and the encoder.
-        command: command line that started it.
+        stages: stages to train, from `STAGES`.
+        config: configuration with the camera and the encoder.
+        command: command line that started the pretraining.
     """
 
     images: int
@@ -54,10 +54,10 @@ class Job:
 
 
 def create(folder: Path, job: Job) -> None:
-    """Make the folder of a new pretraining.
+    """Create the folder of a new pretraining.
 
     Raises:
-        RunError: the folder already holds a pretraining or weights, or cannot be made.
+        RunError: the folder already holds a pretraining or weights, or cannot be created.
     """
     if (folder / JOB_FILE).exists():
         raise RunError(f"--out {folder} already holds a pretraining; allowed are a new folder, or --resume {folder}")

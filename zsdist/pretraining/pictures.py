@@ -1,7 +1,7 @@
 """Pictures of a pretraining on disk, made in several processes shard by shard, and read back as training data.
 
-A shard is a folder of arrays. It gets its name when it is complete, and its content follows from its name and the seed.
-So an existing shard is never made again, and the number of processes has no effect.
+A shard is a folder of arrays. It gets its name when it is complete, and name and seed determine its content. So an
+existing shard is never made again, and the number of processes has no effect.
 """
 
 import contextlib
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from zsdist.vision.training.examples import Examples
     from zsdist.vision.training.projection import WordExamples
 
-LIST_FILE = "shards.json"  # list of the shards to train on, written when no more are made
-_SPARE_BYTES = 2**28  # left free on the disk
+LIST_FILE = "shards.json"  # list of the shards to train on, written after the last one is made
+_SPARE_BYTES = 2**28  # disk space to leave free
 
 
 def disk_bytes(job: Job, encoder: Encoder) -> int:
-    """Return the disk space of all pictures of a pretraining."""
+    """Return the disk space in bytes of all pictures of a pretraining."""
     return sum(source.pictures * source.picture_bytes(encoder) for source in sources(job).values())
 
 
@@ -62,10 +62,10 @@ def make_all(
 
     Args:
         job: settings of the pretraining.
-        folder: of the shards.
+        folder: folder of the shards.
         workers: number of processes.
-        go_on: called before a shard is begun; once it returns false, no further shard is made.
-        on_made: called with the number of pictures made and the number planned.
+        go_on: function that is called before a shard is begun; once it returns false, no further shard is made.
+        on_made: function that is called with the number of pictures made and the number planned.
 
     Raises:
         RunError: a source has no shard, or a worker died.
@@ -93,7 +93,7 @@ def make_all(
 
 
 class _Worker:
-    """State of a process that makes shards."""
+    """State of a worker process that makes shards."""
 
     job: Job
     folder: Path
@@ -110,7 +110,7 @@ def _make(shard: PictureShard) -> int:
 
 
 def save(path: Path, arrays: Arrays) -> None:
-    """Write a shard, which gets its name when all of it is on the disk."""
+    """Write a shard; it gets its name when all of it is on the disk."""
     unfinished = path.with_name(f"{path.name}.new")
     unfinished.mkdir()
     for name, array in arrays.items():
@@ -122,11 +122,11 @@ def save(path: Path, arrays: Arrays) -> None:
 
 
 class Pictures:
-    """Training data in a folder of shards whose list is written; large arrays stay on the disk.
+    """Training data from a folder of shards with their list; large arrays stay on the disk.
 
     Args:
         job: settings of the pretraining.
-        folder: of the shards.
+        folder: folder of the shards.
     """
 
     def __init__(self, job: Job, folder: Path) -> None:
@@ -139,12 +139,12 @@ class Pictures:
         return self._examples(self._rows("act"))
 
     def validation(self) -> "Examples":
-        """Return the examples for early stopping and calibration; none is of a scene that is trained on."""
+        """Return the examples for early stopping and calibration; none is from a scene that is trained on."""
         kept = self._new_scenes("validation", "act", "masked")
         return self._examples({name: rows[kept] for name, rows in self._rows("validation").items()})
 
     def counts(self) -> dict[str, int]:
-        """Return the numbers of pictures and scenes for the head, and of masked and described pictures."""
+        """Return the numbers of pictures and scenes for the head, and of masked and captioned pictures."""
         counts: dict[str, int] = {}
         if self._of("act"):
             scene = self._rows("act")["scene"]
@@ -155,7 +155,7 @@ class Pictures:
         return counts
 
     def masked(self) -> "tuple[Examples, MaskedExamples]":
-        """Return whole pictures and their masked versions."""
+        """Return unmasked pictures and their masked versions."""
         from zsdist.vision.masks import MaskedExamples
 
         rows = self._rows("masked")
@@ -164,7 +164,7 @@ class Pictures:
             part = np.load(self._folder / name / "original.npy")
             indices.append(np.where(part < 0, part, part + offset))
             offset += int((part < 0).sum())
-        original = np.concatenate(indices)  # of each masked version, the number of its whole picture among all
+        original = np.concatenate(indices)  # for each masked version, the index of its unmasked picture among all
         whole, parts = np.flatnonzero(original < 0), np.flatnonzero(original >= 0)
         distance, dynamic = np.asarray(rows["ray_distance_m"]), np.asarray(rows["ray_dynamic"])
         masked = MaskedExamples(
@@ -181,12 +181,12 @@ class Pictures:
         return self._words("described-validation", self._new_scenes("described-validation", "described"))
 
     def _of(self, *sources: str) -> list[str]:
-        """Return the names of the shards of sources; shards without a usable photograph are empty and left out."""
+        """Return the names of the sources' shards, without empty ones, which have no usable photograph."""
         names = [name for name in self._names if _source_of(name) in sources]
         return [name for name in names if any((self._folder / name).iterdir())]
 
     def _rows(self, *sources: str) -> dict[str, Rows]:
-        """Return the arrays of sources by name."""
+        """Return the arrays of sources, by name of the array."""
         names = self._of(*sources)
         if not names:
             raise RunError(f"there is no picture of {' or '.join(sources)}; allowed are one or more")
@@ -194,7 +194,7 @@ class Pictures:
         return {field: Rows.read([self._folder / name / f"{field}.npy" for name in names]) for field in fields}
 
     def _new_scenes(self, source: str, *trained: str) -> np.ndarray:
-        """Return `(N,)` bool, true for the pictures of a source whose scenes are in none of the sources `trained`."""
+        """Return the pictures of a source whose scenes are in none of the sources `trained`, `(N,)` bool."""
         seen = [self._rows(name).get("scene", ()) for name in trained if self._of(name)]
         kept = ~np.isin(np.asarray(self._rows(source)["scene"]), np.concatenate(seen))
         if not kept.any():
@@ -216,5 +216,5 @@ class Pictures:
 
 
 def _source_of(name: str) -> str:
-    """Return the source of a shard."""
+    """Return the name of a shard's source."""
     return name.rpartition("-")[0]

@@ -12,11 +12,11 @@ LINE_EVERY_S = 10.0
 
 
 class PretrainingProgress:
-    """Display of the progress of a pretraining; a context manager.
+    """Display of the progress of a pretraining, as a context manager.
 
     Args:
-        console: to print on; the default is standard output.
-        prefer_lines: print plain lines even on a terminal.
+        console: console to print on; None: standard output.
+        prefer_lines: whether to print plain lines even on a terminal.
     """
 
     def __init__(self, console: Console | None = None, *, prefer_lines: bool = False) -> None:
@@ -44,7 +44,7 @@ class PretrainingProgress:
         self.console.print(f"[{seconds:6.0f} s] {text}", highlight=False, soft_wrap=True, markup=False)
 
     def pictures(self, made: int, planned: int) -> None:
-        """Show the number of pictures made; plain lines come at most every `LINE_EVERY_S`."""
+        """Show the number of pictures made; plain lines are printed at most every `LINE_EVERY_S`."""
         self._bar("pictures", made, planned)
         if self._bars is None and (made == planned or time.monotonic() >= self._next_s):
             self._next_s = time.monotonic() + LINE_EVERY_S
@@ -64,7 +64,7 @@ class PretrainingProgress:
         )
 
     def _bar(self, name: str, done: int, total: int) -> None:
-        """Move the bar of a stage, if there are bars."""
+        """Move the bar of a stage, or do nothing without bars."""
         if self._bars is None:
             return
         if name not in self._tasks:

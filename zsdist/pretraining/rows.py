@@ -1,4 +1,4 @@
-"""Array whose rows lie in several files, which are read only where they are indexed."""
+"""Array whose rows are in several files, which are read only where they are indexed."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +11,7 @@ class Rows:
     """Concatenation of arrays along their first axis, indexed like one array without a copy of the whole.
 
     Args:
-        parts: `(n_i, ...)` each, of one dtype; usually memory-mapped files.
+        parts: arrays `(n_i, ...)` of one dtype, usually memory-mapped files.
     """
 
     def __init__(self, parts: Sequence[np.ndarray]) -> None:

@@ -28,21 +28,21 @@ from zsdist.vision.encoders.base import Encoder, resample
 from zsdist.vision.masks import Mask, MaskedView, hide
 from zsdist.vision.models import STUDENT_PX
 
-# Shares of a source, of the number of pictures to train the head on
+# Size of a source as a share of the number of pictures to train the head on.
 VALIDATION_SHARE = 0.08
 CITY_VALIDATION_SHARE = 0.17  # there are 2,975 photographs to train on and 500 for validation
 MASKED_SHARE = 0.07
 DESCRIBED_SHARE = 0.2
-SHARD = 512  # pictures per shard, so that two families have equally many scenes
-MASKED_SHARD = 64  # pictures per shard, each with about nine masks
-_MASKS = 9  # average masks of a picture, for the estimate of disk space
+SHARD = 512  # number of pictures per shard, such that two families have equally many scenes
+MASKED_SHARD = 64  # number of pictures per shard, each with about nine masks
+_MASKS = 9  # average number of masks of a picture, for the estimate of disk space
 
 Arrays = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
 class PictureShard:
-    """Part of a source: `count` pictures, which follow from its name and the seed of the pretraining."""
+    """Part of a source: `count` pictures, determined by its name and the seed of the pretraining."""
 
     source: str
     index: int
@@ -50,18 +50,18 @@ class PictureShard:
 
     @property
     def name(self) -> str:
-        """Name of its folder."""
+        """Name of the shard's folder."""
         return f"{self.source}-{self.index:04d}"
 
 
 @dataclass(frozen=True)
 class Source:
-    """Kind of pictures.
+    """Source of pictures of one kind.
 
     Attributes:
         pictures: number of pictures.
         shard: number of pictures per shard.
-        make: makes a shard from the job, the shard, its seed and the encoder.
+        make: function that makes a shard's arrays from the job, the shard, its seed and the encoder.
     """
 
     pictures: int
@@ -69,7 +69,7 @@ class Source:
     make: "Callable[[Job, PictureShard, int, Encoder], Arrays]"
 
     def picture_bytes(self, encoder: Encoder) -> int:
-        """Return the disk space of a picture."""
+        """Return the disk space of a picture in bytes."""
         tokens = 2 * encoder.side**2 * encoder.features
         return tokens * (1 + _MASKS) if self.make in (_masked, _city_masked) else tokens + STUDENT_PX**2 * 3
 
@@ -115,7 +115,7 @@ def _share(share: float, images: int) -> int:
 
 
 def shards(wanted: dict[str, Source]) -> list[PictureShard]:
-    """Return all shards in an order in which all sources advance evenly, so that work may stop anywhere."""
+    """Return all shards in an order in which all sources advance evenly, so that work may stop at any shard."""
     positions = []
     for name, source in wanted.items():
         count = math.ceil(source.pictures / source.shard)
@@ -177,7 +177,7 @@ def _city_masked(job: Job, shard: PictureShard, seed: int, encoder: Encoder) -> 
 
 
 def _encode_masked(views: Iterable[MaskedView], encoder: Encoder) -> Arrays:
-    """Return one row per picture, whose `original` is -1, and one per mask, with the picture's number instead."""
+    """Return one row per picture, with `original` -1, and one per mask, with the picture's number as `original`."""
 
     def fields(number: int, view: MaskedView) -> dict[str, Any]:
         truths: list[MaskedView | Mask] = [view, *view.masks]
@@ -213,7 +213,7 @@ def _described(job: Job, shard: PictureShard, seed: int, encoder: Encoder) -> Ar
 
 
 def scene_numbers(hashes: Iterable[str]) -> np.ndarray:
-    """Return `(N,)` uint64, equal for pictures of the same scene."""
+    """Return a number for each picture, `(N,)` uint64, equal for pictures of the same scene."""
     return np.array([int(text[:16], 16) for text in hashes], np.uint64)
 
 

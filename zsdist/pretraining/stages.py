@@ -1,8 +1,8 @@
 """Training stages of a pretraining: words, head, student.
 
-After every epoch, a stage appends its figures to the history and saves its state, which its weights replace at the end.
-An interrupted pretraining is therefore resumed after the last complete epoch. The pictures for words are not used for
-the head, which is tested on kinds that it has not seen: it meets the projection through the contrast alone.
+After every epoch, a stage appends its figures to the history and saves its state. At the end, its weights replace the
+state. So an interrupted pretraining is resumed after the last complete epoch. The head is tested on kinds that it has
+not seen, so it is not trained on the pictures for words; only the contrast uses the projection learned from them.
 """
 
 import json
@@ -41,12 +41,12 @@ RECIPES: dict[str, Recipe] = {
 
 
 class Budget:
-    """Time limit that is divided among pictures and stages; time that one does not need goes to the later ones.
+    """Time limit, divided among pictures and stages; time that one of them does not use goes to the later ones.
 
     Args:
-        allowed_s: time in total from now on; infinite: no limit.
-        stages: keys of `TIME_SHARES` in their order.
-        clock: returns seconds.
+        allowed_s: total time from now on in seconds; infinite: no limit.
+        stages: stages in their order, keys of `TIME_SHARES`.
+        clock: function that returns the time in seconds.
     """
 
     def __init__(self, allowed_s: float, stages: Sequence[str], clock: Callable[[], float] = time.monotonic) -> None:
@@ -63,15 +63,15 @@ class Budget:
 
 
 class Stages:
-    """Training of all stages of a job, which resumes what earlier sessions left in the folder.
+    """Training of all stages of a job, resumed from the files of earlier sessions in the folder.
 
     Args:
         job: settings of the pretraining.
-        folder: of the pretraining.
+        folder: folder of the pretraining.
         pictures: training data.
-        encoder: of the pictures.
+        encoder: encoder of the pictures.
         budget: time limit.
-        progress: shows every epoch.
+        progress: display of every epoch.
     """
 
     def __init__(
@@ -120,9 +120,9 @@ class Stages:
         return contents
 
     def words(self) -> tuple[nn.Module, dict[str, bytes]]:
-        """Return the projection to the space of words and the files of projection and vocabulary.
+        """Return the projection to text space, and the files of projection and vocabulary.
 
-        An encoder may bring its own projection, which is not trained and needs no file.
+        An encoder may have its own projection, which is not trained and needs no file.
         """
         words, native = shipped_words(), self._encoder.native_projection()
         vocabulary = Vocabulary(words, self._encoder.embed_texts(words), self._encoder.text_sha256)
@@ -156,9 +156,9 @@ class Stages:
 
         Args:
             stage: name of the stage.
-            network: of the stage.
-            begin: returns the trainer for a recipe, a random generator and the share of time used.
-            finish: called once the network is trained.
+            network: network of the stage.
+            begin: function that returns the trainer for a recipe, a random generator and the share of time used.
+            finish: function that is called once the network is trained.
         """
         weights_file, state_file = self._folder / f"{stage}.safetensors", self._folder / f"{stage}.training"
         if weights_file.exists():

@@ -24,16 +24,16 @@ def train(
     keep_pictures: bool,
     progress: PretrainingProgress,
 ) -> None:
-    """Complete a pretraining, whose folder becomes a folder of weights.
+    """Complete a pretraining and turn its folder into a weights folder.
 
     Args:
         job: settings of the pretraining.
-        folder: of the pretraining, made by `job.create`.
-        encoder: of the pictures.
-        minutes: time that this session may take.
+        folder: folder of the pretraining, made by `job.create`.
+        encoder: encoder of the pictures.
+        minutes: most minutes that this session may take.
         workers: number of processes that make pictures.
-        keep_pictures: keep the pictures at the end.
-        progress: shows the progress.
+        keep_pictures: whether to keep the pictures at the end.
+        progress: display of the progress.
 
     Raises:
         ZsdistError: the time is too short for the pictures, or a file cannot be written.
@@ -51,14 +51,14 @@ def train(
     made = weights_folder.write(folder, files, _metadata(job, folder, pictures, encoder))
     for name, digest in made.metadata["files"].items():
         progress.log(f"{folder / name}: SHA-256 {digest[:16]}")
-    (folder / JOB_FILE).unlink()  # first: without all of the rest it cannot be resumed
+    (folder / JOB_FILE).unlink()  # first: with only a part of the rest it cannot be resumed
     shutil.rmtree(folder / "stages")
     if not keep_pictures:
         shutil.rmtree(picture_folder)
 
 
 def _metadata(job: Job, folder: Path, pictures: Pictures, encoder: Encoder) -> dict[str, Any]:
-    """Return the metadata of a folder of weights."""
+    """Return the metadata of the finished weights folder."""
     text_tower = {"text_sha256": encoder.text_sha256} if "words" in job.stages else {}
     return {
         "encoder": {"name": encoder.name, "sha256": encoder.sha256, **text_tower},

@@ -1,1 +1,1 @@
-"""The simulated world: scenes and their families, physics, cameras and the gymnasium environment."""
+"""Simulated world: scenes and their families, physics, cameras and the gymnasium environment."""

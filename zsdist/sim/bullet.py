@@ -1,4 +1,4 @@
-"""PyBullet without the line that it writes on standard error at import: commands keep that stream for messages."""
+"""PyBullet without the line that it writes to standard error at import; commands keep that stream for messages."""
 
 import os
 import sys

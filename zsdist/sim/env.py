@@ -1,4 +1,4 @@
-"""The simulated car as a gymnasium environment: `gymnasium.make("zsdist/CarNavigation-v0")`."""
+"""Simulated car as a gymnasium environment: `gymnasium.make("zsdist/CarNavigation-v0")`."""
 
 import math
 from typing import Any
@@ -21,19 +21,19 @@ from zsdist.types import Action, Pose
 
 
 class CarNavigation(gymnasium.Env):
-    """One car in one scene per episode; an action is one of the five lattice moves.
+    """Environment with one car in one scene per episode; an action is one of the five lattice moves.
 
     Observation, a dictionary:
-        `image`: `(px, px, 3)` uint8, from the camera on the car at its true pose, with its roll and pitch.
-        `pose`: `(3,)` float64, the true `x_m`, `y_m`, `heading_rad`.
-        `goal`: `(2,)` float64, its `x_m`, `y_m`.
+        `image`: `(px, px, 3)` uint8, picture of the camera on the car at its true pose, with its roll and pitch.
+        `pose`: `(3,)` float64, true `x_m`, `y_m`, `heading_rad` of the car.
+        `goal`: `(2,)` float64, `x_m`, `y_m` of the goal.
 
     The reward is the sum of the terms in `zsdist.planning.rewards`. An episode terminates at a collision or at the
-    goal, and is truncated after `config.sim.max_steps` actions. A move off the grid is masked in `info`; if it is made
-    nevertheless, it only turns the car. Observations and `info` contain nothing of the scene but its name.
+    goal, and is truncated after `config.sim.max_steps` actions. A move off the grid is masked in `info`. If it is made
+    nevertheless, it only turns the car. Apart from picture, pose and goal, only the scene's name is revealed.
 
-    `info` of a reset: `scene`, `action_mask` `(5,)` bool, `sim_steps`; that of a step also `success`, `collision` and
-    `reward_terms`, a dictionary of `distance`, `safety`, `goal`.
+    The `info` of a reset has `scene`, `action_mask` `(5,)` bool and `sim_steps`. That of a step also has `success`,
+    `collision` and `reward_terms`, a dictionary of `distance`, `safety` and `goal`.
 
     Args:
         family: family of the training scenes from which a reset chooses by its seed; `reset(options={"scene": scene})`
@@ -41,14 +41,14 @@ class CarNavigation(gymnasium.Env):
         config: configuration of grid, simulation, camera, rewards and number of training scenes; None: the defaults.
         camera: camera that draws the images; None: the one that `config.camera` describes.
         render_mode: `rgb_array`: `render` returns the camera's image; None: it returns nothing.
-        images: whether observations and their space have an `image`; without it the camera works only in `picture`.
+        images: whether observations and their space have an `image`; without it, only `picture` uses the camera.
 
     Attributes:
-        family: as given.
-        config: as given.
-        render_mode: as given.
+        family: family of the training scenes.
+        config: configuration of the environment.
+        render_mode: `rgb_array` or None.
         grid: planning grid.
-        world: physics.
+        world: simulated physics.
 
     Raises:
         ConfigError: there is no such family or render mode.

@@ -17,8 +17,8 @@ class RaysMet(NamedTuple):
     """True hits of R rays.
 
     Attributes:
-        distance_m: `(R,)` distance from the camera, capped at its range; the range itself means a free ray.
-        obstacle: `(R,)` int64, number of the obstacle in the order of `raycast.ray_distances`, negative if none is hit.
+        distance_m: `(R,)`, distance from the camera in metres, capped at its range; the range itself means a free ray.
+        obstacle: `(R,)` int64, number of the obstacle in the order of `raycast.ray_distances`; negative: none is hit.
         dynamic: `(R,)` bool, whether the obstacle is of a kind that moves.
         segment: `(R,)` uint8, `Kind.segment_id` of the obstacle, `SEGMENT_WALL`, or 0 for a free ray.
     """
@@ -35,9 +35,9 @@ def rays_met(
     """Return the distance and the obstacle of horizontal rays from the camera.
 
     Args:
-        scene: the scene in the arena.
+        scene: scene in the arena.
         pose: pose of the car.
-        camera: mount and range.
+        camera: mount and range of the camera.
         angles_rad: `(R,)` angles of the rays from the camera's axis, left positive.
         people: `(W, 2)` positions of the walking obstacles; None: at their start.
     """
@@ -49,11 +49,11 @@ def rays_met(
     )
     kinds = [KINDS[kind] for kind in _kinds_in_order_of_rays(scene)]
     moves = np.array([kind.dynamic for kind in kinds] + [False])
-    segments = np.array([kind.segment_id for kind in kinds] + [SEGMENT_WALL, 0], np.uint8)  # the indices -2 and -1 last
+    segments = np.array([kind.segment_id for kind in kinds] + [SEGMENT_WALL, 0], np.uint8)  # -2 and -1 last
     return RaysMet(distance_m, obstacle, moves[np.maximum(obstacle, -1)], segments[obstacle])
 
 
 def _kinds_in_order_of_rays(scene: Scene) -> list[str]:
-    """Return the kinds of obstacles in the order of `ray_distances`: round ones, then boxes."""
+    """Return the kinds of the scene's obstacles in the order of `ray_distances`: round ones, then boxes."""
     round_ones = [obstacle.kind for obstacle in scene.obstacles if obstacle.size_m is None]
     return round_ones + [obstacle.kind for obstacle in scene.obstacles if obstacle.size_m is not None]

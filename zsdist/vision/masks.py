@@ -23,9 +23,9 @@ class Mask:
     """Part of a picture to hide, and the truth of the scene without the object there, for R rays.
 
     Attributes:
-        hidden: `(px, px)` bool.
-        background: whether it is ground, sky or far objects; the truth is then that of the whole scene.
-        ray_distance_m: `(R,)` float32, capped at the camera's range.
+        hidden: `(px, px)` bool, pixels to hide.
+        background: whether these are ground, sky or far objects; the truth is then that of the whole scene.
+        ray_distance_m: `(R,)` float32, true distance along each ray, capped at the camera's range.
         ray_dynamic: `(R,)` bool, whether the ray meets an object of a kind that moves.
     """
 
@@ -41,8 +41,8 @@ class MaskedView:
 
     Attributes:
         image: `(px, px, 3)` uint8.
-        ray_distance_m: `(R,)` float32.
-        ray_dynamic: `(R,)` bool.
+        ray_distance_m: `(R,)` float32, true distance along each ray, capped at the camera's range.
+        ray_dynamic: `(R,)` bool, whether the ray meets an object of a kind that moves.
         masks: masks of this picture, each to be used alone.
         scene_hash: hash that groups the pictures of one scene, as in the views without masks.
     """

@@ -65,8 +65,8 @@ def unseen_objects(objects: np.ndarray, predicted_m: np.ndarray, true_m: np.ndar
     Args:
         objects: `(N, R)` int, number of the object that each ray meets, the same for all rays of a picture that meet
             it; negative if a ray meets none.
-        predicted_m: `(N, R)` predicted distances.
-        true_m: `(N, R)`.
+        predicted_m: `(N, R)`, predicted distances.
+        true_m: `(N, R)`, true distances.
 
     Returns:
         Number of objects that count, and number of those that are unseen.

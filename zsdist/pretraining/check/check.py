@@ -1,6 +1,6 @@
-"""Check of a trained visual-act model beside yardsticks that know less or more, on pictures not used for any choice.
+"""Check of a trained visual-act model against yardsticks that know less or more, on pictures not used for any choice.
 
-A part for which the folder of weights lacks something is left out and named under "left_out" with the reason.
+A part for which the weights folder lacks something is left out and listed under "left_out" with the reason.
 """
 
 import json
@@ -30,9 +30,9 @@ from zsdist.vision.visual_act import VisualAct
 FIGURES = ("best_action_accuracy", "regret", "mae", "miss_rate", "false_alarm_rate")
 YARDSTICKS = ("always_forward", "goal_only", "depth_oracle")
 SET_FIGURES = ("best_action_accuracy", "miss_rate", "false_alarm_rate", "calibration_10", "calibration_10_all_rays")
-OBJECTS = 60  # driven up to
-_TIMED = 40  # pictures whose time is measured, one at a time
-_UNTIMED = 5  # pictures before them, to warm up
+OBJECTS = 60  # number of objects that the car approaches
+_TIMED = 40  # number of pictures whose time is measured, one at a time
+_UNTIMED = 5  # number of pictures before them, to warm up
 
 
 def check(
@@ -50,17 +50,17 @@ def check(
 
     * `always_forward` predicts that everything is free and the goal straight ahead;
     * `goal_only` knows the goal but no picture: every direction is equally open and every ray free;
-    * `depth_oracle` has the true depth image and assumes that nothing moves: its errors are those that distances from
-      this viewpoint cannot avoid.
+    * `depth_oracle` has the true depth image and assumes that nothing moves: its errors cannot be avoided with
+      distances from this viewpoint.
 
     Args:
-        config: has weights, camera and grid.
+        config: configuration with weights, camera and grid.
         images: number of pictures of the wilderness and of each set.
-        seed: of all random choices.
-        out: JSON file to write; None: none.
-        object_count: number of objects to drive up to; 0: none.
-        objects_file: records each of these objects, so that a measurement can be resumed; None: none.
-        unseen_kinds: also train projections without some kinds and measure them on those.
+        seed: seed of all random choices.
+        out: JSON file to write; None: no file.
+        object_count: number of objects that the car approaches; 0: none.
+        objects_file: file with a record of each of these objects, so that a measurement can be resumed; None: no file.
+        unseen_kinds: whether to train projections without some kinds too, and measure them on these kinds.
 
     Raises:
         WeightsError: the weights cannot be used.
@@ -119,7 +119,7 @@ def check(
 
 
 def yardsticks(wild: Predictions, depth_rays: np.ndarray, camera: CameraConfig) -> dict[str, dict[str, float]]:
-    """Return the figures of the yardsticks of `check`; `depth_rays` `(N, R)` are those of the depth oracle."""
+    """Return the figures of the yardsticks of `check`; `depth_rays` `(N, R)` are the depth oracle's distances."""
     gain, goal_m = progress(wild.goal_bearing_rad, wild.goal_distance_m), wild.goal_distance_m[:, None]
     angles = ray_angles_rad(RAYS, math.radians(camera.field_of_view_deg))
     clearance_m, still = nearest(depth_rays, np.zeros(depth_rays.shape, bool), angles)
@@ -137,7 +137,7 @@ def yardsticks(wild: Predictions, depth_rays: np.ndarray, camera: CameraConfig) 
 
 
 def summarise_sets(scores: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
-    """Return the figures of each set, their median and the worst: for calibration the one farthest from its aim."""
+    """Return the figures of each set, their median and the worst; for calibration the one farthest from its target."""
 
     def badness(key: str, value: float) -> float:
         if key == "best_action_accuracy":
@@ -153,7 +153,7 @@ def summarise_sets(scores: dict[str, dict[str, float]]) -> dict[str, dict[str, f
 
 
 def unseen_in_one_picture(predictions: Iterable[Predictions]) -> dict[str, Any]:
-    """Return how many near objects are completely unseen in a single picture at the working quantile."""
+    """Return number and share of near objects that are completely unseen in one picture, at the configured quantile."""
     near, unseen = np.sum([each.unseen() for each in predictions], axis=0).tolist()
     return {"objects": near, "unseen": unseen} | (
         {"share": unseen / near, "confidence_95": list(wilson_95(unseen, near))} if near else {}
@@ -163,7 +163,7 @@ def unseen_in_one_picture(predictions: Iterable[Predictions]) -> dict[str, Any]:
 def milliseconds(config: Config, seed: int, left_out: dict[str, str]) -> dict[str, float]:
     """Return the median milliseconds for one new picture at a time.
 
-    `trunk` is the encoder alone, `head` the whole prediction by encoder and head, `student` that by the student.
+    `trunk` is the encoder alone, `head` the prediction by encoder and head, `student` the prediction by the student.
     """
     pictures = [sample.image[None] for sample in wilderness(_TIMED + _UNTIMED, seed + 1, config.camera)]
     times = {}
@@ -181,7 +181,7 @@ def milliseconds(config: Config, seed: int, left_out: dict[str, str]) -> dict[st
 
 
 def without_nan(tree: Any) -> Any:
-    """Return a tree of figures without those that are unknown (NaN)."""
+    """Return a tree of figures without the unknown ones (NaN)."""
     if isinstance(tree, Mapping):
         return {
             key: without_nan(value)
@@ -197,7 +197,7 @@ def log(line: str) -> None:
 
 
 def show(result: dict[str, Any]) -> None:
-    """Print the figures."""
+    """Print all figures of a check."""
     rows = {"model": result} | {name: result[name] for name in YARDSTICKS} | result["families"]
     _table(rows, FIGURES)
     _table(result["sets"], SET_FIGURES)
@@ -216,7 +216,7 @@ def show(result: dict[str, Any]) -> None:
 
 
 def _table(rows: dict[str, dict[str, float]], keys: tuple[str, ...]) -> None:
-    """Print figures, one row per name."""
+    """Print a table of figures, with a row for each name."""
     print("\n" + " " * 22 + "".join(f"{key:>24}" for key in keys))
     for name, row in rows.items():
         print(f"{name:22}" + "".join(f"{row[key]:24.3f}" if key in row else f"{'-':>24}" for key in keys))
@@ -232,7 +232,7 @@ def _median_ms(forward: Callable[[np.ndarray], Any], images: list[np.ndarray]) -
 
 
 def _depth_rays(depth_m: np.ndarray, camera: CameraConfig) -> np.ndarray:
-    """Return the distances `(R,)` along the rays in a depth image."""
+    """Return the distances `(R,)` in metres along the rays of a depth image `(px, px)`."""
     return depth_rays_m(
         depth_m, RAYS, math.radians(camera.field_of_view_deg), camera.height_m, camera.range_m, SIGHT_HEIGHT_M
     )

@@ -21,10 +21,10 @@ matplotlib.use("Agg")
 TRUE_COLOUR, PREDICTED_COLOUR = "#18b66a", "#ff2e88"
 TRAINING_COLOUR, VALIDATION_COLOUR = "#9aa5b1", "#1f5fa8"
 ACTION_TITLES = tuple(f"{name} ($I_{number}$)" for number, name in enumerate(DIRECTIONS, 1))
-CONFUSION_EDGES_M = BIN_EDGES_M[::2]  # a bin of the heat map is two bins of the distributions
+CONFUSION_EDGES_M = BIN_EDGES_M[::2]  # a bin of the heat map spans two bins of the distributions
 _TICKS_M = (0.25, 0.5, 1.0, 2.0, 4.0)
 _DPI = 130
-_JPEG_QUALITY = 90  # of figures made of pictures, a quarter of the size of a PNG
+_JPEG_QUALITY = 90  # quality of figures made of pictures: a quarter of the size of a PNG
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,10 @@ class Miss:
 
     Attributes:
         image: `(px, px, 3)` uint8.
-        true_m: `(R,)` true distances, at most the camera's range.
-        predicted_m: `(R,)` predicted distances, likewise.
+        true_m: `(R,)`, true distances, at most the camera's range.
+        predicted_m: `(R,)`, predicted distances, at most the camera's range.
         worst: index of the ray whose prediction exceeds the true distance most.
-        title: of the set.
+        title: title of the picture's set.
     """
 
     image: np.ndarray
@@ -50,7 +50,7 @@ def draw_losses(history: Sequence[Mapping[str, Any]], file: Path) -> None:
     """Draw the loss over the epochs in training and validation, one panel per stage (Fig. 5 of the paper).
 
     Args:
-        history: objects of `training.jsonl`, at least one.
+        history: objects of `training.jsonl`, one or more.
         file: PNG to write.
     """
     stages = list(dict.fromkeys(line["stage"] for line in history))
@@ -79,8 +79,8 @@ def draw_attention(images: Sequence[np.ndarray], attention: np.ndarray, titles: 
 
     Args:
         images: N pictures `(px, px, 3)` uint8.
-        attention: `(N, 3, side * side)`.
-        titles: one per picture.
+        attention: `(N, 3, side * side)`, attention of each action.
+        titles: title of each picture.
         file: JPEG to write.
     """
     side = round(attention.shape[-1] ** 0.5)
@@ -104,10 +104,10 @@ def draw_attention(images: Sequence[np.ndarray], attention: np.ndarray, titles: 
 def confusion(true_m: np.ndarray, predicted_m: np.ndarray, edges_m: np.ndarray = CONFUSION_EDGES_M) -> np.ndarray:
     """Return the confusion of true and predicted distances, `(bins, bins)`; the last bin means "free".
 
-    Rows are true bins. Each holds the shares of predictions and sums to 1, or to 0 if the true bin is empty.
+    A row is a true bin. It holds the shares of the predicted bins and sums to 1, or to 0 if the true bin is empty.
 
     Args:
-        true_m: true distances, at most the range.
+        true_m: true distances in metres, at most the range.
         predicted_m: predicted distances of the same shape.
         edges_m: increasing edges, the last one the range; distances below the first one count into the first bin.
     """
@@ -122,7 +122,7 @@ def draw_confusion(panels: Mapping[str, tuple[np.ndarray, np.ndarray]], file: Pa
     """Draw predicted against true distance as heat maps, one column per true distance.
 
     Args:
-        panels: `(true_m, predicted_m)` by title.
+        panels: true and predicted distances in metres, by title.
         file: PNG to write.
     """
     figure = Figure(figsize=(4.1 * len(panels) + 0.6, 4.1), layout="constrained")
@@ -144,7 +144,7 @@ def draw_reliability(curves: Mapping[str, tuple[np.ndarray, np.ndarray]], file: 
     """Draw how often the truth lies under each quantile, one panel per set; the diagonal is ideal.
 
     Args:
-        curves: quantiles and the shares of true distances under them, by title.
+        curves: quantiles, and the shares of true distances under them, by title.
         file: PNG to write.
     """
     columns = min(4, len(curves))
@@ -169,7 +169,7 @@ def draw_misses(misses: Sequence[Miss], field_of_view_rad: float, camera_height_
     """Draw pictures with the ends of the rays on the ground, and below each the true and predicted distances.
 
     Args:
-        misses: at least one.
+        misses: pictures with missed rays, one or more.
         field_of_view_rad: of the level camera.
         camera_height_m: above the ground.
         file: JPEG to write.
@@ -208,11 +208,11 @@ def draw_misses(misses: Sequence[Miss], field_of_view_rad: float, camera_height_
 def feet_px(
     distance_m: np.ndarray, px: int, field_of_view_rad: float, camera_height_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pixels of the rays' ends on the ground, from the left and from the top, `(R,)` each.
+    """Return the pixel positions of the rays' ends on the ground, from the left and from the top, `(R,)` each.
 
     Args:
         distance_m: `(R,)` horizontal distances of rays that divide the picture's columns evenly, from the left.
-        px: side of the picture.
+        px: side of the picture in pixels.
         field_of_view_rad: of the level camera.
         camera_height_m: above the ground.
     """
@@ -246,7 +246,7 @@ def _distance_ticks(axes: Axes, edges: np.ndarray) -> None:
 
 
 def _plain(axes: Axes) -> None:
-    """Leave out the upper and right edge, and draw a light grid."""
+    """Remove the upper and right edge, and draw a light grid."""
     for edge in ("top", "right"):
         axes.spines[edge].set_visible(False)
     axes.tick_params(labelsize=8, length=2)
@@ -254,7 +254,7 @@ def _plain(axes: Axes) -> None:
 
 
 def _frame_only(axes: Axes) -> None:
-    """Leave out ticks and edges."""
+    """Remove ticks and edges."""
     axes.set(xticks=[], yticks=[])
     for spine in axes.spines.values():
         spine.set_visible(False)

@@ -1,9 +1,9 @@
-"""Share of objects that stay completely unseen while the car drives up to them with its belief map.
+"""Share of objects that stay completely unseen while the car approaches them with its belief map.
 
-The car drives up to an object of a wilderness scene in a straight line. It takes `OBSERVATIONS` pictures from `FIRST_M`
-to `LAST_M` between camera and surface, each a little off the line and turned a little away, and updates a `BeliefMap`
-as it does when it drives. The object is unseen if in the end no fine cell is believed occupied within `AROUND_M` of
-the points at which true rays meet it; fine cells that another obstacle touches do not count.
+The car approaches an object of a wilderness scene in a straight line. It takes `OBSERVATIONS` pictures at distances
+from `FIRST_M` to `LAST_M` between camera and surface, each a little off the line and turned a little, and updates a
+`BeliefMap` as when it drives. The object is unseen if, in the end, no fine cell within `AROUND_M` of the points at
+which true rays meet it is believed occupied. Fine cells that another obstacle touches do not count.
 """
 
 import contextlib
@@ -35,12 +35,12 @@ from zsdist.types import Pose
 from zsdist.vision.visual_act import VisualAct
 
 OBSERVATIONS = 30
-FIRST_M, LAST_M = 5.0, 1.2  # from the camera to the surface of the object
+FIRST_M, LAST_M = 5.0, 1.2  # first and last distance from the camera to the surface of the object
 ASIDE_M = 0.3  # standard deviation of a pose across the line
-TURNED_RAD = 0.15  # standard deviation of its heading
+TURNED_RAD = 0.15  # standard deviation of a pose's heading
 AROUND_M = 0.4
-_TRIES = 200  # approaches that are drawn in a scene before the next scene is drawn
-_GOAL_M = 8.0  # to a goal straight ahead, which has no effect on the map
+_TRIES = 200  # most approaches drawn in a scene before the next scene is drawn
+_GOAL_M = 8.0  # distance of a goal straight ahead, which has no effect on the map
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Approach:
 
 
 def approach(number: int, seed: int, camera: CameraConfig) -> Approach:
-    """Return approach `number` of a seed, which does not depend on the others; no pose of it touches anything."""
+    """Return approach `number` of a seed, independent of the others; the car touches nothing in any of its poses."""
     rng, angles_rad = random_streams.check_approach(seed, number), camera_angles_rad(camera)
     for family in itertools.islice(itertools.cycle(OOD_FAMILIES), number % len(OOD_FAMILIES), None):
         scene = generate(family, split_seed("test", int(rng.integers(len(SPLITS["test"])))))
@@ -69,7 +69,7 @@ def approach(number: int, seed: int, camera: CameraConfig) -> Approach:
 
 
 def drive_up(model: VisualAct, drive: Approach, config: Config) -> bool:
-    """Return whether the map shows some part of the object after all pictures of an approach."""
+    """Return whether the belief map shows some part of the object after all pictures of an approach."""
     with contextlib.closing(make_camera(config.camera)) as camera:
         images = np.stack([camera.render(drive.scene, pose) for pose in drive.poses])
     ahead = np.zeros(len(images), np.float32)
@@ -80,7 +80,7 @@ def drive_up(model: VisualAct, drive: Approach, config: Config) -> bool:
 
 
 def visible_side(drive: Approach, grid: Grid, camera: CameraConfig) -> np.ndarray:
-    """Return `(fine_size, fine_size)` bool, the fine cells at the object's visible surface without those of others."""
+    """Return the fine cells at the object's visible surface, `(fine_size, fine_size)` bool, without other obstacles."""
     angles_rad = camera_angles_rad(camera)
     wanted, (xs, ys) = obstacle_number(drive.scene, drive.index), grid.fine_centres()
     visible = np.zeros((grid.fine_size, grid.fine_size), bool)
@@ -114,15 +114,15 @@ def measure(
     """Return the share of objects that stay unseen, with Wilson's interval.
 
     Args:
-        model: makes the predictions.
-        config: has camera and grid.
-        count: number of objects to drive up to.
-        seed: of scenes and approaches.
-        file: gets one JSON line per object; objects that it already holds are not driven again. None: none is kept.
-        log: prints a line of progress.
+        model: model that makes the predictions.
+        config: configuration with camera and grid.
+        count: number of objects that the car approaches.
+        seed: seed of scenes and approaches.
+        file: file for one JSON line per object; objects that it already has are not measured again. None: no file.
+        log: function that prints a line of progress.
 
     Raises:
-        RunError: the file cannot be read or written, is damaged, or is of other weights, settings or seed.
+        RunError: the file cannot be read or written, is damaged, or belongs to other weights, settings or seed.
     """
     identity = {
         "seed": seed,
@@ -143,7 +143,7 @@ def measure(
 
 
 def summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the figures of objects, over all and by kind."""
+    """Return the figures of all objects, and of each kind."""
     unseen = sum(not line["seen"] for line in lines)
     kinds = sorted({line["kind"] for line in lines})
     return {
@@ -163,7 +163,7 @@ def summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _poses(obstacle: Obstacle, forward_m: float, rng: np.random.Generator) -> tuple[Pose, ...]:
-    """Return poses on a line towards an obstacle from a random side; they may touch others."""
+    """Return poses on a line towards an obstacle from a random side; they may touch other obstacles."""
     away = rng.uniform(-math.pi, math.pi)
     facing = away + math.pi
     reach = _reach_m(obstacle, away)
@@ -181,7 +181,7 @@ def _poses(obstacle: Obstacle, forward_m: float, rng: np.random.Generator) -> tu
 
 
 def _reach_m(obstacle: Obstacle, direction_rad: float) -> float:
-    """Return the distance from the centre of an obstacle to its surface."""
+    """Return the distance in metres from the centre of an obstacle to its surface in a direction."""
     if obstacle.size_m is None:
         assert obstacle.radius_m is not None, "an obstacle has a size or a radius"
         return obstacle.radius_m
@@ -191,7 +191,7 @@ def _reach_m(obstacle: Obstacle, direction_rad: float) -> float:
 
 
 def _resume(file: Path, identity: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the lines of a file; raise `RunError` unless they are of this measurement."""
+    """Return the lines of a file; raise `RunError` unless they belong to this measurement."""
     if not file.exists():
         return []
     try:

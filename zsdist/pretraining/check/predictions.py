@@ -1,4 +1,4 @@
-"""Predictions of a model for many pictures beside the ground truth, and their scores."""
+"""Predictions of a model for many pictures with the ground truth, and their scores."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -20,17 +20,17 @@ class Predictions:
     """Predictions for N pictures with R rays, distances in K bins and random goals, and the ground truth.
 
     Attributes:
-        advice: `(N, 3)` predicted R_p.
-        clearance_m: `(N, 3)` predicted, at the working quantile.
-        ray_probabilities: `(N, R, K)` predicted.
-        rays_m: `(N, R)` predicted, at the working quantile.
-        labels: `(N, 3)` true R_p.
-        true_clearance_m: `(N, 3)`.
-        true_rays_m: `(N, R)`.
-        objects: `(N, R)` as in `Sample`.
-        families: `(N,)` str, of the scenes.
-        goal_bearing_rad: `(N,)`.
-        goal_distance_m: `(N,)`.
+        advice: `(N, 3)`, predicted rewards R_p.
+        clearance_m: `(N, 3)`, predicted clearances at the configured quantile.
+        ray_probabilities: `(N, R, K)`, predicted distributions of the distance along each ray.
+        rays_m: `(N, R)`, predicted distances along the rays at the configured quantile.
+        labels: `(N, 3)`, true rewards.
+        true_clearance_m: `(N, 3)`, true clearances.
+        true_rays_m: `(N, R)`, true distances along the rays.
+        objects: `(N, R)`, obstacle that each ray meets, as in `Sample`.
+        families: `(N,)` str, families of the scenes.
+        goal_bearing_rad: `(N,)`, direction of the goal from the car's heading, left positive.
+        goal_distance_m: `(N,)`, distance of the goal.
     """
 
     advice: np.ndarray
@@ -51,7 +51,7 @@ class Predictions:
         return actions | ray_scores(self.rays_m[chosen], self.true_rays_m[chosen])
 
     def set_scores(self) -> dict[str, float]:
-        """Return the figures by which a set of pictures is judged."""
+        """Return the figures of a set of pictures."""
         scores = self.scores()
         quantile = quantile_m(self.ray_probabilities, CALIBRATED_SHARE)
         calibrated = calibration(quantile, self.true_rays_m, RANGE_M)
@@ -66,7 +66,7 @@ class Predictions:
         }
 
     def unseen(self) -> tuple[int, int]:
-        """Return the number of near objects and of the unseen ones among them, as `scores.unseen_objects` counts."""
+        """Return the number of near objects, and of the unseen ones among them; see `scores.unseen_objects`."""
         return unseen_objects(self.objects, self.rays_m, self.true_rays_m)
 
 
@@ -80,11 +80,11 @@ def predict(
     """Return the predictions of a model for pictures, which are not kept.
 
     Args:
-        model: makes the predictions.
-        samples: at least one.
-        quantile: of the predicted distribution, used as the distance.
-        rng: draws a goal for each picture, mostly ahead.
-        on_batch: called with each batch of pictures.
+        model: model that makes the predictions.
+        samples: pictures with ground truth, one or more.
+        quantile: quantile of the predicted distribution that is used as the distance.
+        rng: source of a goal for each picture, mostly ahead.
+        on_batch: function that is called with each batch of pictures.
     """
     predicted, truths = [], []
     for batch in batched(samples, BATCH):

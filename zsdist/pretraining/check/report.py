@@ -1,4 +1,4 @@
-"""Report on a trained vision model: a Markdown page with figures, all measured on new pictures of the test split."""
+"""Report on a trained vision model: a Markdown page with figures, measured on new pictures of the test split."""
 
 import math
 from collections.abc import Sequence
@@ -26,19 +26,19 @@ from zsdist.vision.words.table3 import COLUMNS
 
 PAGE = "vision.md"
 SHARES = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95])  # quantiles of the reliability curves
-_MISSES = 8  # pictures with misses that are shown
-_MISSES_OF_A_SET = 2  # of these, most of the same set
+_MISSES = 8  # most pictures with misses that are shown
+_MISSES_OF_A_SET = 2  # most of these pictures from one set
 _ATTENTION_KINDS = ("tree", "person", "sand_pile", "rock", "car")
 
 
 def write(config: Config, images: int, seed: int, out: Path) -> Path:
-    """Measure, draw and write the page; return its path.
+    """Measure the model, draw the figures and write the page; return its path.
 
     Args:
-        config: has weights and camera.
+        config: configuration with weights and camera.
         images: number of pictures of the wilderness and of each set.
-        seed: of the pictures.
-        out: folder of the page and its figures; made if it does not exist.
+        seed: seed of the pictures.
+        out: folder of the page and its figures; created if it does not exist.
 
     Raises:
         WeightsError: the weights cannot be used.
@@ -97,7 +97,7 @@ def worst_misses(predictions: Predictions, samples: Sequence[Sample], title: str
 
 
 def reliability(predictions: Predictions) -> tuple[np.ndarray, np.ndarray]:
-    """Return quantiles, and the share of true distances under each among the rays whose quantile is below the range."""
+    """Return quantiles, and the share of true distances under each, over rays whose quantile is below the range."""
     under = [
         calibration(quantile_m(predictions.ray_probabilities, share), predictions.true_rays_m, RANGE_M)["short"]
         for share in SHARES

@@ -1,6 +1,6 @@
 """Sets of pictures on which a trained model is checked: the wilderness, and sets that differ from training in one way.
 
-All scenes are of the test split, on which no choice is made.
+All scenes are from the test split, on which no choice is made.
 """
 
 import contextlib
@@ -30,11 +30,11 @@ class Sample(NamedTuple):
 
     Attributes:
         image: `(px, px, 3)` uint8.
-        depth_m: `(px, px)` float32.
-        scene: with the ground that it is rendered on.
-        family: of the scene.
-        pose: of the car.
-        truth: as `datasets.labelled.label` returns it.
+        depth_m: `(px, px)` float32, depth along the camera's axis.
+        scene: scene, with the ground on which it is rendered.
+        family: family of the scene.
+        pose: pose of the car.
+        truth: ground truth, as `datasets.labelled.label` returns it.
         objects: `(R,)` int64, number of the obstacle that each ray meets; negative: none.
     """
 
@@ -52,11 +52,12 @@ class PictureSet:
     """Definition of a set of pictures.
 
     Attributes:
-        title: in tables and figures.
-        families: of the scenes; they take turns.
-        grounds: replace those of the scenes and take turns; empty: each scene keeps its own.
-        varied: draw appearance, camera mount and degradation as in training; else scenes look as when driven through.
-        back_end: renderer instead of the configured one.
+        title: title in tables and figures.
+        families: families of the scenes, which alternate.
+        grounds: grounds that replace those of the scenes, and alternate; empty: each scene keeps its own.
+        varied: whether appearance, camera mount and degradation are drawn as in training; else scenes have the
+            appearance of a drive.
+        back_end: renderer in place of the configured one; None: the configured one.
     """
 
     title: str
@@ -82,17 +83,17 @@ WILDERNESS = PictureSet("wilderness", OOD_FAMILIES)
 
 
 def wilderness(count: int, seed: int, camera: CameraConfig) -> Iterator[Sample]:
-    """Yield pictures of test scenes of the test families, as the car sees them when it drives."""
+    """Yield pictures of test scenes from the test families, with the appearance of a drive."""
     return samples(WILDERNESS, count, random_streams.check_wilderness(seed), camera)
 
 
 def of_set(name: str, count: int, seed: int, camera: CameraConfig) -> Iterator[Sample]:
-    """Yield pictures of a set of `SETS`, which follow from the arguments."""
+    """Yield pictures of a set of `SETS`, the same for the same arguments."""
     return samples(SETS[name], count, random_streams.check_set(seed, list(SETS).index(name)), camera)
 
 
 def samples(pictures: PictureSet, count: int, rng: np.random.Generator, camera: CameraConfig) -> Iterator[Sample]:
-    """Yield `count` pictures of a set; the families take turns, and a scene gives several pictures."""
+    """Yield `count` pictures of a set; the families alternate, and a scene gives several pictures."""
     if pictures.back_end is not None:
         camera = camera.model_copy(update={"back_end": pictures.back_end})
     grounds = itertools.cycle(pictures.grounds or (None,))

@@ -37,18 +37,18 @@ PAPER_TABLE3 = {
 }
 """Similarities in the paper's Table 3, by our concepts. The authors measured them with CLIP in one setting."""
 
-UNSEEN_IMAGES = 1600  # described pictures to train on for the figure of unseen kinds
+UNSEEN_IMAGES = 1600  # number of captioned pictures to train on for the figure of unseen kinds
 UNSEEN_EPOCHS = 8
-_HELD_OUT = 160  # described pictures for validation
+_HELD_OUT = 160  # number of captioned pictures for validation
 
 
 class Observations:
-    """Embeddings that each action attends to, collected over pictures, for Table 3 and the shares of attention.
+    """Collection of the attended embeddings of pictures, for Table 3 and the shares of attention.
 
     Args:
-        model: whose attention is measured.
-        words: `(D,)` embedding of each kind and ground.
-        angles_rad: `(R,)` of the rays.
+        model: model whose attention is measured.
+        words: embedding `(D,)` of the word for each kind and ground, by name.
+        angles_rad: `(R,)`, angles of the rays, left positive.
     """
 
     def __init__(self, model: VisualAct, words: dict[str, np.ndarray], angles_rad: np.ndarray) -> None:
@@ -75,7 +75,7 @@ class Observations:
         self._grounds += [sample.scene.ground for sample in batch]
 
     def figures(self) -> dict[str, Any]:
-        """Return `table3` beside the paper's figures, and `attention` to objects and grounds."""
+        """Return `table3` with the paper's figures, and `attention` to objects and grounds."""
         embeddings = np.concatenate(self._embeddings)
         segments, distances = np.stack(self._segments), np.stack(self._distances)
         directions = {
@@ -107,7 +107,7 @@ class Observations:
 
 
 def word_rows(config: Config) -> dict[str, np.ndarray]:
-    """Return the embedding `(D,)` of the word for each kind and ground; the paper's word if it has one."""
+    """Return the embedding `(D,)` of the word for each kind and ground, of the paper's word if there is one."""
     weights = weights_folder.read(weights_folder.locate(config.vision.weights))
     vocabulary = Vocabulary.from_bytes(weights.content(VOCABULARY_FILE))
     names = {name: words.training[0] for name, words in (KIND_WORDS | GROUND_WORDS).items()} | TABLE3_WORDS
@@ -133,17 +133,17 @@ def shipped_projection(config: Config) -> "Projection":
 
 
 def naming(config: Config, seed: int, count: int, unseen_kinds: bool, left_out: dict[str, str]) -> dict[str, Any]:
-    """Return under `words` the accuracy of naming new pictures by one word of six; chance is 1/6.
+    """Return, under `words`, the accuracy of naming new pictures with one word of six; chance is 1/6.
 
-    There is one accuracy with training words, one with unseen words, and one, if it is wanted, for kinds that the
+    There is one accuracy with training words, one with unseen words, and with `unseen_kinds` one for kinds that the
     projection has never seen.
 
     Args:
-        config: has weights, encoder and camera.
-        seed: of pictures and choices.
+        config: configuration with weights, encoder and camera.
+        seed: seed of pictures and choices.
         count: number of pictures.
-        unseen_kinds: also train four projections, each without some kinds, so that each kind is left out once.
-        left_out: gets the names of the parts that cannot be measured, with the reason.
+        unseen_kinds: whether to train four projections too, each without two kinds, so that each kind is left out once.
+        left_out: dictionary to which parts that cannot be measured are added, with the reason.
     """
     reason = _reason_without_words(config)
     if reason is not None:
@@ -220,7 +220,7 @@ def _unseen_kinds(
 
 
 def _word_examples(encoder: Encoder, count: int, seed: int, camera: CameraConfig) -> "WordExamples":
-    """Return described pictures to train a projection on."""
+    """Return captioned pictures to train a projection on."""
     from zsdist.vision.training.projection import WordExamples
 
     purpose = MANIFEST["word-training"]
@@ -239,7 +239,7 @@ def _word_examples(encoder: Encoder, count: int, seed: int, camera: CameraConfig
 
 
 def _reason_without_words(config: Config) -> str | None:
-    """Return the reason why the weights have no words; None if they have."""
+    """Return the reason why the weights have no words; None if they have words."""
     if config.vision.network == "student":
         return "the student has no attention and no words; allowed is vision.network=head"
     weights = weights_folder.read(weights_folder.locate(config.vision.weights))
@@ -255,7 +255,7 @@ def _kind_rows(encoder: Encoder, projection: "Projection", use: str) -> dict[str
 
 
 def _text_projector(projection: "Projection") -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function that projects embeddings of texts."""
+    """Return a function from embeddings `(N, D)` of texts to the common space, `(N, D)`."""
     import torch
 
     def project(embeddings: np.ndarray) -> np.ndarray:
@@ -266,7 +266,7 @@ def _text_projector(projection: "Projection") -> Callable[[np.ndarray], np.ndarr
 
 
 def _image_embeddings(projection: "Projection", tokens: np.ndarray) -> np.ndarray:
-    """Return the embeddings `(N, D)` of pictures."""
+    """Return the embeddings I_0 `(N, D)` of pictures from their tokens."""
     import torch
 
     from zsdist.vision.models.projection import image_embedding

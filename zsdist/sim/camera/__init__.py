@@ -1,4 +1,4 @@
-"""The on-board camera: one interface, two back ends over the same shapes."""
+"""On-board camera: one interface, and two back ends that draw the same shapes."""
 
 from typing import Protocol
 

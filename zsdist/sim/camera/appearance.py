@@ -41,17 +41,17 @@ class Pattern(IntEnum):
 
 @dataclass(frozen=True)
 class Appearance:
-    """Numbers that the shading reads; colours in 0 to 1.
+    """Parameters of the shading; colours are in 0 to 1.
 
     Attributes:
-        materials: `(P, 11)` a row for each primitive: colour (3), second colour (3), `Texture`, strength of its noise,
+        materials: `(P, 11)`, a row for each primitive: colour (3), second colour (3), `Texture`, strength of its noise,
             size of a noise texel in metres, offset of the texture in metres, period of its figure in metres.
         ground: `(19,)` colour (3), second colour of the patches (3), `Pattern`, strength of the noise, texel in metres,
             period in metres, cosine and sine of the pattern's direction, contrast of the patches, strength of the
             pattern, colour of the pattern (3), and for `Pattern.KERBS` the distance in metres of the road's middle to
             the left of the origin and half the road's width in metres.
-        sky: `(7,)` colour at the horizon (3), colour overhead (3), amount of cloud.
-        light: `(7,)` unit direction to the sun (3), ambient light, sunlight, distance in metres at which haze is one
+        sky: `(7,)`: colour at the horizon (3), colour overhead (3), amount of cloud.
+        light: `(7,)`: unit direction to the sun (3), ambient light, sunlight, distance in metres at which haze is one
             half, gain of the camera.
     """
 
@@ -72,7 +72,7 @@ _SURFACES: dict[str, tuple[Texture, float, float]] = {  # texture, noise strengt
     "car": (Texture.PLAIN, 0.06, 0.02),
 }
 _CROWN: tuple[tuple[float, float, float], float, float] = ((0.22, 0.40, 0.14), 0.9, 0.04)
-_PLAIN_SHARE = 0.25  # share of varied appearances without any texture, as plain renderers draw
+_PLAIN_SHARE = 0.25  # share of varied appearances without any texture, as in plain renderers
 _GLASS = (0.10, 0.13, 0.16)
 _SKIN = (0.72, 0.54, 0.43)
 _TROUSERS = (0.18, 0.20, 0.28)
@@ -104,7 +104,7 @@ def of_scene(scene: Scene, primitives: Primitives) -> Appearance:
 
 
 def varied(scene: Scene, primitives: Primitives, rng: np.random.Generator) -> Appearance:
-    """Return a random appearance: with probability one half the kinds' own colours, else any colour and texture."""
+    """Return a random appearance: in half of the cases mostly the kinds' own colours, else any colour and texture."""
     natural = rng.random() < 0.5
     obstacles = [
         _natural_materials(obstacle, rng) if natural and rng.random() < 0.8 else _random_materials(rng)
@@ -135,7 +135,7 @@ def varied(scene: Scene, primitives: Primitives, rng: np.random.Generator) -> Ap
 
 
 def _natural_materials(obstacle: Obstacle, rng: np.random.Generator) -> dict[Part, np.ndarray]:
-    """Return rows of `materials` for the parts of one obstacle, near its kind's base colour."""
+    """Return a row of `materials` for each part of an obstacle, with colours near its kind's base colour."""
     kind = KINDS[obstacle.kind]
     texture, noise, texel = _SURFACES[kind.name]
     if kind.name == "box" and obstacle.height_m > _STREET_FURNITURE_M:
@@ -165,7 +165,7 @@ def _random_materials(rng: np.random.Generator) -> dict[Part, np.ndarray]:
 def _material(
     colour: tuple[float, ...], texture: Texture, noise: float, texel_m: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Return a row of `materials`."""
+    """Return a row of `Appearance.materials` with random details."""
     second = _near(_GLASS, rng, 0.05, 0.2) if texture == Texture.WINDOWS else _near(colour, rng, 0.05, 0.35)
     if texture == Texture.BANDS:
         second = _random_colour(rng)
@@ -180,7 +180,7 @@ def _ground(
     rng: np.random.Generator,
     figure: tuple[float, ...],
 ) -> np.ndarray:
-    """Return a row of `ground`; `figure` is the colour of the pattern."""
+    """Return `Appearance.ground` with random details; `figure` is the colour of the pattern."""
     angle = rng.uniform(0, math.pi)
     texel, period = rng.uniform(0.007, 0.015), rng.uniform(0.5, 3.0)
     return np.array(
@@ -190,7 +190,7 @@ def _ground(
 
 
 def _with_road(ground: np.ndarray, road: Road, pavement: tuple[float, ...]) -> np.ndarray:
-    """Return a row of `ground` with the kerbs of a road."""
+    """Return a copy of `Appearance.ground` with the kerbs of a road."""
     result = ground.copy()
     # If the road leads along y, the pattern's left is west, where x is negative.
     direction, left_m = ((1.0, 0.0), road.middle_m) if road.along_x else ((0.0, 1.0), -road.middle_m)

@@ -1,4 +1,4 @@
-"""The default camera: a ray caster over the scene's own shapes, in numba, on one core and without OpenGL."""
+"""Default camera: a ray caster over the scene's own shapes, in numba, on one core and without OpenGL."""
 
 from collections import OrderedDict
 from collections.abc import Callable
@@ -21,16 +21,16 @@ from zsdist.types import Pose
 
 Look = Callable[[Scene, Primitives], Appearance]
 
-INSTANCE_WALL, INSTANCE_GROUND, INSTANCE_SKY = -1, -2, -3  # the first as in `Primitives.owners`
+INSTANCE_WALL, INSTANCE_GROUND, INSTANCE_SKY = -1, -2, -3  # the wall as in `Primitives.owners`
 
 _SHADOW_CELLS = 256  # cells per side of the shadow map; 10 cm each, read with interpolation
 _NO_DISCS = np.empty((0, 3))
-_SCENES_KEPT = 32  # prepared scenes: one for each car of an actor, and some more
+_SCENES_KEPT = 32  # number of prepared scenes: one for each car of an actor, and some more
 
 
 @dataclass(frozen=True)
 class _PreparedScene:
-    scene: Scene  # a reference, so that no other scene gets its `id`
+    scene: Scene  # kept so that no other scene gets its `id`
     primitives: Primitives
     appearance: Appearance
     shadow: np.ndarray
@@ -45,7 +45,7 @@ class CasterCamera:
         look: function that gives the appearance of a scene; training pictures use a varied one.
 
     Attributes:
-        config: as given.
+        config: resolution, field of view and mount.
     """
 
     def __init__(self, config: CameraConfig, look: Look = of_scene) -> None:
@@ -66,10 +66,10 @@ class CasterCamera:
         """Return the picture `(size_px, size_px, 3)` uint8, RGB.
 
         Args:
-            scene: the scene in the arena.
+            scene: scene to draw.
             pose: pose of the car.
-            roll_rad: roll of its body, positive: right side down.
-            pitch_rad: pitch of its body, positive: nose down.
+            roll_rad: roll of the car's body, positive: right side down.
+            pitch_rad: pitch of the car's body, positive: nose down.
             people: `(W, 2)` positions of the walking obstacles, in the order of the scene; None: at their start.
         """
         return self._draw(scene, pose, roll_rad, pitch_rad, people)[0]
@@ -100,7 +100,7 @@ class CasterCamera:
         return image, self._depth_m(), instances[self._index - SKY]
 
     def close(self) -> None:
-        """Forget the prepared scenes."""
+        """Release the prepared scenes."""
         self._kept.clear()
 
     def _draw(

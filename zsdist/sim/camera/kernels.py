@@ -1,8 +1,8 @@
 """Numba kernels of the ray caster: ray intersection with a z-buffer, and segment numbers of pixels.
 
-The ray of a pixel is `forward + a left + b up` with `a = tan (1 - 2 (column + .5) / n)` and `b` likewise by row, so the
-parameter `t` of a point on it is its depth along the camera's axis. Each primitive is drawn into the screen rectangle
-of its bounding box only.
+The ray of a pixel is `forward + a left + b up` with `a = tan (1 - 2 (column + .5) / n)` and the same for `b` by row. So
+the parameter `t` of a point on the ray is the point's depth along the camera's axis. Each primitive is drawn only into
+the screen rectangle of its bounding box.
 """
 
 import math
@@ -16,14 +16,14 @@ from zsdist.sim.camera.primitives import Form
 FAST = {"contract", "arcp", "afn", "reassoc", "nsz"}
 # Options of kernels that are called for each row of pixels. Counting the references to slices takes as long as the
 # short loops over them: with it a picture takes 1.2 times as long (1.55 instead of 1.30 ms at 224 px, 0.65 instead of
-# 0.52 ms at 128 px). numba has no public option to leave the counting out, only `_nrt`. A kernel without it cannot make
+# 0.52 ms at 128 px). numba has no public option to skip the counting, only `_nrt`. A kernel without it cannot make
 # arrays, and its caller must keep alive the arrays that it passes.
 ROWWISE = {"fastmath": FAST, "error_model": "numpy", "_nrt": False}
 SKY_DEPTH_M = 1e6
 NEAR_M = 0.02
 SKY, GROUND = -2, -1  # in the index image; primitives count from 0
 
-# Constants in single precision, which a Python number in a kernel would not have.
+# Constants in single precision; a Python number in a kernel would be in double precision.
 _ZERO, _TINY, LEVEL = np.float32(0.0), np.float32(1e-7), np.float32(1e-5)
 _NEAR, _SKY_DEPTH, _NEVER = np.float32(NEAR_M), np.float32(SKY_DEPTH_M), np.float32(1e12)
 
@@ -132,14 +132,14 @@ def cast(
     vectorise them.
 
     Args:
-        forms: see `Primitives`.
-        rows: see `Primitives`.
+        forms: shapes, as in `Primitives`.
+        rows: positions and sizes, as in `Primitives`.
         origin: position of the camera, see `optics.mount`.
         axes: axes of the camera, see `optics.mount`.
         tangents: `(n,)` float32, from `optics.tangents`.
-        depth: `(n, n)` float32, written: metres along the camera's axis.
+        depth: `(n, n)` float32, written: depth in metres along the camera's axis.
         index: `(n, n)` int32, written: number of the primitive, or `GROUND` or `SKY`.
-        rectangles: `(P, 4)` int64, written: rows and columns within which each primitive is drawn.
+        rectangles: `(P, 4)` int64, written: first and end row, first and end column in which each primitive is drawn.
     """
     n = depth.shape[0]
     tangent = float(tangents[0]) * n / (n - 1)

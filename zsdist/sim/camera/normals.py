@@ -5,7 +5,7 @@ import numpy as np
 from zsdist.common.compiled import compiled
 from zsdist.sim.camera.kernels import ROWWISE
 
-# Constants in single precision, which a Python number in a kernel would not have.
+# Constants in single precision; a Python number in a kernel would be in double precision.
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _EDGE, _SMALL = np.float32(1e-4), np.float32(1e-12)
 
@@ -14,7 +14,7 @@ _EDGE, _SMALL = np.float32(1e-4), np.float32(1e-12)
 def frustum_normals(
     row: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, nx: np.ndarray, ny: np.ndarray, nz: np.ndarray
 ) -> None:
-    """Write the unit normals of a frustum at points relative to its position; z is above the ground."""
+    """Write the unit normals of a frustum at points: x and y relative to its position, z above the ground."""
     top, slope = np.float32(row[2] + row[3]) - _EDGE, np.float32((row[5] - row[4]) / row[3])
     for j in range(len(z)):
         square = x[j] * x[j] + y[j] * y[j]
@@ -44,7 +44,7 @@ def ellipsoid_normals(
 def box_normals(
     row: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, nx: np.ndarray, ny: np.ndarray, nz: np.ndarray
 ) -> None:
-    """Write the unit normals of a box, those of the nearest face; see `frustum_normals`."""
+    """Write the unit normals of a box, each that of the nearest face; see `frustum_normals`."""
     top, length, width = np.float32(row[2] + row[3]), np.float32(row[4]), np.float32(row[5])
     for j in range(len(z)):
         beyond_x, beyond_y = abs(x[j]) - length, abs(y[j]) - width

@@ -18,7 +18,7 @@ def mount(
     axis (positive: right side down), the order and signs of PyBullet's Euler angles.
 
     Returns:
-        `(3,)` position in metres and `(3, 3)` unit rows: forward, left and up in the world.
+        `(3,)` position in metres, and `(3, 3)` axes as unit rows: forward, left and up in world coordinates.
     """
     return _mount(float(pose.x_m), float(pose.y_m), float(pose.heading_rad), forward_m, height_m, roll_rad, pitch_rad)
 
@@ -45,7 +45,7 @@ def tangents(size_px: int, field_of_view_rad: float) -> np.ndarray:
     """Return the tangents of the angles from the axis to each column (left positive) or each row (up positive).
 
     Returns:
-        `(size_px,)` float32, falling.
+        `(size_px,)` float32, in descending order.
     """
     half = math.tan(field_of_view_rad / 2)
     return (half * (1 - 2 * (np.arange(size_px) + 0.5) / size_px)).astype(np.float32)

@@ -14,7 +14,7 @@ CAR_BODY_SHARE = 0.58  # height of a car's body, below the cabin, as a share of 
 _NECK_SHARE = 0.8  # height of a person's neck as a share of its height: above it is the head
 
 
-Row = tuple[float, float, float, float, float, float, float]  # of `Primitives.rows`
+Row = tuple[float, float, float, float, float, float, float]  # a row of `Primitives.rows`
 
 
 class Form(IntEnum):
@@ -26,7 +26,7 @@ class Form(IntEnum):
 
 
 class Part(IntEnum):
-    """Part of its obstacle that a primitive is; `Appearance` gives each a colour."""
+    """Part of an obstacle that a primitive forms; each part has a colour of its own in `Appearance`."""
 
     BODY = 0
     TOP = 1  # a tree's crown, a car's cabin, a person's head
@@ -36,15 +36,15 @@ class Part(IntEnum):
 
 @dataclass(frozen=True)
 class Primitives:
-    """A scene's shapes in columns.
+    """Shapes of a scene in columns.
 
     Attributes:
-        forms: `(P,)` int64, `Form`.
+        forms: `(P,)` int64, `Form` of each primitive.
         rows: `(P, 7)` float64: x, y, bottom z (an ellipsoid: centre z), three sizes by `Form`, heading in radians.
-        owners: `(P,)` int64, index of the scene's obstacle; -1 for the arena's walls.
-        parts: `(P,)` int64, `Part`.
+        owners: `(P,)` int64, index of the obstacle in the scene; -1 for the arena's walls.
+        parts: `(P,)` int64, `Part` of the obstacle.
         segments: `(P,)` uint8, number in segmentation images.
-        walkers: `(W, 2)` int64, range `[first, last)` of the primitives of each walking obstacle, in order.
+        walkers: `(W, 2)` int64, range `[first, end)` of the primitives of each walking obstacle, in order.
     """
 
     forms: np.ndarray

@@ -2,9 +2,9 @@
 
 A picture is coloured row by row: the sky and the ground each over their span of columns, then each primitive over the
 span in which it was found. The intermediate values of a row (light, noise, figures) are stored in scratch rows, so that
-every inner loop is short, in single precision and without branches, and the compiler vectorises it. For that the
-compiler must know that the rows which a loop reads and writes do not overlap. It checks eight pairs at most, so a loop
-writes one row, or writes two rows and reads three at most.
+every inner loop is short, in single precision and without branches, and the compiler vectorises it. For that, the
+compiler must know that the rows which a loop reads and writes do not overlap. It checks at most eight pairs, so a loop
+writes one row, or it writes two rows and reads at most three.
 """
 
 import math
@@ -23,7 +23,7 @@ from zsdist.sim.camera.textures import CLOUDS, GRAIN, ground_figure, noise, road
 _FRUSTUM, _ELLIPSOID, _BARK = int(Form.FRUSTUM), int(Form.ELLIPSOID), int(Texture.BARK)
 _KERBS = int(Pattern.KERBS)
 
-# Constants in single precision, which a Python number in a kernel would not have.
+# Constants in single precision; a Python number in a kernel would be in double precision.
 _ZERO, _ONE, _HALF, _WHITE = (np.float32(value) for value in (0.0, 1.0, 0.5, 255.0))
 _LOWEST, _OVERCAST = np.float32(0.02), np.float32(0.2)
 _FLAT, _FINE = np.float32(0.7), np.float32(0.1)
@@ -34,7 +34,7 @@ _BARK_STRETCH = np.float32(0.2)
 
 # numba's cache refers to these classes by name: after one is renamed or removed, delete the cached files.
 class Palette(NamedTuple):
-    """Arrays of an `Appearance`."""
+    """Arrays of an `Appearance`, in a form that kernels accept."""
 
     materials: np.ndarray
     ground: np.ndarray
@@ -46,9 +46,9 @@ class Shadows(NamedTuple):
     """Shadows on the ground.
 
     Attributes:
-        corners: `(m, m)` from `shadow_corners`, over plus and minus `half_m`.
-        half_m: half the side of the shadow map.
-        discs: `(W, 3)` x, y, radius of walking obstacles, which have no shadow in the map.
+        corners: `(m, m)` uint32 from `shadow_corners`, from `-half_m` to `half_m` in x and y.
+        half_m: half the side of the shadow map, in metres.
+        discs: `(W, 3)`, x, y and radius in metres of walking obstacles, which have no shadow in the map.
     """
 
     corners: np.ndarray
@@ -57,7 +57,7 @@ class Shadows(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Memory for the intermediate values of a row: `rows` `(12, n)` float32 and `indices` `(n,)` uint32."""
+    """Buffers for the intermediate values of a row: `rows` `(12, n)` float32 and `indices` `(n,)` uint32."""
 
     rows: np.ndarray
     indices: np.ndarray
@@ -72,7 +72,7 @@ class Span(NamedTuple):
 
 
 class PrimitiveFrame(NamedTuple):
-    """Frame of a primitive: cosine and sine of its heading, the offset of the camera, and the sun in its frame."""
+    """Frame of a primitive: cosine and sine of its heading, offset of the camera (m), and the sun in this frame."""
 
     cos: np.float32
     sin: np.float32
@@ -178,7 +178,7 @@ def _ground(
 
 @compiled(**ROWWISE)
 def _frame(row: np.ndarray, origin: np.ndarray, light: np.ndarray) -> PrimitiveFrame:
-    """Return the frame of a primitive."""
+    """Return the frame of a primitive, from its row of `Primitives.rows`."""
     co, si = math.cos(row[6]), math.sin(row[6])
     sun_x, sun_y = co * light[0] + si * light[1], co * light[1] - si * light[0]
     return PrimitiveFrame(
@@ -207,7 +207,7 @@ def _surface(
 ) -> None:
     """Compute the light, haze and share of the second colour of one primitive along a span of a row.
 
-    They are left in the rows 5, 7 and 8 of `scratch`.
+    The results are in rows 5, 7 and 8 of `scratch`.
     """
     a, work, at, n = span.left, scratch.rows, scratch.indices, len(span.left)
     x, y, u, v, footprint = work[0, :n], work[1, :n], work[2, :n], work[3, :n], work[4, :n]
@@ -299,24 +299,24 @@ def shade(
     The arguments are flat, since numba needs about 30 us per picture to unpack four named tuples from Python.
 
     Args:
-        forms: see `Primitives`.
-        rows: see `Primitives`.
-        materials: see `Appearance`.
-        ground: see `Appearance`.
-        sky: see `Appearance`.
-        light: see `Appearance`.
-        shadow: see `Shadows.corners`.
-        shadow_half: see `Shadows.half_m`.
-        discs: see `Shadows`.
-        pyramid: from `noise_pyramid`.
+        forms: shapes, as in `Primitives`.
+        rows: positions and sizes, as in `Primitives`.
+        materials: surfaces, as in `Appearance`.
+        ground: ground, as in `Appearance`.
+        sky: sky, as in `Appearance`.
+        light: light, as in `Appearance`.
+        shadow: shadow map, as in `Shadows.corners`.
+        shadow_half: half the side of the shadow map, as in `Shadows.half_m`.
+        discs: walking obstacles, as in `Shadows.discs`.
+        pyramid: noise from `noise_pyramid`.
         origin: position of the camera, see `optics.mount`.
         axes: axes of the camera, see `optics.mount`.
         tangents: `(n,)` float32, from `optics.tangents`.
-        depth: `(n, n)` metres along the camera's axis.
-        index: `(n, n)` number of the primitive, or `GROUND` or `SKY`.
-        rectangles: `(P, 4)` rows and columns within which each primitive is drawn.
-        work: see `Scratch.rows`, written.
-        at: see `Scratch.indices`, written.
+        depth: `(n, n)` float32, depth in metres along the camera's axis.
+        index: `(n, n)` int32, number of the primitive, or `GROUND` or `SKY`.
+        rectangles: `(P, 4)` int64, first and end row, first and end column in which each primitive is drawn.
+        work: buffer, as in `Scratch.rows`; written.
+        at: buffer, as in `Scratch.indices`; written.
         image: `(n, n)` int32, written: the bytes red, green, blue and 0 of each pixel.
     """
     palette, scratch = Palette(materials, ground, sky, light), Scratch(work, at)
@@ -333,7 +333,7 @@ def shade(
             _ground(pyramid, palette, shadows, origin, axes, span, scratch, image[i, start:end])
         first, last = _columns_of(index[i], SKY)
         if first < last:
-            if not horizon:  # in a row with both, the sky must not overwrite ground
+            if not horizon:  # in a row with both, the widened sky must not overwrite ground
                 first, last = widened(first, last, n)
             span = Span(tangents[first:last], up, step)
             _sky(pyramid, palette, axes, span, scratch, image[i, first:last])
@@ -352,7 +352,7 @@ def shade(
 
 @compiled(**ROWWISE)
 def _columns_of(index: np.ndarray, which: int) -> tuple[int, int]:
-    """Return the shortest span of a row, first and end, that holds every pixel of `which`; empty if there is none."""
+    """Return first and end of the shortest span of a row with every pixel of `which`; empty if there is none."""
     n, it = np.int32(len(index)), np.int32(which)
     first, last = n, np.int32(0)
     for j in range(len(index)):

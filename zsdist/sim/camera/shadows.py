@@ -11,7 +11,7 @@ from zsdist.sim.camera.primitives import Form
 _IN_SHADOW, _CONTACT_M = np.float32(0.55), 0.5
 _BOX = int(Form.BOX)
 
-# Constants in single precision, which a Python number in a kernel would not have.
+# Constants in single precision; a Python number in a kernel would be in double precision.
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _SHADE, _LIGHTER = np.float32(0.55), np.float32(0.45)
 _PER_LEVEL = np.float32(1 / 255)
@@ -76,12 +76,12 @@ def shadow_map(
     Obstacles block sunlight; close to an obstacle they hide part of the sky too (contact shadow).
 
     Args:
-        forms: see `Primitives`.
-        rows: see `Primitives`.
-        fixed: `(P,)` bool, primitives that do not move; others cast no shadow.
+        forms: shapes, as in `Primitives`.
+        rows: positions and sizes, as in `Primitives`.
+        fixed: `(P,)` bool, whether a primitive stands still; others cast no shadow.
         sun: `(3,)` unit direction to the sun.
-        half: the map covers plus and minus this, in metres.
-        out: `(n, n)` `[iy, ix]` float32, written: share of the light.
+        half: half the side of the map in metres; its centre is the origin.
+        out: `[iy, ix]` `(n, n)` float32, written: share of the light.
     """
     n = out.shape[0]
     cell = 2.0 * half / n
@@ -95,7 +95,7 @@ def shadow_map(
         reach = math.sqrt(hx * hx + hy * hy)
         into_frame(row, sun, d)
         cosine, sine = math.cos(row[6]), math.sin(row[6])
-        length = (row[2] + z1) / sun[2]  # of the shadow along -sun, per unit of the sun's horizontal part
+        length = (row[2] + z1) / sun[2]  # length of the shadow along -sun, per unit of the sun's horizontal part
         ex, ey = row[0] - sun[0] * length, row[1] - sun[1] * length
         # The shadow lies along a strip from the primitive away from the sun.
         way_x, way_y = ex - row[0], ey - row[1]
@@ -127,9 +127,9 @@ def shadow_map(
 
 
 def shadow_corners(light: np.ndarray) -> np.ndarray:
-    """Return the light of each cell of `shadows.shadow_map` and of its neighbours in x, y and both, as four bytes.
+    """Return the light of each cell of a `shadow_map` and of its neighbours in x, y and both, as four bytes, uint32.
 
-    `sunshine` then reads all that it needs for a cell from one address.
+    So `sunshine` reads everything for a cell from one address.
     """
     level = np.rint(255.0 * np.pad(light, ((0, 1), (0, 1)), "edge")).astype(np.uint32)
     return level[:-1, :-1] | level[:-1, 1:] << 8 | level[1:, :-1] << 16 | level[1:, 1:] << 24
@@ -141,10 +141,10 @@ def sunshine(corners: np.ndarray, half_m: float, x: np.ndarray, y: np.ndarray, a
 
     Args:
         corners: `(m, m)` uint32 from `shadow_corners`.
-        half_m: the map covers plus and minus this.
-        x: `(n,)` metres.
-        y: `(n,)` metres.
-        at: `(n,)` uint32, scratch.
+        half_m: half the side of the map in metres; its centre is the origin.
+        x: `(n,)` float32, x of the points in metres.
+        y: `(n,)` float32, y of the points in metres.
+        at: `(n,)` uint32, buffer.
         out: `(n,)`, written: share of the light.
     """
     cells = corners.shape[0]
@@ -172,13 +172,13 @@ def _cell(point_m: np.float32, per_m: np.float32, middle: np.float32, last: np.f
 
 @compiled(**ROWWISE)
 def _light(four: np.uint32) -> np.float32:
-    """Return the lowest byte."""
+    """Return the lowest byte of a number."""
     return np.float32(np.int32(four & _LAST_BYTE))
 
 
 @compiled(**ROWWISE)
 def darken(disc: np.ndarray, x: np.ndarray, y: np.ndarray, lit: np.ndarray) -> None:
-    """Darken the ground around the feet of a walking obstacle: a disc of x, y, radius in metres."""
+    """Darken the ground around the feet of a walking obstacle; `disc` is x, y and radius in metres."""
     dx, dy, per_radius = np.float32(disc[0]), np.float32(disc[1]), np.float32(1.0 / disc[2])
     for j in range(len(lit)):
         gap = np.sqrt((x[j] - dx) * (x[j] - dx) + (y[j] - dy) * (y[j] - dy)) * per_radius

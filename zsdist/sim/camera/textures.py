@@ -11,7 +11,7 @@ from zsdist.sim.camera.kernels import ROWWISE
 _TILES, _STRIPES, _CHECKER = int(Pattern.TILES), int(Pattern.STRIPES), int(Pattern.CHECKER)
 _BRICK, _WINDOWS = int(Texture.BRICK), int(Texture.WINDOWS)
 
-# Constants in single precision, which a Python number in a kernel would not have.
+# Constants in single precision; a Python number in a kernel would be in double precision.
 _ZERO, _ONE, _TWO, _HALF = (np.float32(value) for value in (0.0, 1.0, 2.0, 0.5))
 _PER_UNIT = np.float32(1 / 127)
 _JOINT, _DASH = np.float32(0.05), np.float32(0.6)  # joint of tiles, dash of a lane's line, as shares of a period
@@ -24,7 +24,7 @@ _PANE_LEFT, _PANE_RIGHT, _SILL, _LINTEL = (np.float32(value) for value in (0.25,
 
 _NOISE_SIZE = 512
 _NOISE_LEVELS = 8
-_RUN = 32  # pixels of a row that use the same level of the pyramid
+_RUN = 32  # number of pixels in a row that use the same level of the pyramid
 _SPECTRA = (((1.6, 1.0),), ((0.8, 1.0), (0.25, 0.6)))  # clouds, grain: exponents of 1 / frequency and their weights
 CLOUDS, GRAIN = range(2)
 
@@ -65,18 +65,18 @@ def noise(
     at: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Write to `out` the noise at points, from the level of the pyramid whose texel is about as large as a pixel.
+    """Write to `out` the noise at points, from the pyramid's level whose texels are about as large as a pixel.
 
-    A run of `_RUN` pixels uses one level, the one that fits its middle. Successive runs with the same level are read
+    A run of `_RUN` pixels uses one level, the one for its middle. Successive runs with the same level are read
     together.
 
     Args:
-        pyramid: one spectrum of `noise_pyramid`.
-        u: `(n,)` metres.
-        v: `(n,)` metres.
-        per_m: texels per metre at full resolution.
+        pyramid: noise of one spectrum, a row of `noise_pyramid`.
+        u: `(n,)` float32, first coordinate of the points in metres.
+        v: `(n,)` float32, second coordinate of the points in metres.
+        per_m: number of texels per metre at full resolution.
         footprint: `(n,)` size of a pixel at each point, metres.
-        at: `(n,)` uint32, scratch.
+        at: `(n,)` uint32, buffer.
         out: `(n,)`, written: -1 to 1.
     """
     n = len(out)
@@ -91,7 +91,7 @@ def noise(
 
 @compiled(**ROWWISE)
 def _halvings(texels: float) -> int:
-    """Return how many halvings make a pixel that spans `texels` texels span one texel or less."""
+    """Return the number of halvings after which a pixel of `texels` texels spans one texel or less."""
     halvings = 0
     for k in range(_NOISE_LEVELS - 1):
         halvings += texels > 1 << k
@@ -139,15 +139,15 @@ def ground_figure(pattern: int, x: np.ndarray, y: np.ndarray, period: float, out
 def road_figure(
     along: np.ndarray, left: np.ndarray, road: np.ndarray, slab_m: float, footprint: np.ndarray, out: np.ndarray
 ) -> None:
-    """Write to `out` the share of the colour of kerbs and pavements; it is negative in a gutter.
+    """Write to `out` the share of the colour of kerbs and pavements at points; it is negative in a gutter.
 
     Lines finer than a pixel are left out.
 
     Args:
-        along: `(n,)` metres along the road.
-        left: `(n,)` metres to the left of the origin.
-        road: `(2,)` metres: distance of the road's middle to the left of the origin, and half the road's width.
-        slab_m: side of the pavement's slabs.
+        along: `(n,)`, position along the road in metres.
+        left: `(n,)`, distance to the left of the origin in metres.
+        road: `(2,)`, distance of the road's middle to the left of the origin, and half the road's width, in metres.
+        slab_m: side of the pavement's slabs, in metres.
         footprint: `(n,)` size of a pixel at each point, metres.
         out: `(n,)`, written.
     """

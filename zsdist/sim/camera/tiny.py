@@ -1,4 +1,4 @@
-"""The reference camera: PyBullet's TinyRenderer over meshes of the same shapes, in a physics client of its own.
+"""Reference camera: PyBullet's TinyRenderer over meshes of the same shapes, in a physics client of its own.
 
 It has no textures, so its pictures differ from the caster's in colour; depth and segments agree to about a pixel
 (measured by `benchmarks/camera.py`).
@@ -121,7 +121,7 @@ class TinyCamera:
 
 
 def _mesh(form: int, row: np.ndarray) -> Mesh:
-    """Return vertices and triangles of a primitive in its own frame, counter-clockwise when seen from outside."""
+    """Return vertices and triangles of a primitive in its own frame; triangles are counter-clockwise from outside."""
     if form == Form.BOX:
         return _loft([(0.0, 1.0), (1.0, 1.0)], 4, (row[4] * math.sqrt(2), row[5] * math.sqrt(2), row[3]), math.pi / 4)
     if form == Form.FRUSTUM:

@@ -1,1 +1,1 @@
-"""Physics of the car among a scene's obstacles: PyBullet's world, the controller, collisions and rays."""
+"""Physics of the car among a scene's obstacles: PyBullet world, controller, collisions and rays."""

@@ -1,4 +1,4 @@
-"""The car of Table 1 as a PyBullet body.
+"""Car of Table 1 as a PyBullet body.
 
 The wheels are spheres with an axle and a motor each; the car steers by skidding. Only the wheels touch the ground, and
 only a skin on the base touches obstacles. The skin has the shape of the cabinet and the outlines of the wheels.
@@ -11,12 +11,12 @@ from zsdist.sim.bullet import pybullet
 from zsdist.sim.physics.controller import STOPPED, WHEEL_RADIUS_M, Motion, Rates
 from zsdist.types import Pose
 
-TREAD_M = 1.0  # Table 1: between the left and the right wheels
+TREAD_M = 1.0  # Table 1: distance between the left and the right wheels
 CABINET_M = (2.0, 0.9, 0.6)  # length and width as in Table 1; the paper gives no height
 CABINET_HEIGHT_M = 0.6  # height of the cabinet's centre
 WHEEL_WIDTH_M = 0.09
 AXLES_M = 0.52  # distance of the axles ahead of and behind the centre
-CENTRE_OF_MASS_M = 0.3  # above the ground; if it is higher, the car rears up
+CENTRE_OF_MASS_M = 0.3  # height above the ground; if it is higher, the car rears up
 CABINET_KG = 80.0
 WHEEL_KG = 4.0
 AXLE_INERTIA_KG_M2 = 5.0  # ten times a solid wheel's; with less, turns are slow; with 15 or more, the car rears up
@@ -32,7 +32,7 @@ _ACROSS = [math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]  # a cylinder's axis along 
 
 
 class CarBody:
-    """The car's body in a physics client.
+    """Body of the car in a physics client.
 
     Args:
         client: number of the PyBullet client.
@@ -86,7 +86,7 @@ class CarBody:
         pybullet.changeDynamics(self.body, -1, activationState=awake, physicsClientId=client)
 
     def place(self, pose: Pose) -> None:
-        """Put the car at rest at `pose`, with no trace of its motion before."""
+        """Put the car at rest at `pose`, without any effect of its earlier motion."""
         quaternion = pybullet.getQuaternionFromEuler([0.0, 0.0, pose.heading_rad])
         self.command(STOPPED)
         position = [pose.x_m, pose.y_m, CENTRE_OF_MASS_M]
@@ -111,7 +111,7 @@ class CarBody:
         )
 
     def motion(self) -> Motion:
-        """Return the true motion."""
+        """Return the true pose, speed and turn rate of the car."""
         raw = self.raw_motion()
         heading, speed_mps, turn_rate = heading_and_speed(*raw)
         return Motion(Pose(raw[0], raw[1], heading), speed_mps, turn_rate)
@@ -120,7 +120,7 @@ class CarBody:
         """Return the true motion in PyBullet's numbers, for `heading_and_speed`.
 
         Returns:
-            Position in x and y, quaternion x, y, z, w, velocity in x and y, turn rate; metres, seconds, radians.
+            Position in x and y, quaternion x, y, z, w, velocity in x and y, turn rate; in metres, seconds and radians.
         """
         (x_m, y_m, _), quaternion = pybullet.getBasePositionAndOrientation(self.body, self._client)
         (east, north, _), (_, _, turn_rate) = pybullet.getBaseVelocity(self.body, self._client)
@@ -152,6 +152,6 @@ def heading_and_speed(
     north_mps: float,
     turn_rate: float,
 ) -> tuple[float, float, float]:
-    """Return heading, speed along it and turn rate from the numbers of `CarBody.raw_motion`."""
+    """Return heading (rad), speed along it (m/s) and turn rate (rad/s) from the numbers of `CarBody.raw_motion`."""
     heading = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
     return heading, east_mps * math.cos(heading) + north_mps * math.sin(heading), turn_rate

@@ -24,7 +24,7 @@ def touching(
     width_m: float = CAR_WIDTH_M,
     arena_m: float = math.inf,
 ) -> bool:
-    """Return whether the oriented box at `pose` touches an obstacle, or a wall of an arena of side `arena_m`."""
+    """Return whether the oriented box at `pose` touches an obstacle or a wall; arguments as in `clearance_m`."""
     return clearance_m(pose, circles, boxes, length_m, width_m, arena_m) <= 0.0
 
 
@@ -40,14 +40,14 @@ def clearance_m(
 
     Args:
         pose: pose of the box.
-        circles: `(N, 3)` float64.
-        boxes: `(M, 5)` float64.
+        circles: `(N, 3)` float64, round obstacles.
+        boxes: `(M, 5)` float64, oriented boxes.
         length_m: length of the box along its heading; 0 with `width_m` 0 for a point.
         width_m: width of the box.
         arena_m: side of the walled arena around the origin; infinite: no walls.
 
     Returns:
-        The distance; 0 if the box touches or overlaps an obstacle, infinite if there is none.
+        The distance; 0 if the box touches or overlaps an obstacle or wall, infinite if there is none.
     """
     return box_clearance(pose[0], pose[1], pose[2], length_m / 2, width_m / 2, circles, boxes, arena_m / 2)
 
@@ -63,7 +63,7 @@ def box_clearance(
     boxes: np.ndarray,
     wall: float,
 ) -> float:
-    """Return `clearance_m`; compiled, with half lengths and half the arena's side."""
+    """Return `clearance_m` from half the box's sides and half the arena's side; compiled."""
     cos, sin = math.cos(heading), math.sin(heading)
     nearest = min(
         wall - abs(x) - abs(cos) * half_l - abs(sin) * half_w, wall - abs(y) - abs(sin) * half_l - abs(cos) * half_w
@@ -118,7 +118,7 @@ def _box_gap(
 
 
 def rasterise(circles: np.ndarray, boxes: np.ndarray, grid: Grid) -> np.ndarray:
-    """Return the fine cells that a shape touches, `[iy, ix]` `(fine_size, fine_size)` bool.
+    """Return the fine cells that any shape touches, `[iy, ix]` `(fine_size, fine_size)` bool.
 
     No part of a shape lies outside the marked cells, however thin it is.
     """

@@ -1,4 +1,4 @@
-"""The controller that turns one lattice action into wheel rates for each step of the simulation."""
+"""Controller that turns one lattice action into wheel rates for each step of the simulation."""
 
 import math
 from typing import NamedTuple
@@ -36,7 +36,7 @@ class Gains(NamedTuple):
     turn_most_rad_s: float = 11.0
     turn_least_rad_s: float = 2.5  # friction holds the wheels at lower rates
     aligned_rad: float = 0.07  # a turn in place ends at this heading error
-    calm_rad_s: float = 0.45  # if the turn rate is this low
+    calm_rad_s: float = 0.45  # and at a turn rate this low
     facing_rad: float = 0.27  # an advance begins at this heading error
     hold: float = 4.5  # speed (1/s) per metre off the target while turning in place
     hold_most_mps: float = 0.3
@@ -45,7 +45,7 @@ class Gains(NamedTuple):
     speed_up_mps2: float = 5.0
     slow_down_mps2: float = 4.0
     arrive_m: float = 0.1  # an advance ends this close to the target: about the distance that it takes to stop
-    arrive_mps: float = 1.2  # if the car is this slow
+    arrive_mps: float = 1.2  # and at a speed this low
     flow_mps: float = 1.0  # speed demanded at the target, so that a following advance need not start from rest
     look_ahead_m: float = 0.8  # least distance over which a lateral offset is corrected
     aim_most_rad: float = 0.17
@@ -67,20 +67,20 @@ _X, _Y, _HEADING, _ADVANCES, _STEP_S, _PHASE, _DEMANDED_MPS = range(7)  # indice
 
 
 class Manoeuvre:
-    """Control of the car on its way to one target pose: brake, turn in place, advance along the heading, align.
+    """Control of the car until it reaches one target pose: brake, turn in place, advance along the heading, align.
 
     An advance ends while the car still rolls, so near the target that it comes to rest there.
 
     Args:
-        target: pose to end at.
+        target: pose in which the manoeuvre ends.
         advance: whether the car advances; False for a turn in place.
-        turn: whether a turn comes first; without one the car keeps the speed of the manoeuvre before.
-        step_s: time between two calls of `steer`.
+        turn: whether a turn comes first; without one the car keeps its speed from the previous manoeuvre.
+        step_s: seconds between two calls of `steer`.
 
     Attributes:
-        target: as given.
-        state: `(7,)` float64, which `steer` reads and writes: the target's x, y and heading, whether the car advances,
-            the time between two calls, the phase, and the last demanded speed (NaN: none yet).
+        target: pose in which the manoeuvre ends.
+        state: `(7,)` float64, state that `steer` reads and writes: the target's x, y and heading, whether the car
+            advances, the seconds between two calls, the phase, and the last demanded speed (NaN: none yet).
     """
 
     def __init__(self, target: Pose, advance: bool, turn: bool, step_s: float) -> None:
@@ -101,10 +101,10 @@ def steer(
     """Return the rates of the left and right wheels for the next step of a manoeuvre; NaN once the car has arrived.
 
     Args:
-        state: state of the `Manoeuvre`, written.
-        x_m: x of the car.
-        y_m: y of the car.
-        heading: heading of the car, in radians within half a turn of east.
+        state: state of the `Manoeuvre`; written in place.
+        x_m: x of the car's centre.
+        y_m: y of the car's centre.
+        heading: heading of the car in radians, within half a turn of east.
         speed_mps: speed of the car along its heading.
         turn_rate: turn rate of the car, in radians per second.
     """

@@ -1,4 +1,4 @@
-"""A kinematic car, which each action moves exactly to its target: a reference for the simulated one."""
+"""Kinematic car that each action moves exactly to its target: a reference for the simulated car."""
 
 import math
 
@@ -16,7 +16,7 @@ STEPS = 12  # simulation steps of a turn, and of an advance: about as many as th
 
 
 class KinematicWorld(World):
-    """World in which the car is moved exactly from pose to pose, and collides by the box test alone."""
+    """World in which the car is moved exactly from pose to pose, and only the box test finds collisions."""
 
     def _carry_out(self, manoeuvre: Manoeuvre) -> DriveResult:
         start, target = self.pose, manoeuvre.target

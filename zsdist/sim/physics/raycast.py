@@ -1,4 +1,4 @@
-"""Exact distances along horizontal rays among a scene's circles, boxes and the arena's walls."""
+"""Exact distances along horizontal rays to a scene's circles and boxes and to the arena's walls."""
 
 import math
 
@@ -24,14 +24,14 @@ def ray_distances(
     Args:
         circles: `(N, 3)` x, y, radius in metres.
         boxes: `(M, 5)` x, y, length, width in metres and heading in radians.
-        arena_half_m: the walls stand at plus and minus this in x and y; infinity: no walls.
-        x_m: x of the rays' origin.
-        y_m: y of the rays' origin.
-        angles_rad: `(R,)` directions in the world, counter-clockwise from east.
+        arena_half_m: half the arena's side: the walls' distance from the origin in x and y; infinity: no walls.
+        x_m: x of the point.
+        y_m: y of the point.
+        angles_rad: `(R,)`, directions of the rays, counter-clockwise from east.
         max_m: greatest length of a ray.
 
     Returns:
-        `(R,)` float64 distances, `max_m` if nothing nearer is hit and 0 inside an obstacle; and `(R,)` int64 hits: the
+        `(R,)` float64 distances, `max_m` if nothing nearer is hit, 0 inside an obstacle; and `(R,)` int64 hits: the
         circle's index, N plus the box's index, `HIT_WALL` or `HIT_NOTHING`.
     """
     return _ray_distances(

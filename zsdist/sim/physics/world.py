@@ -1,4 +1,4 @@
-"""The simulated physics: one car and the obstacles of a scene, driven action by action along the planning lattice."""
+"""Simulated physics of one car among the obstacles of a scene, driven action by action along the planning lattice."""
 
 import math
 from typing import NamedTuple
@@ -17,13 +17,13 @@ from zsdist.sim.scenes.scene import Scene
 from zsdist.sim.scenes.walkers import Walker
 from zsdist.types import LatticeState, Pose
 
-MOST_STEPS = 80  # simulation steps of one manoeuvre at most: the slowest take about half as many
+MOST_STEPS = 80  # most simulation steps of one manoeuvre; the slowest take about half as many
 SETTLE_STEPS = 4  # simulation steps in which the car settles on its wheels before an episode
-CONTACT_WITHIN_M = 0.15  # with more clearance by the box test there is no need to ask PyBullet for contacts
+CONTACT_WITHIN_M = 0.15  # with more clearance by the box test, PyBullet is not queried for contacts
 ON_LATTICE_M = 0.10  # a start within this distance of a lattice state, and within this angle, is on the lattice
 ON_LATTICE_RAD = math.radians(5.0)
 
-_SOLVER_ITERATIONS = 10  # takes half the time of PyBullet's default of 50, and the car drives as well
+_SOLVER_ITERATIONS = 10  # half the time of PyBullet's default of 50, without a difference in driving
 _HEIGHT_M = 2.0  # height of every collision shape, also for lower obstacles, which the wheels would hit
 _WALL_M = 1.0  # thickness of the arena's walls
 _PER_COMPOUND = 16  # PyBullet silently drops further shapes of an array
@@ -55,7 +55,7 @@ class DriveResult(NamedTuple):
 
 
 class World:
-    """A walled arena in a PyBullet client of its own (DIRECT: no window).
+    """Walled arena in a PyBullet client of its own (DIRECT: no window).
 
     Episodes do not influence one another: the same scene and actions give bit-identical poses after any other episodes.
 
@@ -64,8 +64,8 @@ class World:
         step_s: duration of a simulation step.
 
     Attributes:
-        grid: as given.
-        step_s: as given.
+        grid: planning grid and arena.
+        step_s: duration of a simulation step, in seconds.
         scene: scene of the last reset; None before the first.
     """
 
@@ -94,22 +94,22 @@ class World:
 
     @property
     def people(self) -> np.ndarray:
-        """Present positions of the walking obstacles, `(P, 2)` metres, in the order of the scene."""
+        """Present positions of the walking obstacles, `(W, 2)` float64, metres, in the order of the scene."""
         if not self._walkers:
             return _NOBODY
         return np.array([(walker.x_m, walker.y_m) for walker in self._walkers], dtype=np.float64)
 
     def reset(self, scene: Scene, start: Pose | None = None) -> int:
-        """Set up a scene and the car, and drive a car that starts off the lattice onto it.
+        """Set up a scene and the car; if the car starts off the lattice, drive it onto the lattice.
 
         If there is no room for that, the car stays at its start, and its first action ends on the lattice.
 
         Args:
-            scene: scene to set up. The bodies of the scene before are kept if its obstacles are equal.
+            scene: scene to set up. The bodies of the previous scene are kept if its obstacles are equal.
             start: pose of the car; None: the scene's start.
 
         Returns:
-            Simulation steps driven to reach the lattice.
+            Number of simulation steps driven to reach the lattice.
 
         Raises:
             SceneError: an obstacle or a wall stands on the start.
@@ -133,8 +133,8 @@ class World:
     def drive(self, action: int) -> DriveResult:
         """Drive one `Action`, and stop at once at a collision.
 
-        The target is the action's successor of the lattice state nearest to the true pose, so that errors do not add
-        up. The car does not make an advance that would leave the grid; it only turns.
+        The target is the state to which the action leads from the lattice state nearest to the true pose, so that
+        errors do not add up. Instead of an advance that would leave the grid, the car only turns.
         """
         state = self.grid.lattice_state(self.pose)
         end = successor(state, action)
@@ -252,7 +252,7 @@ class World:
         self.scene = None
 
     def _set_up(self, scene: Scene) -> None:
-        """Make the obstacles' bodies, always in the order of the scene, so that repeated drives are bit-identical."""
+        """Create the obstacles' bodies, always in the order of the scene, so that repeated drives are bit-identical."""
         if self.scene is None or self.scene.obstacles != scene.obstacles:
             if self._shapes + len(scene.obstacles) > _MOST_SHAPES:
                 self._connect()
@@ -277,7 +277,7 @@ class World:
         pybullet.resetBasePositionAndOrientation(body, position, _UPRIGHT, physicsClientId=self._client)
 
     def _build(self, circles: np.ndarray, boxes: np.ndarray) -> list[int]:
-        """Return bodies of up to `_PER_COMPOUND` shapes: a simulation step is shorter than with a body for each."""
+        """Return bodies of up to `_PER_COMPOUND` shapes: simulation steps are faster than with one body per shape."""
         shapes = [
             (pybullet.GEOM_CYLINDER, radius, [0.0, 0.0, 0.0], [x, y, _HEIGHT_M / 2], _UPRIGHT)
             for x, y, radius in circles.tolist()
@@ -324,16 +324,16 @@ def _sides(middle: float) -> list[tuple[float, float, float]]:
 def _control(
     state: np.ndarray, circles: np.ndarray, boxes: np.ndarray, wall: float, *motion: float
 ) -> tuple[float, float, float, float]:
-    """Return heading, clearance in metres, and next wheel rates of a car on a manoeuvre.
+    """Return heading (rad), clearance (m), and the next left and right wheel rates (rad/s) of a car in a manoeuvre.
 
-    All in one call, since this is needed about 20 times an action.
+    One compiled call does all of this, since it is made about 20 times an action.
 
     Args:
-        state: state of the manoeuvre.
-        circles: as in `clearance_m`.
-        boxes: as in `clearance_m`.
-        wall: half the arena's side.
-        *motion: from `CarBody.raw_motion`.
+        state: state of the `Manoeuvre`; written in place.
+        circles: collision circles as in `clearance_m`.
+        boxes: collision boxes as in `clearance_m`.
+        wall: half the arena's side, in metres.
+        *motion: numbers from `CarBody.raw_motion`.
     """
     x_m, y_m = motion[0], motion[1]
     heading, speed_mps, turn_rate = heading_and_speed(*motion)

@@ -1,1 +1,1 @@
-"""Scenes as pure data: the scene file, kinds of obstacles, families drawn from seeds, and who may see which."""
+"""Scenes as pure data: scene files, kinds of obstacles, families drawn from seeds, and the purposes they may serve."""

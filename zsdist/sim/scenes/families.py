@@ -1,7 +1,7 @@
 """Families of random scenes, generated from (family, seed); every scene is solvable.
 
-The same family and seed give the same scene in every process. A scene without a path over (cell, heading) with the
-car's footprint is drawn again from the same stream of random numbers.
+The same family and seed give the same scene in every process. A scene in which the car's footprint has no free path
+over (cell, heading) is drawn again from the same stream of random numbers.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ MAX_TRIES = 200
 LEAST_WAY_M = 10.0  # least distance between start and goal
 OFF_EAST_DEG = 60.0  # `ood-start-goal`: least angle between east and the direction to the goal; in `iid` it is less
 
-# Weights of kinds.
+# Weights with which kinds are drawn.
 WILD = {"tree": 0.6, "bush": 0.15, "pole": 0.1, "person": 0.15}
 SMALL = {"tree": 0.35, "bush": 0.25, "pole": 0.25, "person": 0.15}
 VARIED = {"box": 0.3, "car": 0.15, "pole": 0.2, "person": 0.15, "bush": 0.2}
@@ -40,7 +40,7 @@ def generate(family: str, seed: int) -> Scene:
 
     Args:
         family: a key of `FAMILIES`.
-        seed: 0 or more; for `singleton`, the number of one of its ten scenes.
+        seed: seed of the scene, 0 or more; for `singleton`, the number of one of its ten scenes.
 
     Raises:
         SceneError: no such family, a seed out of range, or no solvable scene in `MAX_TRIES` draws.
@@ -54,7 +54,7 @@ def draw(family: str, split: Split, index: int) -> Scene:
 
 
 def generate_counted(family: str, seed: int) -> tuple[Scene, int]:
-    """Return the scene of `generate`, and the number of draws it took."""
+    """Return the scene of `generate`, and the number of draws that it took."""
     if family not in FAMILIES:
         raise SceneError(f"scene family is {family!r}; allowed are {', '.join(FAMILIES)}")
     most = SINGLETON_SCENES if family == "singleton" else MAX_SEED
@@ -73,7 +73,7 @@ def generate_counted(family: str, seed: int) -> tuple[Scene, int]:
 
 
 def _west_to_east(rng: np.random.Generator, border: int = 3) -> Canvas:
-    """Return a start in the four western columns and a goal in the four eastern ones, `border` rows from the edges."""
+    """Draw a start in the four western columns and a goal in the four eastern ones, `border` rows from the edges."""
     last = DEFAULT_GRID.cells - 1
     rows = rng.integers(border, last + 1 - border, 2)
     columns = rng.integers(0, 4, 2)
@@ -82,7 +82,7 @@ def _west_to_east(rng: np.random.Generator, border: int = 3) -> Canvas:
 
 
 def _not_eastwards(rng: np.random.Generator) -> Canvas:
-    """Return a start and a goal anywhere, 10 m or more apart, in a direction more than `OFF_EAST_DEG` from east."""
+    """Draw a start and a goal anywhere, 10 m or more apart, in a direction more than `OFF_EAST_DEG` from east."""
     while True:
         cells = rng.integers(1, DEFAULT_GRID.cells - 1, 4)
         dx, dy = (cells[2:] - cells[:2]) * DEFAULT_GRID.cell_size_m

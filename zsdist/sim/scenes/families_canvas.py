@@ -1,4 +1,4 @@
-"""A scene under construction: obstacles are placed at a distance from one another, the start and the goal."""
+"""Scene under construction: obstacles are placed at a distance from one another and from start and goal."""
 
 import math
 from collections.abc import Sequence
@@ -37,12 +37,12 @@ class Redraw(Exception):  # noqa: N818 -- no error: the scene is drawn again
 
 @dataclass
 class Canvas:
-    """Start, goal and the obstacles placed so far.
+    """Scene under construction: start, goal and the obstacles placed so far.
 
     Attributes:
-        rng: random numbers of the scene.
-        start: lattice state.
-        goal: cell `(ix, iy)`.
+        rng: source of the scene's random numbers.
+        start: lattice state in which the car starts.
+        goal: cell `(ix, iy)` of the goal.
         obstacles: obstacles placed so far.
     """
 
@@ -53,16 +53,16 @@ class Canvas:
 
     @property
     def ends(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Start and goal as points."""
+        """Start and goal as points `(x_m, y_m)`."""
         return DEFAULT_GRID.centre(self.start.ix, self.start.iy), DEFAULT_GRID.centre(*self.goal)
 
     def scene(self, name: str, ground: str) -> Scene:
-        """Return the finished scene."""
+        """Return the scene with the obstacles placed so far."""
         (x_m, y_m), goal = self.ends
         return Scene(name, ground, Start(x_m, y_m, 45.0 * self.start.heading), goal, tuple(self.obstacles))
 
     def gap_m(self, obstacle: Obstacle, others: list[Obstacle]) -> float:
-        """Return the distance in metres from an obstacle's surface to the nearest other; 0 or less if they overlap."""
+        """Return the distance in metres from an obstacle's surface to the nearest other; 0 or less: they overlap."""
         rest = Scene("", "", Start(0.0, 0.0, 0.0), (0.0, 0.0), tuple(others))
         circles, boxes = rest.circles(), rest.boxes()
         length_m, width_m = obstacle.size_m[:2] if obstacle.size_m else (0.0, 0.0)
@@ -75,7 +75,7 @@ class Canvas:
         return self.gap_m(obstacle, points) >= START_CLEARANCE_M
 
     def place(self, obstacle: Obstacle, gap_m: float) -> bool:
-        """Add an obstacle if it is clear of start and goal and `gap_m` from the others; return whether it was added."""
+        """Add an obstacle if it is clear of start and goal and `gap_m` from others; return whether it was added."""
         if not self.clear_of_ends(obstacle) or self.gap_m(obstacle, self.obstacles) < gap_m:
             return False
         self.obstacles.append(obstacle)
@@ -96,8 +96,8 @@ class Canvas:
             count: number of obstacles.
             kinds: weight of each kind.
             gap_m: least distance between surfaces.
-            scale: factor of the radii of round obstacles.
-            centre: centre of the square.
+            scale: factor by which the radii of round obstacles are multiplied.
+            centre: centre of the square `(x_m, y_m)`.
             spread_m: half the side of the square.
 
         Raises:
@@ -150,7 +150,7 @@ def draw(rng: np.random.Generator, kind: str, x_m: float, y_m: float, scale: flo
 
 
 def _along(person: Obstacle) -> list[Obstacle]:
-    """Return the person as standing obstacles along its path, a quarter of a metre apart."""
+    """Return copies of a person as standing obstacles along its path, a quarter of a metre apart."""
     positions = []
     for (x0, y0), (x1, y1) in zip(person.path, person.path[1:], strict=False):
         count = max(math.ceil(math.hypot(x1 - x0, y1 - y0) / 0.25), 1)
@@ -159,7 +159,7 @@ def _along(person: Obstacle) -> list[Obstacle]:
 
 
 def turned(scene: Scene, quarters: int) -> Scene:
-    """Return the scene turned around the origin by quarters of a turn, counter-clockwise; cells map onto cells."""
+    """Return the scene turned about the origin by quarters of a turn, counter-clockwise; cells map onto cells."""
 
     def point(x_m: float, y_m: float) -> tuple[float, float]:
         for _ in range(quarters % 4):

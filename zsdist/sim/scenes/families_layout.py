@@ -21,12 +21,12 @@ _LINE_M = 0.03  # tolerance of a line of obstacles: positions are rounded to the
 
 @dataclass(frozen=True)
 class Road:
-    """Position of a street's kerbs, which are drawn on the ground and are no obstacles.
+    """Position of a street's kerbs, which are drawn on the ground and are not obstacles.
 
     Attributes:
-        along_x: whether the street leads along x; else it leads along y.
-        middle_m: the other coordinate of its middle line.
-        half_m: distance from the middle line to the kerbs.
+        along_x: whether the street runs along x; else it runs along y.
+        middle_m: y of its middle line if it runs along x, else x.
+        half_m: distance from the middle line to either kerb.
     """
 
     along_x: bool
@@ -55,7 +55,7 @@ def _gaps(canvas: Canvas) -> list[Obstacle]:
 
 
 def _chicane(canvas: Canvas) -> list[Obstacle]:
-    """Return two or three walls, open at the north and the south end by turns."""
+    """Return two or three walls, open alternately at the north and at the south end."""
     rng = canvas.rng
     count = int(rng.integers(2, 4))
     north = bool(rng.integers(2))
@@ -97,13 +97,13 @@ def _pockets(canvas: Canvas) -> list[Obstacle]:
 
 
 def _row(canvas: Canvas, low_m: float, high_m: float) -> float:
-    """Return the centre of a random row of cells between two y: passages are centred on rows, where the car drives."""
+    """Return y of the centre of a random row of cells: passages are centred on rows, since the car drives there."""
     centres = [float(y) for y in DEFAULT_GRID.cell_centres()[1] if low_m <= y <= high_m]
     return centres[int(canvas.rng.integers(len(centres)))]
 
 
 def _across(canvas: Canvas, x_m: float, gaps: list[tuple[float, float]]) -> list[Obstacle]:
-    """Return the pieces of a wall across the arena at `x_m`, with gaps `(centre, width)` from south to north."""
+    """Return the pieces of a wall across the arena at `x_m`, with gaps `(centre_m, width_m)` from south to north."""
     thick_m = canvas.rng.uniform(0.4, 0.8)
     bounds = [-EDGE_M]
     for y_m, width_m in gaps:
@@ -116,7 +116,7 @@ def _across(canvas: Canvas, x_m: float, gaps: list[tuple[float, float]]) -> list
 
 
 def _wall(canvas: Canvas, x_m: float, y_m: float, east_m: float, north_m: float) -> Obstacle:
-    """Return a wall around a centre, to the millimetre; sizes are rounded down, so that no passage is narrowed."""
+    """Return a wall from its centre and sides; sides are rounded down, so that no passage becomes narrower."""
     height_m = round(float(canvas.rng.uniform(*WALL_HEIGHTS_M)), 2)
     size_m = (math.floor(east_m * 500) / 500, math.floor(north_m * 500) / 500, height_m)
     return Obstacle("box", round(float(x_m), 4), round(float(y_m), 4), None, size_m)
@@ -183,7 +183,7 @@ def road_of(scene: Scene) -> Road | None:
 
 
 def _positions(canvas: Canvas, first_m: float, least_m: float, most_m: float) -> list[float]:
-    """Return positions along the street from `first_m` on, with random distances."""
+    """Return positions along the street in metres, from `first_m` on, at random distances."""
     positions, x_m = [], first_m + canvas.rng.uniform(0.0, 3.0)
     while x_m < -first_m:
         positions.append(x_m)

@@ -1,8 +1,8 @@
 """Kinds of obstacles and grounds: shape, size and colour, for physics and cameras.
 
-An obstacle's collision shape is an upright cylinder or box, from the ground to its height. The drawn shape agrees with
-it at the ground, so that the car would hit what the camera sees. Only parts below `SIGHT_HEIGHT_M` count as obstacles:
-a tree's crown does not.
+An obstacle's collision shape is an upright cylinder or box, from the ground to its height. The drawn shape is the same
+at the ground, so that the car hits what the camera shows. Only parts below `SIGHT_HEIGHT_M` count as obstacles, so a
+tree's crown does not.
 """
 
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class Kind:
             `(radius, radius, height)`; `cone`: a frustum with `radius` at the ground and `TOP_SHARE` of it at the top;
             `tree`: a trunk cylinder of `radius` up to `TRUNK_HEIGHT_M` and a wider crown above; `capsule`: an upright
             body of `radius`; `box`; `car`: a box with a cabin.
-        dynamic: whether obstacles of the kind may walk.
+        dynamic: whether obstacles of the kind may move.
         base_colour: red, green, blue in 0 to 1; the camera varies it from scene to scene.
         segment_id: number in segmentation images.
     """
@@ -47,7 +47,7 @@ class Kind:
 
     @property
     def round(self) -> bool:
-        """Return whether the collision shape is a circle (`radius_m`) instead of an oriented box (`size_m`)."""
+        """True if the collision shape is a circle (`radius_m`) instead of an oriented box (`size_m`)."""
         return self.default_radius_m is not None
 
 
@@ -60,7 +60,7 @@ class Ground:
     roughness: float
 
 
-TOP_SHARE = 0.8  # ratio of a frustum's top radius to its base radius: steep, so that sight and collision agree
+TOP_SHARE = 0.8  # ratio of a frustum's top radius to its base radius: steep, so that picture and collision agree
 TRUNK_HEIGHT_M = 2.2
 CROWN_SHARE = 1.4  # ratio of a crown's radius to the trunk's
 

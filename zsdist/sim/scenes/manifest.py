@@ -1,13 +1,13 @@
-"""Families, kinds, grounds and seeds that scenes may have for each purpose.
+"""Families, kinds, grounds and seeds of the scenes for each purpose.
 
 * The vision model is trained on streets and never sees a tree, a sand pile, a rock or sand.
 * The policy is trained in scattered scenes and never meets a sand pile, a rock, a box, a car or sand.
 * Validation uses the kinds and grounds of policy training, with seeds of its own.
 * The test families have all kinds and grounds.
 * `singleton` has no split: training and test use the same ten scenes, as in Fig. 1 of the paper.
-* Words are learned from scenes of their own, which show every kind and ground, since nobody can learn the word for a
-  rock without a picture of one. Only the projection to text space is trained on them, never the visual-act head, which
-  is tested on kinds and grounds that it has not seen.
+* Words are learned from scenes of their own, which show every kind and ground, since the word for a rock cannot be
+  learned without a picture of one. Only the projection to text space is trained on them, never the visual-act head,
+  which is tested on kinds and grounds that it has not seen.
 """
 
 from dataclasses import dataclass
@@ -46,9 +46,9 @@ class Purpose:
 
     Attributes:
         families: families of the scenes.
-        kinds: kinds of obstacles.
-        grounds: kinds of ground.
-        split: split that gives the seeds (a key of `SPLITS`).
+        kinds: allowed kinds of obstacles.
+        grounds: allowed kinds of ground.
+        split: split from which the seeds are taken (a key of `SPLITS`).
     """
 
     families: tuple[str, ...]

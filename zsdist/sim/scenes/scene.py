@@ -26,7 +26,7 @@ MAX_OBSTACLES = 500
 MAX_RADIUS_M = 10.0
 MAX_SIDE_M = 40.0  # longer than the arena's diagonal
 MAX_SPEED_MPS = 10.0
-MAX_NUMBER = 1e4  # of coordinates and headings; `check` refuses positions outside the arena
+MAX_NUMBER = 1e4  # greatest size of coordinates and headings; `check` refuses positions outside the arena
 MAX_FILE_BYTES = 2**20
 
 
@@ -40,23 +40,23 @@ class Start:
 
     @property
     def pose(self) -> Pose:
-        """The start as a pose, with a heading in radians within (-pi, pi]."""
+        """Start as a pose, with a heading in radians within (-pi, pi]."""
         return Pose(self.x_m, self.y_m, math.pi - (math.pi - math.radians(self.heading_deg)) % math.tau)
 
 
 @dataclass(frozen=True)
 class Obstacle:
-    """One obstacle.
+    """Obstacle of a scene.
 
     Attributes:
-        kind: a key of `KINDS`.
+        kind: name of its kind, a key of `KINDS`.
         x_m: x of its centre at the start of the episode.
         y_m: y of its centre at the start of the episode.
         radius_m: radius of round kinds; None for boxes and cars.
-        size_m: `(length, width, height)` of boxes and cars, length along their heading; None for round kinds.
+        size_m: `(length, width, height)` of boxes and cars in metres, length along their heading; None for round kinds.
         heading_deg: heading of boxes and cars, counter-clockwise from east.
         path: points `(x_m, y_m)` along which a person walks back and forth, the first its centre; empty: it stands.
-        speed_mps: walking speed.
+        speed_mps: walking speed in metres per second.
     """
 
     kind: str
@@ -70,24 +70,24 @@ class Obstacle:
 
     @property
     def walks(self) -> bool:
-        """Return whether the obstacle has a path; only such obstacles move."""
+        """True if the obstacle has a path; only such obstacles move."""
         return bool(self.path)
 
     @property
     def height_m(self) -> float:
-        """Height of the obstacle's body."""
+        """Height of the obstacle's body, in metres."""
         return KINDS[self.kind].height_m if self.size_m is None else self.size_m[2]
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A start, a goal and the obstacles between them.
+    """Scene: a start, a goal and the obstacles between them.
 
     Attributes:
         name: name of the scene in results.
-        ground: a key of `GROUNDS`.
+        ground: name of the ground, a key of `GROUNDS`.
         start: start of the car.
-        goal: `(x_m, y_m)`.
+        goal: position of the goal, `(x_m, y_m)`.
         obstacles: obstacles in the order of the file.
     """
 
@@ -105,7 +105,7 @@ class Scene:
         """Return the collision circles `(N, 3)` of round obstacles in order: x, y, radius in metres.
 
         Args:
-            people: `(P, 2)` present positions of the walking obstacles; None: at their start.
+            people: `(W, 2)`, present positions of the walking obstacles; None: their start positions.
         """
         rows, walker = [], 0
         for obstacle in self.obstacles:
@@ -136,12 +136,12 @@ class Scene:
     def occupancy(self, grid: Grid) -> np.ndarray:
         """Return the true occupancy `[iy, ix]` `(fine_size, fine_size)` bool: fine cells touched by standing obstacles.
 
-        Walking people are left out: they stop for the car and never block a path for good.
+        Walking people are left out: they stop for the car and never block a path permanently.
         """
         return rasterise(self.standing_circles(), self.boxes(), grid)
 
     def hash(self) -> str:
-        """Return 16 hexadecimal digits, a hash of everything but the name."""
+        """Return the hash of everything except the name, 16 hexadecimal digits."""
         content = (self.ground, _fields(self.start), self.goal, [_fields(obstacle) for obstacle in self.obstacles])
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
@@ -181,7 +181,7 @@ def read(path: str | Path, grid: Grid = DEFAULT_GRID) -> Scene:
     """Return the scene of a YAML file, fully checked.
 
     Raises:
-        SceneError: the file is wrong; one line with the file's name and the reason.
+        SceneError: the file is unreadable or invalid; the message is one line with the file's name and the reason.
     """
     try:
         if Path(path).stat().st_size > MAX_FILE_BYTES:
@@ -202,7 +202,7 @@ def read_folder(folder: str | Path, grid: Grid = DEFAULT_GRID) -> list[Scene]:
     """Return the scenes of the `*.yaml` and `*.yml` files of a folder, ordered by file name, without hidden files.
 
     Raises:
-        SceneError: there is no such folder, it has no scene file, or one of them is wrong.
+        SceneError: there is no such folder, it has no scene file, or one of its files is invalid.
     """
     folder = Path(folder)
     if not folder.is_dir():

@@ -13,7 +13,7 @@ SUCCESS_RADIUS_M = SimConfig().success_radius_m
 
 @cache
 def footprints(grid: Grid) -> FootprintTable:
-    """Return the car's footprint table of a grid, computed once per process."""
+    """Return the table of the car's footprints on a grid, computed once per process."""
     return FootprintTable(grid)
 
 

@@ -10,18 +10,18 @@ from zsdist.sim.physics.collision import NO_BOXES, clearance_m
 from zsdist.sim.scenes.scene import Obstacle
 from zsdist.types import Pose
 
-STOP_M = 1.5  # a person stands still if its surface is within this distance of the car's box
+STOP_M = 1.5  # a person stands still while its surface is within this distance of the car's box
 
 
 class Walker:
     """One walking person.
 
     Args:
-        obstacle: a person with a path.
+        obstacle: person with a path.
 
     Attributes:
-        x_m: present position.
-        y_m: present position.
+        x_m: x of the present position.
+        y_m: y of the present position.
     """
 
     def __init__(self, obstacle: Obstacle) -> None:

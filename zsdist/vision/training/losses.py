@@ -30,8 +30,8 @@ def distance_loss(logits: Tensor, labels: Tensor) -> Tensor:
     the cumulative distributions, respects it.
 
     Args:
-        logits: `(..., K)`.
-        labels: `(..., K)`, distributions.
+        logits: `(..., K)`, logits of the distance bins.
+        labels: `(..., K)`, distributions over the bins.
     """
     log = logits.log_softmax(-1)
     ranked = (log.exp().cumsum(-1) - labels.cumsum(-1)).square().sum(-1)
@@ -42,7 +42,7 @@ def kind_loss(logits: Tensor, dynamic: Tensor, present: Tensor) -> Tensor:
     """Return the cross-entropy of dynamic or static over the directions with an obstacle, a scalar.
 
     Args:
-        logits: `(B, 3)`.
+        logits: `(B, 3)`, predictions for each direction.
         dynamic: `(B, 3)`, 1 if the kind of the obstacle moves.
         present: `(B, 3)` bool, directions with an obstacle.
     """

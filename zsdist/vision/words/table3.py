@@ -84,8 +84,8 @@ def object_share(embeddings: np.ndarray, word: np.ndarray, direction: np.ndarray
     I_a is compared with the other two of I_1 to I_3.
 
     Args:
-        embeddings: `(N, 4, D)`.
-        word: `(D,)`.
+        embeddings: `(N, 4, D)`, I_0 to I_3.
+        word: `(D,)`, embedding of the object's word.
         direction: `(N,)`, direction a from `only_direction`; -1: the picture does not count.
     """
     counted = direction >= 0
