@@ -71,7 +71,7 @@ def main() -> None:
 
 
 def make_frame(rng: np.random.Generator, state_size: int, transitions: int) -> Push:
-    """Return a frame of random trajectories with slowly changing features, a third of which are flags."""
+    """Return a frame of random trajectories; a third of the features are flags, the others change slowly."""
     trajectories = tuple(make_trajectory(rng, state_size) for _ in range(transitions // LENGTH))
     return Push(Level.LOW, "a0", 1, 0, transitions, False, trajectories)
 

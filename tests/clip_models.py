@@ -31,7 +31,7 @@ def randomised(model):
     generator = torch.Generator().manual_seed(5)
     with torch.no_grad():
         for name, parameter in model.named_parameters():
-            around = 1.0 if parameter.ndim == 1 and "weight" in name else 0.0  # norms
+            around = 1.0 if parameter.ndim == 1 and "weight" in name else 0.0  # normalisations
             parameter.copy_(around + 0.2 * torch.randn(parameter.shape, generator=generator))
     return model.eval()
 

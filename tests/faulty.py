@@ -33,7 +33,7 @@ class FaultyTransport(Transport):
     """Transport around another one; delayed messages are sent by `tick`, and no clock is read.
 
     Attributes:
-        faults: may be replaced at any time; `Faults()` ends all faults.
+        faults: faults to cause; may be replaced at any time, and `Faults()` ends all faults.
     """
 
     def __init__(self, inner: Transport, seed: int, faults: Faults | None = None) -> None:
@@ -47,7 +47,7 @@ class FaultyTransport(Transport):
         self._order = count()
 
     def tick(self, now: float) -> None:
-        """Set the time: send messages that were delayed until `now`, and the one that waits to be swapped."""
+        """Set the time; send messages that were delayed until `now`, and the one that waits to be swapped."""
         self._now = now
         self._release_swapped()
         while self._late and self._late[0][0] <= now:

@@ -1,12 +1,13 @@
-"""Fuzzer of the codec and of every mailbox, which runs until an input does harm.
+"""Fuzzer of the codec and of every mailbox, which runs until an input causes an error.
 
     PYTHONPATH=. python tests/fuzz.py --inputs 1000000 --state fuzz.json
 
-Each input is a valid message with changed bits, bytes, splices, JSON or columns. Mostly its checksum is corrected, so
-that the code behind it is reached; some inputs are repeated unchanged, or sent under a wrong key. Half of them go to
-`codec.decode`, which may only raise `DecodeError`, and whatever it accepts must be encodable again. The others go into
-the mailboxes of a replay, a learner, an actor and a scheduler, which must count them or act on them and continue. A
-second start with the same state file resumes the first, and an input that breaks something is left beside that file.
+Each input is a valid message with changed bits, bytes, splices, JSON or columns. In most cases its checksum is
+corrected, so that the code behind it is reached; some inputs are repeated unchanged, or sent under a wrong key. Half of
+them go to `codec.decode`, which may only raise `DecodeError`; every message that it accepts must be encodable again.
+The others go into the mailboxes of a replay, a learner, an actor and a scheduler, which must count them or act on them
+and continue. A second start with the same state file resumes the first. An input that breaks something is saved beside
+that file.
 """
 
 import argparse

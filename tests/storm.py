@@ -1,7 +1,7 @@
-"""Actors and a replay with a journal over a bad network, on a virtual clock; each of them dies now and then.
+"""Actors and a replay with a journal over a bad network, on a virtual clock; each of them dies from time to time.
 
-The state of every transition holds its actor, epoch, trajectory and position in it. In the end, the content of the
-buffer is compared with what the actors know to be acknowledged.
+The state of every transition encodes its actor, epoch, trajectory and position in it. In the end, the content of the
+buffer is compared with the transitions that the actors know to be acknowledged.
 """
 
 import threading
@@ -57,7 +57,7 @@ def trajectory(actor: int, epoch: int, number: int, length: int) -> Trajectory:
 
 
 class Driver:
-    """Outbox of one actor, and what it has offered."""
+    """Outbox of one actor, and the trajectories that it was offered."""
 
     def __init__(self, index: int, epoch: int, transport: FaultyTransport) -> None:
         self.index, self.epoch, self.transport = index, epoch, transport
@@ -147,7 +147,7 @@ class Storm:
                 transport.tick(self.now)
 
     def strike(self) -> None:
-        """Kill an actor or a replay now and then; there are few enough deaths that the run can end."""
+        """Kill an actor or a replay from time to time, but seldom enough for the run to end."""
         luck = self.rng.random()
         if luck < 0.03 and self.deaths["replay"] < 4:
             self.deaths["replay"] += 1
@@ -195,7 +195,7 @@ class Storm:
             self.sampled += isinstance(reply, SampleReply) and reply.batch is not None
 
     def check(self) -> None:
-        """Check that nothing is lost, doubled, mixed or in the wrong shard, and that counts and buffers agree."""
+        """Check that nothing is lost, duplicated, mixed or in the wrong shard, and that counts and buffers agree."""
         level_replays = [replay.level_replays[Level.LOW] for replay in self.replays]
         rings = []
         for replay, level_replay in zip(self.replays, level_replays, strict=True):

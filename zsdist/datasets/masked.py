@@ -29,7 +29,7 @@ def masked_views(
     parts of them stay in every masked picture, far parts count as background.
 
     Raises:
-        SceneError: the split is unknown, or the camera cannot tell one obstacle from another.
+        SceneError: the split is unknown, or the camera's back end does not number obstacles.
     """
     if camera.back_end != "caster":
         raise SceneError(f"camera.back_end is {camera.back_end!r}; allowed for pictures with masks is 'caster'")

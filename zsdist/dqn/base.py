@@ -143,7 +143,7 @@ class BaseDqnLearner(ABC):
     def promote(self, parameters: Parameters, reset_online: bool) -> None:
         """Load `parameters` into the target network; with `reset_online` also into the policy network.
 
-        The optimiser starts anew together with the policy network.
+        The optimiser is reset together with the policy network.
 
         Raises:
             WeightsError: the parameters belong to another network.

@@ -1,4 +1,4 @@
-"""Cost to go to one target, repaired when the map changes. One view changes few moves, so no search starts anew.
+"""Cost to go to one target, repaired when the map changes. One view changes few moves, so no search is repeated.
 
 A move is a pair of state and action; its number is `ACTIONS * state + action`.
 """

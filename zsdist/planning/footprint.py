@@ -211,7 +211,7 @@ def _blocked_words(
 
     Args:
         surroundings: bitmap of the occupied fine cells, `reach` of them around the grid included.
-        runs: from `_runs`.
+        runs: runs of the sweeps, from `_runs`.
         sweeps_of: `(footprints, 2)`, the sweeps of each footprint.
         off_grid: `(footprints, words, cells)`, actions that end off the grid.
         reach: greatest offset of a sweep, in fine cells.

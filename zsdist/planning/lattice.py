@@ -36,7 +36,7 @@ def predecessors(cells: int) -> np.ndarray:
 def successors_or_self(cells: int) -> np.ndarray:
     """Return `successors` as uint32, with the state itself for an action that leads off the grid.
 
-    Loops that look a successor up before they know whether the action is blocked need indices that are never negative.
+    Loops that read a successor before they know whether the action is blocked need indices that are never negative.
     """
     return _with_self(successors(cells))
 

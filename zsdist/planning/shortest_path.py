@@ -54,8 +54,8 @@ def cost_to_go(blocked: np.ndarray, goals: np.ndarray, action_costs: np.ndarray)
     """Return the least cost from every state to a goal cell, with any heading there.
 
     Args:
-        blocked: `(cells, cells, 8, 5)` bool.
-        goals: `[iy, ix]` `(cells, cells)` bool.
+        blocked: `(cells, cells, 8, 5)` bool, blocked moves.
+        goals: `[iy, ix]` `(cells, cells)` bool, goal cells.
         action_costs: `(8, 5)`, by heading before the action, above 0; `METRES` or `STEPS_COST`.
 
     Returns:
@@ -73,10 +73,10 @@ def path(cost: np.ndarray, blocked: np.ndarray, start: LatticeState, action_cost
     """Return the shortest path from `start`, found by descending the costs of `cost_to_go`.
 
     Args:
-        cost: `(cells, cells, 8)`, made with the same `blocked` and `action_costs`.
-        blocked: `(cells, cells, 8, 5)` bool.
+        cost: `(cells, cells, 8)` float32, from `cost_to_go` with the same `blocked` and `action_costs`.
+        blocked: `(cells, cells, 8, 5)` bool, blocked moves.
         start: start of the path.
-        action_costs: `(8, 5)`.
+        action_costs: `(8, 5)`, by heading before the action.
 
     Raises:
         ValueError: no goal cell can be reached from `start`, or the costs belong to another `blocked`.
@@ -116,7 +116,7 @@ def viable_states(blocked: np.ndarray) -> np.ndarray:
     place forever counts as driving, so the goal need not be reachable from a viable state; for that see `cost_to_go`.
 
     Args:
-        blocked: `(cells, cells, 8, 5)` bool.
+        blocked: `(cells, cells, 8, 5)` bool, blocked moves.
 
     Returns:
         `[iy, ix, heading]` `(cells, cells, 8)` bool.

@@ -20,14 +20,14 @@ SECTOR_HALF_RAD = np.pi / 12  # forward is the middle third of a view of 90 degr
 STOP_M = 0.75  # clearance of this or less has openness 0
 FREE_M = 4.0  # clearance of this or more has openness 1
 DYNAMIC_EXTRA_M = 0.75  # added to both for an obstacle that moves
-OPENNESS_WEIGHT = 0.6  # of openness in a reward label; the rest is the weight of progress
+OPENNESS_WEIGHT = 0.6  # weight of openness in a reward label; the rest is the weight of progress
 GOAL_BEARING_SPREAD_RAD = 1.0
 GOAL_DISTANCE_M = (0.7, 14.0)
 STEP_M = 1.0  # progress is measured over a step of this length
 
 
 def sectors(ray_angles_rad: np.ndarray) -> np.ndarray:
-    """Return which of the rays `(R,)` belong to each direction: `(3, R)` bool."""
+    """Return the rays `(R,)` that belong to each direction, `(3, R)` bool."""
     left, right = ray_angles_rad > SECTOR_HALF_RAD, ray_angles_rad < -SECTOR_HALF_RAD
     return np.stack([~left & ~right, left, right])
 
@@ -35,12 +35,12 @@ def sectors(ray_angles_rad: np.ndarray) -> np.ndarray:
 def nearest(
     ray_distance_m: np.ndarray, ray_dynamic: np.ndarray, ray_angles_rad: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the nearest obstacle of each direction: distance `(..., 3)` in metres, and whether its kind moves.
+    """Return the nearest obstacle in each direction: distance `(..., 3)` in metres, and whether its kind moves.
 
     Args:
         ray_distance_m: `(..., R)` true distance along each ray, capped at the camera's range.
-        ray_dynamic: `(..., R)` bool, whether what the ray meets is of a kind that moves.
-        ray_angles_rad: `(R,)`.
+        ray_dynamic: `(..., R)` bool, whether the ray meets an object of a kind that moves.
+        ray_angles_rad: `(R,)`, angles of the rays, left positive.
     """
     clearance, dynamic = [], []
     for sector in sectors(ray_angles_rad):
@@ -71,7 +71,7 @@ def progress(goal_bearing_rad: np.ndarray, goal_distance_m: np.ndarray) -> np.nd
 
     Args:
         goal_bearing_rad: `(...)` direction of the goal from the car's heading, left positive.
-        goal_distance_m: `(...)`.
+        goal_distance_m: `(...)`, distance of the goal.
     """
     distance = np.asarray(goal_distance_m)[..., None]
     turn = np.asarray(goal_bearing_rad)[..., None] - HEADINGS_RAD
@@ -97,7 +97,7 @@ def expected_openness(probabilities: Array, centres_m: Array, dynamic: Array, go
         probabilities: `(B, 3, K)` over bins of distance.
         centres_m: `(K,)` the distance that each bin represents.
         dynamic: `(B, 3)` probability that the kind of the obstacle moves.
-        goal_distance_m: `(B,)`.
+        goal_distance_m: `(B,)`, distance of the goal.
     """
     return (probabilities * openness(centres_m, dynamic[..., None], goal_distance_m[:, None, None])).sum(-1)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 RAYS = 32
 BINS = 25
-NEAREST_M = 0.25  # a smaller distance counts into the first bin
+NEAREST_M = 0.25  # smaller distances count in the first bin
 RANGE_M = 5.0
 BIN_EDGES_M = np.geomspace(NEAREST_M, RANGE_M, BINS).astype(np.float32)
 """`(BINS,)` edges of the first `BINS - 1` bins."""
@@ -44,7 +44,7 @@ def soft_labels(distance_m: np.ndarray) -> np.ndarray:
 def quantile_m(probabilities: np.ndarray, share: float) -> np.ndarray:
     """Return the quantile `(...)` in metres at `share` of each distribution `(..., BINS)`.
 
-    Within a bin the mass is spread evenly; in "free" the quantile is `RANGE_M`. A low share is a cautious reading.
+    Within a bin the mass is spread evenly; in "free" the quantile is `RANGE_M`. A low share is a cautious estimate.
 
     Raises:
         ValueError: `share` is not inside (0, 1).

@@ -10,10 +10,10 @@ from zsdist.dqn import network, torch_network
 from zsdist.dqn.fused import FusedDqnLearner, backward, forward
 from zsdist.dqn.learner import DqnLearner
 
-# Both learners round float32 in a different order, so that weights near 1 differ by some 2e-7, and stay so near each
-# other over 100 updates unless rounding switches a ReLU or the strongest rival of a guide action: that happens about
-# once in 3,000 updates, changes a part of one Adam step (0.002), and was seen to grow to 7e-4 by the 100th update.
-# A wrong term in a gradient moves weights by 1e-3 in the first update already.
+# The two learners round float32 in different orders, so weights near 1 differ by about 2e-7. They stay that close over
+# 100 updates unless rounding switches a ReLU or the strongest rival of a guide action. That happens about once in
+# 3,000 updates and changes a part of one Adam step (0.002); the difference grew to 7e-4 by the 100th update. A wrong
+# term in a gradient moves weights by 1e-3 in the first update already.
 TOLERANCES = {10: 1e-5, 100: 2e-3}  # after so many updates
 
 

@@ -25,7 +25,7 @@ def one_thread():
 
 @pytest.fixture(params=[DqnLearner, FusedDqnLearner])
 def learner(request):
-    """Makes learners of either kind."""
+    """Return a function that makes learners of one kind."""
 
     def make(config=CONFIG, seed=0, mirror=None, state_size=STATE_SIZE, actions=ACTIONS, device="cpu"):
         return request.param(state_size, actions, config, seed, mirror=mirror, device=device)
@@ -34,13 +34,13 @@ def learner(request):
 
 
 def updated(dqn, data):
-    """Figures of one update."""
+    """Return the figures of one update."""
     dqn.update(data)
     return dqn.figures()
 
 
 def gradient_of_first_step(dqn):
-    """From Adam's first moment, a tenth of it."""
+    """Return the gradient, from Adam's first moment, which is a tenth of it."""
     return torch.from_numpy(dqn.state()["adam/exp_avg"] * 10)
 
 
@@ -107,7 +107,7 @@ def test_eq11_rows_drawn_by_priority_count_as_much_as_their_weights(learner):
     weighted, plain = learner(config), learner(config)
     weighted.update(replace(data, weights=weights.astype(np.float32), serials=np.arange(len(data))))
     plain.update(Batch(**{name: column[repeated] for name, column in vars(data).items() if column is not None}))
-    ratio = len(repeated) / (4 * len(data))  # the mean is over all rows, whatever they weigh
+    ratio = len(repeated) / (4 * len(data))  # the mean is over all rows, whatever their weights
     torch.testing.assert_close(
         gradient_of_first_step(weighted), ratio * gradient_of_first_step(plain), rtol=1e-4, atol=1e-6
     )
@@ -138,7 +138,7 @@ def test_before_any_update_there_are_no_figures(learner):
 
 
 def test_a_learner_finds_the_optimal_values_of_a_small_chain(learner):
-    # Five cells in a row; action 1 goes right, action 0 left; the right end pays 1 and ends the episode.
+    # Five cells in a row; action 1 goes right, action 0 left; the right end gives reward 1 and ends the episode.
     config = LevelConfig(hidden=(32,), discount=0.9, target_tau=0.05)
     dqn = learner(config, state_size=5, actions=2)
     cells = np.repeat(np.arange(4), 2)

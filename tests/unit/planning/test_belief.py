@@ -18,7 +18,7 @@ ORIGIN = Pose(0.0, 0.0, 0.0)
 
 
 def view_of(distances, spread=0):
-    """Rays that end at given distances, each in its bin, or evenly in `spread` bins to either side."""
+    """Return a view whose rays end at given distances, each in its bin or evenly in `spread` bins to either side."""
     probabilities = np.zeros((32, 25), np.float32)
     for ray, distance in enumerate(np.broadcast_to(distances, 32)):
         if distance >= 5.0:
@@ -109,7 +109,7 @@ def test_a_thin_pole_met_by_one_ray_is_believed():
     distances = np.full(32, 5.0)
     distances[16] = 1.5
     belief.update(ORIGIN, view_of(distances), CAMERA_M)
-    end_m = EDGES[np.searchsorted(EDGES, 1.5)]  # of its bin
+    end_m = EDGES[np.searchsorted(EDGES, 1.5)]  # probability of its bin
     assert at(belief.occupied(), CAMERA_M + end_m * math.cos(ANGLES[16]), end_m * math.sin(ANGLES[16]))
 
 

@@ -8,13 +8,13 @@ SIZES = (5, 63, 64, 65, 160)
 
 
 def patches(size, seed=0):
-    """Fine cells that are set in patches of several sizes, some of them at the edge."""
+    """Return fine cells that are set in patches of several sizes, some of them at the edge."""
     noise = np.random.default_rng([seed, size]).random((size, size)).astype(np.float32)
     return cv2.blur(noise, (5, 5)) > 0.5
 
 
 def flags(bitmap, size):
-    """The fine cells `[iy, ix]` of a bitmap."""
+    """Return the fine cells `[iy, ix]` of a bitmap."""
     return np.unpackbits(bitmap.view(np.uint8), axis=1, bitorder="little")[:, :size].astype(bool)
 
 

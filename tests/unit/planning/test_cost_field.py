@@ -15,7 +15,7 @@ CELLS = 12
 
 
 def world(rng, share):
-    """Random blocked actions; those that end off the grid always are."""
+    """Return random blocked actions; those that end off the grid are always blocked."""
     blocked = rng.random((CELLS, CELLS, 8, 5)) < share
     for iy, ix, heading, action in np.ndindex(blocked.shape):
         end = successor(LatticeState(ix, iy, heading), action)
@@ -31,7 +31,7 @@ def targets(*cells):
 
 
 def searched(blocked, targets, costs):
-    """Dijkstra from the targets, against the direction of travel."""
+    """Return the costs by Dijkstra's algorithm from the targets, against the direction of travel."""
     flat, before = blocked.reshape(-1, 5), predecessors(CELLS).tolist()
     cost = np.where(np.repeat(targets.ravel(), 8), 0.0, np.inf).tolist()
     queue = [(0.0, state) for state, value in enumerate(cost) if value == 0.0]

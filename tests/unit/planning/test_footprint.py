@@ -13,7 +13,7 @@ FREE = np.zeros((160, 160), dtype=bool)
 
 
 def boxes_along(heading, action):
-    """Poses relative to the start cell's centre while an action is driven, independent of the table's own sampling."""
+    """Return poses during an action, relative to the start cell's centre, independent of the table's own sampling."""
     turn = {0: 0, 1: 1, 2: -1, 3: 2, 4: -2}[action] * math.pi / 4
     angle = heading * math.pi / 4
     poses = [(0.0, 0.0, angle + turn * t) for t in np.linspace(0, 1, 37)]
@@ -24,7 +24,7 @@ def boxes_along(heading, action):
 
 
 def fine_cells_of(pose, half_l, half_w, count=41):
-    """Fine cells in which points of the box lie."""
+    """Return the fine cells in which points of the box lie."""
     x, y, angle = pose
     u, v = np.meshgrid(np.linspace(-half_l, half_l, count), np.linspace(-half_w, half_w, count))
     px = x + u * math.cos(angle) - v * math.sin(angle)

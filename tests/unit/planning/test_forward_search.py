@@ -11,7 +11,7 @@ from zsdist.types import LatticeState
 
 
 def world(cells, seed, share):
-    """Random blocked actions; those that end off the grid always are."""
+    """Return random blocked actions; those that end off the grid are always blocked."""
     rng = np.random.default_rng(seed)
     blocked = rng.random((cells, cells, 8, 5)) < share
     for iy, ix, heading, action in np.ndindex(blocked.shape):
@@ -21,7 +21,7 @@ def world(cells, seed, share):
 
 
 def walked(blocked, start):
-    """States to which a path leads, one step at a time."""
+    """Return the states to which a path leads, found one step at a time."""
     found, queue = {start}, [start]
     for state in queue:
         for action in np.flatnonzero(~blocked[state.iy, state.ix, state.heading]):

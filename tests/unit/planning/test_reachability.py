@@ -11,7 +11,7 @@ SIZES = [(6, 0.3), (12, 0.6), (12, 0.8), (64, 0.72), (70, 0.72), (130, 0.75)]
 
 
 def world(cells, seed, share):
-    """Random blocked actions; those that end off the grid always are."""
+    """Return random blocked actions; those that end off the grid are always blocked."""
     rng = np.random.default_rng(seed)
     blocked = rng.random((cells, cells, 8, 5)) < share
     for iy, ix, heading, action in np.ndindex(blocked.shape):
@@ -21,7 +21,7 @@ def world(cells, seed, share):
 
 
 def walked_to(blocked, targets):
-    """States from which a path leads to a target cell, one step at a time; `(cells, cells, 8)` bool."""
+    """Return the states with a path to a target cell, found one step at a time; `(cells, cells, 8)` bool."""
     cells = len(blocked)
     before = {}
     for iy, ix, heading, action in np.argwhere(~blocked).tolist():

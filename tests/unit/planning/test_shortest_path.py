@@ -33,7 +33,7 @@ def blocked():
 
 
 def dijkstra_in_python(blocked, costs, goal_cells):
-    """The same field over explicit edges with the standard library's heap."""
+    """Return the same costs, computed over explicit edges with the standard library's heap."""
     cells, edges = len(blocked), {}
     for iy, ix, heading, action in np.argwhere(~blocked):
         start = LatticeState(int(ix), int(iy), int(heading))

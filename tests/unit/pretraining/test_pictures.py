@@ -13,7 +13,7 @@ JOB = Job(64, 0, 0, ("street",), "", ("words", "head"), Config(), "")
 
 
 def views(scenes, **more):
-    """A picture of each scene, whose tokens are its number."""
+    """Return a picture of each scene, with the scene's number as tokens."""
     count = len(scenes)
     return {
         "tokens": np.array(scenes, np.float16).reshape(-1, 1, 1, 1).repeat(2, -1),

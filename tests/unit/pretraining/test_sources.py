@@ -27,7 +27,7 @@ def test_pictures_are_made_only_for_the_wanted_stages():
 
 
 class MeanColours:
-    """An encoder whose tokens are the mean colours of 8 x 8 parts."""
+    """Encoder whose tokens are the mean colours of 8 x 8 parts."""
 
     def tokens(self, images):
         part = images.shape[1] // 8

@@ -10,7 +10,7 @@ from zsdist.wire.messages import EPISODES, Ack, Push, Records
 def frame(
     sequence: int, *, epoch: int = 1, actor: str = "a0", closes: bool = False, total: int | None = None
 ) -> Records:
-    """A frame with one record, the running total being right unless told."""
+    """Return a frame with one record, with the right running total unless `total` is given."""
     produced = sequence + 1 if total is None else total
     return Records(EPISODES, actor, epoch, sequence, produced, closes, ({"number": sequence},))
 

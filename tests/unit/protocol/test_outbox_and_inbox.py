@@ -1,4 +1,4 @@
-"""Both halves over a channel that drops, repeats, delays and reorders: nothing is lost, doubled or out of order."""
+"""Both halves over a channel that drops, repeats, delays and reorders: nothing is lost, duplicated or out of order."""
 
 import numpy as np
 import pytest

@@ -16,7 +16,7 @@ STATE_SIZE, ACTIONS = 4, 5
 
 
 def trajectory(n, first=0, version=0):
-    """Transitions numbered from `first`: each column says which one it belongs to."""
+    """Return transitions numbered from `first`; every column encodes the number of its transition."""
     numbers = np.arange(first, first + n)
     return Trajectory(
         level=Level.LOW,
@@ -33,7 +33,7 @@ def trajectory(n, first=0, version=0):
 
 
 def held(buffer):
-    """Numbers of the stored transitions, sorted; checks that every column of a row is of the same one."""
+    """Return the sorted numbers of the stored transitions; check that all columns of a row belong to the same one."""
     state = buffer.state()
     numbers = state["rewards"].astype(int)
     assert (state["states"] == numbers[:, None]).all() and (state["next_states"] == numbers[:, None] + 1).all()
@@ -71,7 +71,7 @@ def test_the_oldest_version_is_that_of_the_oldest_transition_still_held():
     assert (buffer.oldest_version, buffer.oldest_age_versions) == (2, 2)
     buffer.resize(3)
     assert (buffer.oldest_version, buffer.oldest_age_versions) == (3, 1)
-    buffer.insert([trajectory(1, version=1)])  # of an actor whose weights are late
+    buffer.insert([trajectory(1, version=1)])  # from an actor with old weights
     assert (buffer.oldest_version, buffer.oldest_age_versions) == (4, 0)
 
 
@@ -172,7 +172,7 @@ def test_invalid_transitions_are_rejected_by_reason_and_the_counts_add_up(reason
 
 
 def oldest_first(buffer):
-    """What is stored, where the ring begins left aside."""
+    """Return the stored rows, independent of where the ring begins."""
     state = buffer.state()
     head, capacity, _ = (int(state.pop(name)) for name in ("head", "capacity", "written"))
     start = head if len(buffer) == capacity else 0

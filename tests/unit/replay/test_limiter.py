@@ -10,7 +10,7 @@ from zsdist.replay.limiter import Limiter
 
 
 class Flow(RuleBasedStateMachine):
-    """Actors that act on credit, in any order, and a learner that takes what it may."""
+    """Actors that use their credit in any order, and a learner that takes all batches that it may."""
 
     @initialize(
         ratio=st.sampled_from([0.1, 0.3, 0.5, 1.0, 1.7, 4.0]),

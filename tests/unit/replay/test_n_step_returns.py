@@ -7,7 +7,7 @@ from zsdist.replay.n_step_returns import n_step
 
 
 def made(rng, lengths, ends):
-    """Trajectories one after the other: rows, successors, rewards, discounts; some transitions end their episode."""
+    """Return rows, successors, rewards and discounts of joined trajectories; some transitions end their episode."""
     count = sum(lengths)
     trajectory = np.repeat(np.arange(len(lengths)), lengths)
     rows = np.arange(count) + trajectory
@@ -17,7 +17,7 @@ def made(rng, lengths, ends):
 
 
 def one_by_one(steps, rows, successors, rewards, discounts, usable, start):
-    """The same return, followed step by step."""
+    """Return the same n-step return, computed step by step."""
     where = {int(row): index for index, row in enumerate(rows) if usable[index]}
     total, left, end = float(rewards[start]), float(discounts[start]), int(successors[start])
     for _ in range(steps - 1):
@@ -53,7 +53,7 @@ def test_a_return_is_that_of_following_the_trajectory_step_by_step(seed, lengths
 @given(seed=st.integers(0, 2**32), lengths=st.lists(st.integers(1, 9), min_size=2, max_size=5))
 def test_no_return_crosses_from_one_trajectory_into_the_next(seed, lengths):
     rows, following, rewards, discounts, trajectory = made(np.random.default_rng(seed), lengths, 0.0)
-    rewards[:] = 1000.0**trajectory  # a reward of another trajectory could not be overlooked
+    rewards[:] = 1000.0**trajectory  # a reward of another trajectory would be noticed
     discounts[:] = 1.0
     total, _, successors = n_step(100, rows, following, rewards, discounts, np.ones(len(rows), bool))
     last = np.cumsum(lengths) + np.arange(len(lengths))  # row of each trajectory's last state

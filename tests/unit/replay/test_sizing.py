@@ -25,7 +25,7 @@ def test_eq21_the_average_is_over_all_actions_so_far():
     for paper_return, actions in ((-100.0, 10), (900.0, 30), (500.0, 60)):
         averages.add_episode(paper_return, actions)
     assert averages.mean_reward == pytest.approx(1300 / 100)
-    assert averages.mean_return == 700.0  # of the last two
+    assert averages.mean_return == 700.0  # mean of the last two
 
 
 def test_eq22_the_buffer_size_goes_from_its_minimum_to_its_maximum_with_the_ratio():

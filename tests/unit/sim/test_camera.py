@@ -130,7 +130,7 @@ def test_varied_appearances_differ_and_follow_their_seed():
 
 def test_light_on_the_ground_is_interpolated_between_the_cells_of_the_shadow_map():
     light = np.ones((8, 8), np.float32)
-    light[3, 4] = 0.6  # of 1 m cells, that with its middle 0.5 m east and 0.5 m south of the origin
+    light[3, 4] = 0.6  # the 1 m cell whose middle is 0.5 m east and 0.5 m south of the origin
     x, y = np.array([0.5, 0.75, 1.5, 0.5, -0.5], np.float32), np.array([-0.5, -0.5, -0.5, 0.25, -0.5], np.float32)
     lit = np.empty(5, np.float32)
     sunshine(shadow_corners(light), 4.0, x, y, np.empty(5, np.uint32), lit)

@@ -59,7 +59,7 @@ def test_people_are_met_where_they_walk_now():
 
 
 def test_rays_end_where_the_picture_has_obstacles_meet_the_ground():
-    """In each ray's pixel column, the lowest obstacle pixel lies at the height that the ray's distance gives."""
+    """The lowest obstacle pixel in each ray's column lies at the height that follows from the ray's distance."""
     config, rays = CameraConfig(size_px=256), 32
     angles = np.arctan(1 - 2 * (np.arange(rays) + 0.5) / rays)  # of equal pixel columns of a view of 90 degrees
     camera = make_camera(config)

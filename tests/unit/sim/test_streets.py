@@ -111,4 +111,4 @@ def test_scenes_other_than_streets_look_as_they_did_before_streets_had_kerbs(fam
     found = [part.sum() for part in (look.materials, look.ground, look.sky, look.light)]
     assert found == pytest.approx(sums, abs=1e-4)
     image = make_camera(CameraConfig(size_px=64)).render(scene, scene.start.pose)
-    assert image.mean() == pytest.approx(mean, abs=0.01)  # to the bit on one machine; libraries of others may round
+    assert image.mean() == pytest.approx(mean, abs=0.01)  # bit-identical on one machine; others may round

@@ -32,7 +32,7 @@ def hub() -> Iterator[ZenohHub]:
 
 @pytest.fixture(params=["memory", "zenoh", "faulty"])
 def connect(request: pytest.FixtureRequest) -> Iterator[Connect]:
-    """A function that gives another transport of the same network."""
+    """Return a function that returns another transport of the same network."""
     broker = MemoryBroker()
     opened: list[Transport] = []
 
@@ -52,12 +52,12 @@ def connect(request: pytest.FixtureRequest) -> Iterator[Connect]:
 
 @pytest.fixture
 def root(request: pytest.FixtureRequest) -> str:
-    """A run of its own for each test, since the hub is shared."""
+    """Return a run name of its own for each test, since the hub is shared."""
     return f"zsdist/{zlib.crc32(request.node.name.encode()):x}"
 
 
 def settle(sender: Transport, receiver: Transport, root: str) -> None:
-    """Returns once what `receiver` declared is known at `sender`: on one connection, order is kept."""
+    """Wait until the declarations of `receiver` are known at `sender`: a connection keeps the order."""
     probe = Inbox()
     receiver.subscribe(f"{root}/settle", probe)
     end = time.monotonic() + PATIENCE_S
@@ -242,7 +242,7 @@ def test_patterns_match_as_zenoh_matches_them(pattern: str, key: str, expected: 
     assert zenoh.KeyExpr(pattern).includes(zenoh.KeyExpr(key)) is expected
 
 
-# What only the zenoh transport promises.
+# Guarantees of the zenoh transport only.
 
 
 def bare_session(endpoint: str) -> zenoh.Session:
@@ -260,7 +260,7 @@ def test_bare_zenoh_sees_statistics_as_json_and_the_liveliness_tokens(hub: Zenoh
         samples, came = [], threading.Event()
         session.declare_subscriber(f"{root}/stats/**", lambda sample: (samples.append(sample), came.set()))
         end = time.monotonic() + PATIENCE_S
-        while not came.wait(0.02) and time.monotonic() < end:  # until the subscription has got about
+        while not came.wait(0.02) and time.monotonic() < end:  # until the subscription is known everywhere
             transport.publish(f"{root}/stats/replay/0", json.dumps(statistics).encode(), json=True)
         sample = samples[0]
         assert str(sample.encoding) == "application/json"

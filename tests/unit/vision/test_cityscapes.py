@@ -33,7 +33,7 @@ CROWN = (VEGETATION, 8.0, (0.5, 2.0), (2.0, 4.0))
 
 
 def draw(things, stereo=True):
-    """Labels, instance numbers and disparity of flat things that face the camera, on a plane, seen from `EYE_M`."""
+    """Return labels, instance numbers and disparity of flat objects that face the camera, seen from `EYE_M`."""
     u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
     a, b = (u - U0) / FX, (v - V0) / FY  # right and down for each metre along the axis
     ahead, down = math.cos(PITCH) - b * math.sin(PITCH), math.sin(PITCH) + b * math.cos(PITCH)
@@ -80,7 +80,7 @@ def only(root, camera=CAMERA, **options):
 
 
 def expected(things):
-    """Scaled distance and motion at the middle of each ray's band, and bands that lie completely on one object."""
+    """Return scaled distance and motion in the middle of each ray's columns, and the rays completely on one object."""
     distance, moving = np.full(RAYS, 5.0), np.zeros(RAYS, bool)
     edges = np.tan(math.radians(22.5)) * (2 * np.arange(RAYS + 1) / RAYS - 1)
     clear = np.ones(RAYS, bool)
@@ -150,7 +150,7 @@ def test_a_hidden_object_leaves_the_rays_beside_it_and_background_changes_nothin
     assert 5 <= len(view.masks) <= MOST_MASKS
     objects = [mask for mask in view.masks if not mask.background]
     shown = {int(np.median(view.image[mask.hidden][:, 2])): mask for mask in objects}
-    assert set(shown) == {COLOURS[BUILDING], COLOURS[CAR]}  # of the pole too little is seen in so small a picture
+    assert set(shown) == {COLOURS[BUILDING], COLOURS[CAR]}  # too little of the pole is visible in such a small picture
     car = shown[COLOURS[CAR]]
     hit = view.ray_dynamic
     assert hit.any() and (car.ray_distance_m[hit] == 5.0).all() and not car.ray_dynamic.any()
@@ -159,7 +159,7 @@ def test_a_hidden_object_leaves_the_rays_beside_it_and_background_changes_nothin
     (pole,) = np.nonzero((house.ray_distance_m < 2.5) & ~hit)
     assert len(pole) and (house.ray_distance_m[:8] == 5.0).all()
     assert all((m.ray_distance_m == view.ray_distance_m).all() for m in view.masks if m.background)
-    assert not any(mask.hidden[0].any() for mask in view.masks)  # of what the frame does not show
+    assert not any(mask.hidden[0].any() for mask in view.masks)  # pixels that the frame does not show
 
 
 def test_each_standing_object_has_the_mask_of_its_polygon(tmp_path):

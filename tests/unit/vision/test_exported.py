@@ -41,7 +41,7 @@ def test_concurrent_builders_leave_one_whole_file_and_nothing_else(tmp_path):
     def together(path):
         path.write_bytes(content[:100])
         written.append(path)
-        meet.wait(timeout=30)  # both have half a file now
+        meet.wait(timeout=30)  # both have a partial file now
         path.write_bytes(content)
 
     threads = [threading.Thread(target=cached_session, args=("twice", together)) for _ in range(2)]
@@ -55,7 +55,7 @@ def test_concurrent_builders_leave_one_whole_file_and_nothing_else(tmp_path):
 
 
 def test_a_network_that_differs_from_its_export_is_refused():
-    class Drifting(torch.nn.Module):  # its export keeps the first answer, as one in training mode would
+    class Drifting(torch.nn.Module):  # its export keeps the first output, as an export in training mode does
         calls = 0
 
         def forward(self, x):

@@ -20,7 +20,7 @@ ANGLES = ray_angles_rad(RAYS, math.pi / 2)
 
 
 def picture(objects, ground_rows=slice(20, None), far_rows=slice(15, 20)):
-    """A picture with sky above, a background at 9 m, ground at 2 m, and `objects` of (rows, columns, distance)."""
+    """Return a picture with sky above, background at 9 m, ground at 2 m, and `objects` of (rows, columns, distance)."""
     instances, distance = np.full((PX, PX), -9), np.full((PX, PX), np.inf)
     ground = np.zeros((PX, PX), bool)
     ground[ground_rows] = True

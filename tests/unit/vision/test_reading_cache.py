@@ -32,7 +32,7 @@ while True:
 
 @pytest.fixture(autouse=True)
 def temporary_folder(tmp_path, monkeypatch):
-    """A folder for temporary files, in this process and in those it starts."""
+    """Return the folder for temporary files of this process and of those that it starts."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     return tmp_path
@@ -49,7 +49,7 @@ def reading(seed=0):
 
 
 def numbered(number):
-    """A reading that holds the number, below `BINS`, in each of its parts."""
+    """Return a reading whose parts all encode a number below `BINS`."""
     clearance, dynamic, rays = (np.zeros(shape, np.float32) for shape in SHAPES)
     clearance[:, number] = rays[:, number] = 1
     return Reading(clearance, dynamic + number, rays)
@@ -103,7 +103,7 @@ def test_a_reading_belongs_to_its_vision_scene_cell_and_heading(vision, scene, s
 
 
 def used_slots(file):
-    """Offsets of the slots that are not empty."""
+    """Return the offsets of the slots that are not empty."""
     content = file.read_bytes()
     return [at for at in range(0, len(content), SLOT_BYTES) if any(content[at : at + SLOT_BYTES])]
 
@@ -169,7 +169,7 @@ def test_a_writer_killed_at_any_moment_leaves_whole_readings_or_none():
 
 
 def test_a_later_run_finds_readings_of_an_earlier_one_even_if_a_writer_was_killed():
-    size = 64 * SET_BYTES  # with room for what the other writes
+    size = 64 * SET_BYTES  # with room for the other process's readings
     one = opened(size)
     kept = one.keep("scene", LatticeState(1, 1, 1), reading())
     one.close()

@@ -33,7 +33,7 @@ def test_an_object_is_unseen_only_if_each_of_its_rays_is_predicted_much_longer()
     objects = np.array([[0, 0, 1, 1, 2, 3, 3, -1, -2, -2]])
     true = np.array([[2.0, 2.2, 1.0, 1.1, 1.0, 3.0, 3.0, 5.0, 1.0, 1.0]])
     predicted = np.array([[3.2, 3.3, 2.5, 1.2, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0]])
-    # 0 is unseen; 1 is seen by one ray; 2 is met by one ray only; 3 is too far; walls and nothing are no objects
+    # 0 is unseen; 1 is seen on one ray; 2 is on one ray only; 3 is too far; walls and free rays are no objects
     assert unseen_objects(objects, predicted, true) == (2, 1)
 
 
@@ -43,7 +43,7 @@ def test_the_same_number_in_two_pictures_is_two_objects():
 
 
 def wall(px=64, at_m=2.0):
-    """A depth image of flat ground from a height of 1 m, with a wall 2 m tall ahead in its left half."""
+    """Return a depth image of flat ground from a height of 1 m, with a wall 2 m tall ahead in its left half."""
     down = -(1 - 2 * (np.arange(px) + 0.5) / px)
     depth = np.where(down > 0, 1 / np.maximum(down, 1e-9), np.inf)[:, None].repeat(px, 1)
     depth[:, : px // 2] = np.minimum(depth[:, : px // 2], at_m)
@@ -59,5 +59,5 @@ def test_rays_of_a_depth_image_end_at_walls_and_not_on_the_ground():
 
 def test_surfaces_above_the_car_do_not_obstruct():
     depth = wall()
-    depth[20:, :32] = wall(at_m=50.0)[20:, :32]  # only what is above the camera's height by 0.7 m or more is left
+    depth[20:, :32] = wall(at_m=50.0)[20:, :32]  # only points 0.7 m or more above the camera are left
     assert (depth_rays_m(depth, 32, np.pi / 2, 1.0, 5.0, 1.5) == 5.0).all()

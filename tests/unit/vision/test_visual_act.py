@@ -25,7 +25,7 @@ CAMERA = CameraConfig()
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A folder of untrained weights."""
+    """Return a folder of untrained weights."""
     encoder = EfficientNetLite0()
     with torch.random.fork_rng():
         torch.manual_seed(0)
@@ -43,7 +43,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture
 def folder(made, tmp_path):
-    """A copy of `made` that a test may damage."""
+    """Return a copy of `made` that a test may damage."""
     return shutil.copytree(made, tmp_path / "weights")
 
 
@@ -153,7 +153,7 @@ def test_weights_for_another_camera_are_refused(folder):
 
 
 def rewritten(folder, **contents):
-    """The folder with other contents, correctly hashed, of the files with the given stems."""
+    """Return the folder with other contents, correctly hashed, for the files with the given stems."""
     old = read(folder)
     files = {file: old.content(file) for file in old.metadata["files"]}
     write(folder, files | {f"{stem}.safetensors": content for stem, content in contents.items()}, old.metadata)
@@ -162,7 +162,7 @@ def rewritten(folder, **contents):
 
 @pytest.fixture
 def empty_cache(tmp_path, monkeypatch):
-    """A cache without networks; the encoder is opened before, since building it takes long."""
+    """Return a cache without networks; the encoder is opened before, since it takes long to build."""
     encoder = EfficientNetLite0()
     monkeypatch.setattr("zsdist.vision.visual_act.open_encoder", lambda spec: encoder)
     monkeypatch.setenv("ZSDIST_CACHE", str(tmp_path / "cache"))

@@ -26,7 +26,7 @@ from zsdist.wire.messages import Orders, Priorities, Push, SampleReply, SampleRe
 
 
 def reseal(payload: bytes, meta: dict, columns: dict[str, np.ndarray]) -> bytes:
-    """What a stranger with our code but not our checks would send instead of `payload`."""
+    """Return `payload` with other content, as sent by a stranger with this code but without its checks."""
     return frame.pack(frame.read_kind(payload), meta, columns, 2**30)
 
 

@@ -24,7 +24,7 @@ def test_ten_thousand_mutated_frames_raise_only_decode_error_or_are_equal() -> N
     for number in range(10_000):
         which = number % len(frames)
         payload = mutate(rng, frames[which], frames[(which + 1) % len(frames)])
-        if number % 2:  # with the checksum made right, so that what lies behind it is reached
+        if number % 2:  # with a corrected checksum, so that the code behind it is reached
             payload = payload[:12] + struct.pack("<I", checksum(payload)) + payload[16:]
         try:
             decoded = decode(payload)
@@ -45,7 +45,7 @@ def test_mutated_contents_in_a_valid_frame_raise_only_decode_error_or_are_valid(
         changed = mutate(rng, content(payload), content(frames[(number + 1) % len(frames)]))
         changed = frame.seal(frame.read_kind(payload), changed, frame.PLAIN)
         try:
-            encode(decode(changed))  # what is accepted is sound: it can be sent again
+            encode(decode(changed))  # an accepted message is valid: it can be sent again
         except DecodeError as error:
             assert error.reason.isidentifier()
             refused += 1
@@ -134,7 +134,7 @@ def test_plain_content_has_the_same_limit_and_an_unknown_packing_is_refused() ->
 
 
 def described(text: str, columns: bytes = b"", *, aligned: bool = True) -> bytes:
-    """A checkpoint of which the sender made up the description."""
+    """Return a checkpoint with a forged description of its columns."""
     padded = text.encode() + b" " * (-(4 + len(text)) % 8 + (not aligned))
     return frame.seal(10, struct.pack("<I", len(padded)) + padded + columns, frame.PLAIN)
 

@@ -170,8 +170,8 @@ def draw_misses(misses: Sequence[Miss], field_of_view_rad: float, camera_height_
 
     Args:
         misses: pictures with missed rays, one or more.
-        field_of_view_rad: of the level camera.
-        camera_height_m: above the ground.
+        field_of_view_rad: field of view of the level camera.
+        camera_height_m: height of the camera above the ground.
         file: JPEG to write.
     """
     columns = min(4, len(misses))
@@ -213,8 +213,8 @@ def feet_px(
     Args:
         distance_m: `(R,)` horizontal distances of rays that divide the picture's columns evenly, from the left.
         px: side of the picture in pixels.
-        field_of_view_rad: of the level camera.
-        camera_height_m: above the ground.
+        field_of_view_rad: field of view of the level camera.
+        camera_height_m: height of the camera above the ground.
     """
     rays = len(distance_m)
     across = (np.arange(rays) + 0.5) * px / rays

@@ -8,11 +8,11 @@ from zsdist.vision.models.projection import attended_embeddings, image_embedding
 
 
 class AttentionReader(nn.Module):
-    """Head and projection as one network.
+    """Network of head and projection, from tokens to attention and embeddings.
 
     Args:
-        head: provides the attention of each action.
-        projection: maps tokens `(B, side, side, features)` to the space of words, `(B, side, side, D)`.
+        head: network that gives the attention of each action.
+        projection: map of tokens `(B, side, side, features)` to the space of words, `(B, side, side, D)`.
     """
 
     def __init__(self, head: VisualActHead, projection: nn.Module) -> None:

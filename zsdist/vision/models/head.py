@@ -20,7 +20,7 @@ class HeadOutput(NamedTuple):
         clearance: `(B, 3, BINS)` logits of the distance to the nearest obstacle.
         dynamic: `(B, 3)` logits of that obstacle being of a kind that moves.
         rays: `(B, RAYS, BINS)` logits of the distance along each ray.
-        attention: `(B, 3, side * side)` attention of each action, the gaze of `ActionAttention`; each sums to 1.
+        attention: `(B, 3, side * side)`, attention of each action: the gaze of `ActionAttention`; each sums to 1.
     """
 
     clearance: Tensor
@@ -33,13 +33,13 @@ def attention(queries: Tensor, keys: Tensor, values: Tensor, allowed: Tensor) ->
     """Return masked attention, Eq. (4): `softmax(Q K^T / sqrt(d_k)) V`, with weight 0 where `allowed` is false.
 
     Args:
-        queries: `(..., Q, d_k)`.
-        keys: `(..., T, d_k)`.
-        values: `(..., T, d_v)`.
+        queries: `(..., Q, d_k)`, Q.
+        keys: `(..., T, d_k)`, K.
+        values: `(..., T, d_v)`, V.
         allowed: `(Q, T)` bool, tokens that each query may attend to; at least one per row.
 
     Returns:
-        `(..., Q, d_v)`, and the weights `(..., Q, T)`.
+        The attended values `(..., Q, d_v)`, and the weights `(..., Q, T)`.
     """
     scores = queries @ keys.transpose(-1, -2) / keys.shape[-1] ** 0.5
     weights = scores.masked_fill(~allowed, float("-inf")).softmax(-1)
@@ -49,11 +49,12 @@ def attention(queries: Tensor, keys: Tensor, values: Tensor, allowed: Tensor) ->
 class ActionAttention(nn.Module):
     """Multi-head attention with one learned query for each action, on tokens with a learned position.
 
-    A query is masked to the token columns of its action's direction and a margin, so that objects on the left cannot be
-    confused with objects on the right.
+    A query may attend only to the token columns of its action's direction and a margin, so that objects on the left
+    cannot be confused with objects on the right.
 
-    One more head, the gaze, has queries and keys of the whole width. Only the gaze is trained by the contrast and the
-    attention error, and its weights make I_1 to I_3; the other heads may attend to the ground, which shows distance.
+    An additional head, the gaze, has queries and keys of the whole width. Only the gaze is trained by the contrast and
+    the attention error, and its weights give I_1 to I_3. The other heads may attend to the ground, which indicates
+    distance.
     """
 
     allowed: Tensor
@@ -72,7 +73,7 @@ class ActionAttention(nn.Module):
         """Return features of each action `(B, 3, 2 * features)` and its gaze `(B, 3, side * side)`.
 
         Args:
-            tokens: `(B, side * side, features)`.
+            tokens: `(B, side * side, features)`, tokens from the top left, row by row.
         """
         batch, count, features = tokens.shape
         placed = tokens + self.positions
@@ -107,7 +108,7 @@ class VisualActHead(nn.Module):
     Args:
         features: features of a token.
         side: tokens along a side of the image.
-        field_of_view_rad: of the camera; it determines the columns of each direction.
+        field_of_view_rad: field of view of the camera, which determines the columns of each direction.
         width: features of a token inside the head.
         column_width: features of a column of the view inside the head.
         heads: number of attention heads besides the gaze.
@@ -138,14 +139,14 @@ class VisualActHead(nn.Module):
         self.action_networks = nn.ModuleList(
             nn.Sequential(nn.Linear(3 * width, width), nn.ReLU(), nn.Linear(width, BINS + 1)) for _ in range(ACTIONS)
         )
-        # the tokens of a column, from top to bottom, become the features of the column
+        # the tokens of a column, from top to bottom, give the features of the column
         self.fold = nn.Linear(side * width, column_width)
         self.column_of_token = nn.Linear(column_width, width)
         self.register_buffer("spread", _spread(side, RAYS), persistent=False)
         self.context = nn.Linear(column_width, column_width)
         self.columns = nn.Sequential(Residual1d(column_width), Residual1d(column_width))
         self.ray_bins = nn.Conv1d(column_width, BINS, 1)
-        # divisors of the logits in use; `training.calibration` fits them after the training
+        # divisors of the logits; `training.calibration` fits them after the training
         self.register_buffer("clearance_temperature", torch.ones(()))
         self.register_buffer("rays_temperature", torch.ones(()))
 
@@ -177,7 +178,7 @@ class CalibratedNetwork(Protocol):
     rays_temperature: Tensor
 
     def __call__(self, tokens: Tensor) -> HeadOutput:
-        """Return the logits."""
+        """Return the logits for tokens, or for pictures if this is a student."""
 
 
 class Probabilities(nn.Module):
@@ -201,7 +202,7 @@ def _allowed(side: int, field_of_view_rad: float) -> Tensor:
     """Return the tokens that each action may attend to, `(3, side * side)` bool."""
     edge = np.tan(SECTOR_HALF_RAD) / np.tan(field_of_view_rad / 2)
     column = np.arange(side)
-    left_of, right_of = (1 - edge) / 2 * side, (1 + edge) / 2 * side  # of the middle sector's borders, in columns
+    left_of, right_of = (1 - edge) / 2 * side, (1 + edge) / 2 * side  # middle sector, in columns
     columns = np.stack(
         [
             (column + 1 > left_of - MASK_MARGIN) & (column < right_of + MASK_MARGIN),

@@ -5,17 +5,17 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-WIDTH = 128  # features of a token inside the projection
+WIDTH = 128  # number of features of a token inside the projection
 
 
 class Projection(nn.Module):
-    """Projection of each token, with its neighbours, to the space of words; embeddings of texts keep their place.
+    """Projection of each token, with its neighbours, to the space of words; embeddings of texts stay unchanged.
 
-    A trained map of texts was tried beside it: words of the training came a little nearer to their pictures, unseen
-    words did not.
+    A trained map of texts was tried too: it brought words of the training a little nearer to their pictures, but not
+    unseen words.
 
     Args:
-        features: features of a token.
+        features: number of features of a token.
         text_width: D, width of the text tower's embeddings and of the common space.
     """
 
@@ -60,14 +60,14 @@ def attended_embeddings(projected: Tensor, attention: Tensor) -> Tensor:
     """Return I_1 to I_3 `(B, 3, D)` of unit length: means of the projected tokens, weighted by each action's attention.
 
     Args:
-        projected: `(B, side, side, D)`.
-        attention: `(B, 3, side * side)`, as in `HeadOutput`.
+        projected: `(B, side, side, D)`, projected tokens.
+        attention: `(B, 3, side * side)`, attention of each action, as in `HeadOutput`.
     """
     return functional.normalize(attention @ projected.flatten(1, 2), dim=-1)
 
 
 def projection_of(weights: dict[str, Tensor]) -> Projection:
-    """Return the projection with these weights; its sizes are those of the weights."""
+    """Return the projection with these weights, which also give its sizes."""
     projection = Projection(weights["enter.weight"].shape[1], weights["leave.weight"].shape[0])
     projection.load_state_dict(weights)
     return projection.eval()

@@ -1,4 +1,4 @@
-"""Small network that reads pictures without an encoder: the outputs of the head at a tenth of the cost."""
+"""Small network that reads pictures without an encoder: gives the outputs of the head at a tenth of the cost."""
 
 import numpy as np
 import torch
@@ -9,8 +9,8 @@ from zsdist.vision.models import STUDENT_PX
 from zsdist.vision.models.head import ACTIONS, HeadOutput, Residual1d, attention
 from zsdist.vision.rays import BINS, RAYS, ray_angles_rad
 
-LEVELS = 64.0  # of 255, the spread of a usual picture
-MARGIN_COLUMNS = 3  # of the neighbouring directions that an action may also attend to
+LEVELS = 64.0  # spread of a usual picture, in levels of 255
+MARGIN_COLUMNS = 3  # columns of the neighbouring directions that an action may also attend to
 
 
 class Student(nn.Module):
@@ -20,9 +20,9 @@ class Student(nn.Module):
     width. The remaining height becomes the features of a column.
 
     Args:
-        field_of_view_rad: of the camera; it determines the columns of each direction.
-        channels: of the four convolutions.
-        column_width: features of a column.
+        field_of_view_rad: field of view of the camera, which determines the columns of each direction.
+        channels: numbers of output channels of the four convolutions.
+        column_width: number of features of a column.
     """
 
     allowed: Tensor
@@ -52,7 +52,7 @@ class Student(nn.Module):
             nn.Sequential(nn.Linear(2 * column_width, column_width), nn.ReLU(), nn.Linear(column_width, BINS + 1))
             for _ in range(ACTIONS)
         )
-        # divisors of the logits in use; `training.calibration` fits them after the training
+        # divisors of the logits; `training.calibration` fits them after the training
         self.register_buffer("clearance_temperature", torch.ones(()))
         self.register_buffer("rays_temperature", torch.ones(()))
         self.register_buffer("allowed", _allowed(field_of_view_rad), persistent=False)

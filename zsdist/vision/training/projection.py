@@ -3,7 +3,7 @@
 There are three losses, all cross-entropies of cosines over a temperature:
 
 * captions: within a batch, each picture is matched to its caption and each caption to its picture, as in CLIP;
-* kinds: a picture is matched to its dominant kind, among words drawn anew for each batch, one per concept;
+* kinds: a picture is matched to its dominant kind, among words drawn for each batch, one per concept;
 * cells: some cells of a picture are matched to the concepts that they show, in the same way.
 
 Words are drawn at random and with noise, so that the direction of a concept is learned and not that of a single word.

@@ -63,8 +63,8 @@ def table3(
     Args:
         embeddings: `(N, 4, D)`, I_0 to I_3.
         words: embedding `(D,)` of each row's word, by name.
-        directions: for each kind of object its direction `(N,)` from `only_direction`.
-        grounds: for each ground `(N,)` bool, whether the picture is taken on it.
+        directions: direction `(N,)` of each kind of object, from `only_direction`.
+        grounds: `(N,)` bool for each ground, whether the picture is taken on it.
 
     Returns:
         A row for each object and ground that has pictures.

@@ -7,7 +7,7 @@ from zsdist.vision.rays import BINS, RAYS
 
 
 def predictions(predicted_m, true_m):
-    """Made-up predictions for N pictures with distances `(N, R)`; the distributions are flat."""
+    """Return synthetic predictions for N pictures with distances `(N, R)` and flat distributions."""
     count = len(predicted_m)
     three, flat = np.zeros((count, 3)), np.full((count, RAYS, BINS), 1 / BINS)
     numbers, names = np.zeros(count), np.array(["made-up"] * count)

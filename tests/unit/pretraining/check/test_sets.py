@@ -25,7 +25,7 @@ def test_a_set_has_as_many_pictures_as_asked_for_each_with_its_truth(name):
     for sample in samples:
         assert sample.image.shape == (64, 64, 3) and sample.image.dtype == np.uint8
         near = sample.truth["ray_clearance_m"] < CAMERA.range_m
-        assert (near >= (sample.objects >= 0)).all()  # whatever is met is within the range
+        assert (near >= (sample.objects >= 0)).all()  # every obstacle that is met is within the range
 
 
 def test_sets_differ_from_training_as_their_names_say():

@@ -11,7 +11,7 @@ GRID = Grid()
 
 
 def outline(x, y, length, width, heading, count=200):
-    """Points on the edge of a box."""
+    """Return points on the edge of a box."""
     t = np.linspace(-1, 1, count)
     one = np.ones(count)
     u = np.concatenate([t, t, one, -one]) * length / 2

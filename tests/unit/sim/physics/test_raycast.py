@@ -18,7 +18,7 @@ def test_distance_to_a_turned_box_is_to_its_near_corner():
     box = np.array([[5.0, 0.0, 2.0, 2.0, math.pi / 4]])
     distances, hits = ray_distances(np.array([[-5.0, 0.0, 1.0]]), box, 12.5, 0.0, 0.0, np.array([0.0]), 10.0)
     assert distances[0] == pytest.approx(5.0 - math.sqrt(2))
-    assert hits[0] == 1  # boxes count on from the circles
+    assert hits[0] == 1  # the numbers of boxes follow those of circles
 
 
 def test_rays_hit_walls_in_every_direction():

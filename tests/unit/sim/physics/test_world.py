@@ -128,7 +128,7 @@ def test_a_drive_stops_at_once_at_a_collision(world):
     assert results[1].contact
     assert world.touches() or world.contact()
     front = results[1].pose.x_m + 1.02
-    assert 1.95 < front < 2.12  # one step's way into the trunk, at most
+    assert 1.95 < front < 2.12  # at most the distance of one step into the trunk
 
 
 def test_the_arenas_walls_are_hit(world):
@@ -169,7 +169,7 @@ def test_a_walking_person_stops_at_a_distance_from_the_car_and_is_never_hit(worl
     path = ((4.0, -6.0), (4.0, 6.0))
     world.reset(scene(Obstacle("person", 4.0, -6.0, 0.3, path=path, speed_mps=1.2)))
     nearest = math.inf
-    for action in [TURN_LEFT, TURN_RIGHT] * 8:  # the car stays where it is, 2.4 m off the path
+    for action in [TURN_LEFT, TURN_RIGHT] * 8:  # the car stays in place, 2.4 m off the path
         assert not world.drive(action).contact
         nearest = min(nearest, clearance_m(world.pose, np.array([(*world.people[0], 0.3)]), NO_BOXES))
     assert world.people[0, 1] != -6.0

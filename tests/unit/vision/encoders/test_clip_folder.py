@@ -24,7 +24,7 @@ BOTH = pytest.mark.parametrize("layout", MAKERS)
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A folder and its model for each layout."""
+    """Return a folder and its model for each layout."""
     found = {}
     for name, make in MAKERS.items():
         folder = tmp_path_factory.mktemp(name)

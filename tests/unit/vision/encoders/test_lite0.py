@@ -20,7 +20,7 @@ def encoder():
 
 
 def images(count=2, px=INPUT_PX):
-    """Smooth pictures that differ between left and right."""
+    """Return smooth pictures that differ between left and right."""
     coarse = np.random.default_rng(3).integers(0, 256, (count, 8, 8, 3), np.uint8)
     return resample(coarse, px)
 

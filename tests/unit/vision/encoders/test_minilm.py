@@ -24,7 +24,7 @@ def tower():
 
 
 def reference(texts):
-    """Embeddings by the library that the weights were published for."""
+    """Return embeddings by the library for which the weights were published."""
     folder = get_model_path()
     tokenizer = transformers.AutoTokenizer.from_pretrained(folder, local_files_only=True)
     bert = transformers.BertModel.from_pretrained(folder, local_files_only=True, add_pooling_layer=False).eval()

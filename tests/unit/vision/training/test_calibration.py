@@ -8,7 +8,7 @@ from zsdist.vision.training.calibration import fit
 
 
 def world(count, temperature, seed=0):
-    """Logits, and true distances drawn from the distributions of the logits divided by `temperature`."""
+    """Return logits, and true distances drawn from the distributions of the logits divided by `temperature`."""
     rng = np.random.default_rng(seed)
     logits = 2 * torch.from_numpy(rng.standard_normal((count, 4, BINS)).astype(np.float32))
     cumulated = (logits / temperature).softmax(-1).cumsum(-1).numpy()

@@ -13,13 +13,13 @@ from zsdist.vision.training.examples import Examples
 
 SIDE, FEATURES = 8, 6
 ANGLES = ray_angles_rad(RAYS, math.pi / 2)
-THING, GROUND = 0, 1  # features
+THING, GROUND = 0, 1  # number of features
 COLUMNS = {"left": 0, "ahead": 3, "right": 6}
 GOAL = np.array([0.0]), np.array([6.0])
 
 
 def world():
-    """Pictures with objects at the left, ahead or at the right; masks hide each object and the ground in turn."""
+    """Return pictures with objects at the left, ahead or at the right, and masks of each object and of the ground."""
     rng = np.random.default_rng(0)
     tokens, distance, masked, image, without, background = [], [], [], [], [], []
     for number in range(24):
@@ -57,7 +57,7 @@ def new_head():
 
 
 def share_on_things(head, originals):
-    """The mean share of an action's attention that is on objects."""
+    """Return the mean share of an action's attention that is on objects."""
     tokens = torch.from_numpy(originals.tokens.astype(np.float32))
     things = (tokens[..., THING] > 0.5).flatten(1)
     with torch.no_grad():
@@ -118,11 +118,11 @@ def test_a_token_is_covered_by_the_mask_that_changed_it():
 def test_attention_targets_are_relevant_objects_or_else_the_sky_and_never_empty_ground():
     side = 4
     cover = np.zeros((1, 3, side, side), np.float32)
-    cover[0, 0, 1:3, 1] = 1.0  # a thing that stands on the ground
+    cover[0, 0, 1:3, 1] = 1.0  # an object that stands on the ground
     cover[0, 1, 2:] = 1.0  # the ground
     cover[0, 2, :2] = 1.0  # the sky
     positive = np.zeros((1, 3, 3), bool)
-    positive[0, 1, 0] = True  # the thing is in the way of the second action
+    positive[0, 1, 0] = True  # the object blocks the second action
     wanted, unwanted = attention_targets(cover, positive, np.array([[False, True, True]]))
     wanted, unwanted = wanted.reshape(3, side, side), unwanted.reshape(side, side)
     assert (wanted[1] == cover[0, 0]).all()

@@ -16,7 +16,7 @@ QUICK = Recipe(epochs=6, batch=16)
 
 
 def examples(count, seed):
-    """A synthetic world: the first feature of a column is its distance, the second whether its obstacle moves."""
+    """Return examples whose columns have as features the distance, and whether the obstacle moves."""
     rng = np.random.default_rng(seed)
     distance = np.where(rng.random((count, SIDE)) < 0.4, RANGE_M, rng.uniform(0.3, RANGE_M, (count, SIDE)))
     moving = (rng.random((count, SIDE)) < 0.3) & (distance < RANGE_M)
@@ -68,7 +68,7 @@ def test_training_stops_when_the_validation_loss_does_not_improve():
 
 
 class AttendTo:
-    """A contrast that pulls the attention of each action to one token."""
+    """Contrast that pulls the attention of each action to one token."""
 
     def __init__(self, token):
         self.token, self.drawn = token, []

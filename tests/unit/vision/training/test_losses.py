@@ -52,13 +52,13 @@ def test_the_kind_counts_only_in_directions_with_an_obstacle():
 
 
 def directions(*degrees):
-    """Unit vectors in the plane, `(len, 2)`."""
+    """Return unit vectors in the plane, `(len, 2)`."""
     angle = torch.deg2rad(torch.tensor(degrees, dtype=torch.float32))
     return torch.stack([angle.cos(), angle.sin()], -1)
 
 
 def marks(*rows):
-    """`(1, 3, M)` bool from a row of 0 and 1 for each action."""
+    """Return `(1, 3, M)` bool from a row of 0 and 1 for each action."""
     return torch.tensor([rows], dtype=torch.bool)
 
 
@@ -120,7 +120,7 @@ def test_an_action_without_positive_or_negative_samples_is_skipped():
 
 def test_the_attention_error_is_small_on_wanted_tokens_and_grows_on_unwanted_ones():
     wanted = torch.zeros(1, 3, 4)
-    wanted[0, 0, 1] = 1.0  # the two other actions want nothing
+    wanted[0, 0, 1] = 1.0  # the two other actions have no wanted tokens
     unwanted = torch.tensor([[0.0, 0.0, 0.0, 1.0]])
 
     def error(first, others):

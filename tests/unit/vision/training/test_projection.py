@@ -13,7 +13,7 @@ KINDS = len(KIND_WORDS)
 
 @pytest.fixture(scope="module")
 def vocabulary():
-    """A vocabulary in which the words of one concept are close together."""
+    """Return a vocabulary in which the words of one concept are close together."""
     rng, words = np.random.default_rng(3), shipped_words()
     centre = dict(zip(CONCEPTS, rng.standard_normal((len(CONCEPTS), WIDTH)), strict=True))
     rows = []
@@ -25,7 +25,7 @@ def vocabulary():
 
 
 def pictures(count, seed, vocabulary):
-    """Pictures of one kind each, which fills a part of the ground; tokens encode the cells, with noise."""
+    """Return pictures of one kind each, which fills a part of the ground; tokens encode the cells, with noise."""
     rng = np.random.default_rng(seed)
     dominant = rng.integers(KINDS, size=count)
     concepts = np.full((count, 14, 14), CONCEPTS.index("grass"))

@@ -25,7 +25,7 @@ QUICK = Recipe(epochs=3, batch=8)
 
 
 def examples(count, seed):
-    """A synthetic world in which a column is the brighter the nearer its obstacle is."""
+    """Return examples in which a column is brighter the nearer its obstacle is."""
     rng = np.random.default_rng(seed)
     distance = np.where(rng.random((count, 4)) < 0.4, RANGE_M, rng.uniform(0.3, RANGE_M, (count, 4)))
     distance = distance.repeat(RAYS // 4, 1).astype(np.float32)
@@ -47,7 +47,7 @@ def history(network, teacher=None, recipe=QUICK):
 
 
 def oracle(data):
-    """Predictions that put all probability on the true bin."""
+    """Return predictions that put all probability on the true bin."""
     one_hot = np.eye(BINS, dtype=np.float16)
     bins = np.abs(np.log(BIN_CENTRES_M) - np.log(data.ray_distance_m)[..., None]).argmin(-1)
     clearance, dynamic = one_hot[np.zeros((len(data), 3), int)], np.zeros((len(data), 3), np.float16)

@@ -13,7 +13,7 @@ BATCHES = 4
 
 
 def trainer(recipe, validation=None, seed=0, time_used=lambda: 0.0, width=5):
-    """A network with dropout that learns to add, and its trainer; `validation` replaces the validation losses."""
+    """Return a network with dropout that learns to add, and its trainer; `validation` gives the validation losses."""
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         network = nn.Sequential(nn.Linear(3, width), nn.Dropout(0.1), nn.ReLU(), nn.Linear(width, 1))

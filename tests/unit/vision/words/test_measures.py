@@ -18,7 +18,7 @@ def accuracy(images, dominant, **options):
 def test_pictures_at_the_words_of_their_kind_are_named_right_and_at_those_of_another_wrong():
     dominant = np.arange(len(KINDS))
     assert accuracy(BASIS, dominant)["accuracy"] == 1.0
-    assert accuracy(np.roll(BASIS, 1, 0), dominant)["accuracy"] <= 0.35  # its own wins a tie where the other is absent
+    assert accuracy(np.roll(BASIS, 1, 0), dominant)["accuracy"] <= 0.35  # its own word wins some ties
 
 
 def test_random_embeddings_are_named_by_chance():

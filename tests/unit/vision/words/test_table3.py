@@ -13,7 +13,7 @@ AXES = np.eye(3)
 
 
 def rays(*things):
-    """Rays of one picture with obstacles of (first ray, end, kind, distance)."""
+    """Return the rays of one picture with obstacles of (first ray, end, kind, distance)."""
     kind, distance = np.zeros((1, RAYS), np.uint8), np.full((1, RAYS), 5.0)
     for first, end, segment, metres in things:
         kind[0, first:end], distance[0, first:end] = segment, metres
@@ -21,7 +21,7 @@ def rays(*things):
 
 
 def looks(*along):
-    """Embeddings I_0 to I_3 of one picture with the given cosines to the axis of the word."""
+    """Return embeddings I_0 to I_3 of one picture with the given cosines to the axis of the word."""
     share = np.array(along)[:, None]
     return (share * AXES[0] + np.sqrt(1 - share**2) * AXES[1])[None]
 
