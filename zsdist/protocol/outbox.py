@@ -199,7 +199,7 @@ class Outbox:
         return now - self._stalled_since_s > self._give_up_after_s
 
     def statistics(self) -> dict[str, int]:
-        """Return counts of transitions (or records), and of frames under names that end in `_frames`."""
+        """Return counts of transitions (or records), of frames, and of ignored acknowledgements, by name."""
         return {
             "produced": self.produced,
             "waiting": self._waiting_count,
