@@ -103,9 +103,9 @@ def find_policy(name: str, config_file: Path | None = None, variant: str = FULL)
 
 def _list_policies() -> None:
     for name in SHIPPED:
-        print(f"{name:24} learned policy shipped with the package (sees {Observability.CAMERA})")
+        print(f"{name:24} learned policy shipped with the package (observes {Observability.CAMERA})")
     for name, baseline in BASELINES.items():
-        print(f"{name:24} {baseline.line} (sees {baseline.observability})")
+        print(f"{name:24} {baseline.line} (observes {baseline.observability})")
     print("variants of a learned policy, --variant NAME:")
     for name, variant in VARIANTS.items():
         print(f"{name:24} {variant.line}")

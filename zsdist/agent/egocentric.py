@@ -17,7 +17,7 @@ SIGHT_M = 5.0  # largest measured distance, and the unit of most length features
 ACTIONS = len(TURNS)
 RUN_CELLS = 8
 NEAR_M, FAR_M = 2.5, 5.0  # lengths of the free paths that are followed after an action
-LONG_WAY_M = 4 * SIGHT_M  # longer paths count as this long, and so do missing ones
+LONG_PATH_M = 4 * SIGHT_M  # longer paths count as this long, and so do missing ones
 ACTION_FEATURES, BLOCK_FEATURES = 12, 14
 _TURNS = np.array(TURNS)
 _ADVANCES = np.array(ADVANCES)
@@ -209,12 +209,12 @@ def block_features(
             continue
         bx, by = blocks[k]
         sub_x, sub_y = subgoals[k]
-        there_m = min(drive_m[int((sub_y + grid_half) / cell), int((sub_x + grid_half) / cell)], LONG_WAY_M)
+        there_m = min(drive_m[int((sub_y + grid_half) / cell), int((sub_x + grid_half) / cell)], LONG_PATH_M)
         bearing = math.atan2(sub_y - y, sub_x - x) - heading
         row = out[k]
         row[0], row[1], row[2], row[3] = 1.0, mask[k], seen_shares[by, bx], occupied_shares[by, bx]
         row[4], row[5] = math.log1p(block_visits[by, bx]), math.log1p(tries[by, bx])
-        row[6] = min(there_m + beeline_m[k] - goal_m, LONG_WAY_M) / SIGHT_M
+        row[6] = min(there_m + beeline_m[k] - goal_m, LONG_PATH_M) / SIGHT_M
         row[7], row[8] = math.cos(bearing), math.sin(bearing)
         row[9], row[10] = there_m / SIGHT_M, (goal_m - beeline_m[k]) / SIGHT_M
         row[11] = bx == blocks[goal, 0] and by == blocks[goal, 1]

@@ -15,7 +15,7 @@ from zsdist.agent.egocentric import (
     ACTION_FEATURES,
     BLOCK_FEATURES,
     DIRECTIONS,
-    LONG_WAY_M,
+    LONG_PATH_M,
     SIGHT_M,
     Geometry,
     action_features,
@@ -24,7 +24,7 @@ from zsdist.agent.egocentric import (
     line,
 )
 from zsdist.agent.options import Option
-from zsdist.agent.reward_shaping import way_costs
+from zsdist.agent.reward_shaping import path_costs
 from zsdist.agent.situation import Situation
 from zsdist.planning.grid import Grid
 from zsdist.planning.lattice import successors_or_self
@@ -83,7 +83,7 @@ def low_state(situation: Situation, subgoal: tuple[float, float], seeks_goal: bo
     """
     grid, state = situation.grid, situation.state
     actions = action_features(
-        (situation.blocked, successors_or_self(grid.cells), way_costs(grid)),
+        (situation.blocked, successors_or_self(grid.cells), path_costs(grid)),
         situation.seen,
         situation.visits,
         *state,
@@ -103,7 +103,7 @@ def low_state(situation: Situation, subgoal: tuple[float, float], seeks_goal: bo
 
 def high_state(situation: Situation, options: Choices, rooms: np.ndarray) -> np.ndarray:
     """Return the state of the high level, `(HIGH_STATE_SIZE,)` float32; neighbours in the order of `options`."""
-    (x, y), (bx, by), goal = situation.place, situation.block, situation.goal
+    (x, y), (bx, by), goal = situation.position, situation.block, situation.goal
     geometry, heading_rad = _geometry(situation.grid), situation.state.heading * math.pi / 4
     fine_cells = (situation.occupied, situation.seen)
     # The distances are computed here, since compiled code rounds a hypotenuse differently.
@@ -123,7 +123,7 @@ def high_state(situation: Situation, options: Choices, rooms: np.ndarray) -> np.
     here = [
         *_polar(situation, goal, _FAR_M),
         float(tuple(options.blocks[GOAL_CHOICE]) == (bx, by)),
-        (min(float(situation.drive_m[situation.goals].min(initial=np.inf)), goal_m + LONG_WAY_M) - goal_m) / SIGHT_M,
+        (min(float(situation.drive_m[situation.goals].min(initial=np.inf)), goal_m + LONG_PATH_M) - goal_m) / SIGHT_M,
         *line(fine_cells, x, y, *goal, *geometry[2:4]),
         math.log1p(situation.goal_tries),
         math.log1p(int(situation.block_visits[by, bx])),
@@ -135,7 +135,7 @@ def high_state(situation: Situation, options: Choices, rooms: np.ndarray) -> np.
 
 def measure_rooms(situation: Situation) -> np.ndarray:
     """Return clearances and distances to unseen ground around the car, `(2, DIRECTIONS)` metres."""
-    grid, (x, y) = situation.grid, situation.place
+    grid, (x, y) = situation.grid, situation.position
     heading_rad = situation.state.heading * math.pi / 4
     half_arena_m, half_grid_m = grid.arena_m / 2, grid.side_m / 2
     return clearances(situation.occupied, situation.seen, x, y, heading_rad, half_arena_m, half_grid_m, grid.fine_m)
@@ -181,6 +181,6 @@ def mirror(level: Level) -> Mirror:
 
 
 def _polar(situation: Situation, point: tuple[float, float], scale_m: float) -> tuple[float, float, float]:
-    (x, y), heading = situation.place, situation.state.heading * math.pi / 4
+    (x, y), heading = situation.position, situation.state.heading * math.pi / 4
     bearing = math.atan2(point[1] - y, point[0] - x) - heading
     return math.cos(bearing), math.sin(bearing), math.hypot(point[0] - x, point[1] - y) / scale_m

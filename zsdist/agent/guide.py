@@ -66,7 +66,7 @@ class LowGuide:
         """Return the action of the potential field with its trail; None where nothing is allowed."""
         config, state = self._config, situation.state
         direction = potential.force(
-            situation.place,
+            situation.position,
             target,
             _surfaces(situation, config.influence_m + potential.BODY_M),
             k_att=config.attraction,
@@ -99,7 +99,7 @@ def high_choice(situation: Situation, options: Choices, cost_to_goal: np.ndarray
     """
     state = situation.state
     way_m = float(cost_to_goal[state.iy, state.ix, state.heading])
-    if not math.isfinite(way_m) or way_m <= DIRECT_RATIO * math.dist(situation.place, situation.goal) + DIRECT_M:
+    if not math.isfinite(way_m) or way_m <= DIRECT_RATIO * math.dist(situation.position, situation.goal) + DIRECT_M:
         return GOAL_CHOICE
     grid = situation.grid
     goal_block = tuple(options.blocks[GOAL_CHOICE])
@@ -123,14 +123,14 @@ def explored_share(situation: Situation, bx: int, by: int) -> float:
 
 
 def _towards(situation: Situation, subgoal: tuple[float, float], action: Action) -> bool:
-    (x, y), end = situation.place, successor(situation.state, action)
+    (x, y), end = situation.position, successor(situation.state, action)
     heading = end.heading * math.pi / 4
     return (subgoal[0] - x) * math.cos(heading) + (subgoal[1] - y) * math.sin(heading) > 0
 
 
 def _surfaces(situation: Situation, reach_m: float) -> np.ndarray:
     """Return the centres of occupied fine cells within about `reach_m` of the car, `(N, 2)` metres."""
-    grid, (x, y) = situation.grid, situation.place
+    grid, (x, y) = situation.grid, situation.position
     fx, fy = grid.fine_index(x, y)
     reach = math.ceil(reach_m / grid.fine_m)
     top, left = max(fy - reach, 0), max(fx - reach, 0)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from zsdist.agent import shield
-from zsdist.agent.reward_shaping import way_costs
+from zsdist.agent.reward_shaping import path_costs
 from zsdist.agent.shield import Judgement
 from zsdist.agent.situation import Situation
 from zsdist.planning import forward_search
@@ -72,8 +72,8 @@ class EpisodeMemory:
             occupied=self._belief.occupied(),
             seen=self._belief.seen(),
             moves=judgement.moves,
-            squeezed=judgement.gave_way,
-            drive_m=forward_search.path_lengths_from(judgement.moves.blocked, state, way_costs(self._grid)),
+            gave_way=judgement.gave_way,
+            drive_m=forward_search.path_lengths_from(judgement.moves.blocked, state, path_costs(self._grid)),
             visits=self._visits,
             block_visits=self._block_visits,
             tries=self._tries,

@@ -7,7 +7,7 @@ import numpy as np
 from zsdist.agent import guide
 from zsdist.agent.blocks import Choices
 from zsdist.agent.options import Option
-from zsdist.agent.reward_shaping import way_costs
+from zsdist.agent.reward_shaping import path_costs
 from zsdist.agent.situation import Situation
 from zsdist.planning.cost_field import CostField
 from zsdist.planning.footprint import successor
@@ -24,7 +24,7 @@ class Planner:
     """
 
     def __init__(self, grid: Grid, goals: np.ndarray) -> None:
-        self._grid, self._costs = grid, way_costs(grid)
+        self._grid, self._costs = grid, path_costs(grid)
         self._goal_field = CostField(goals, self._costs)
         self._subgoal_field: CostField | None = None
 

@@ -168,7 +168,7 @@ class Recorder:
             step = Step(
                 revisits=int(after.visits[there]) - 1,
                 reentries=int(after.block_visits[after.block[::-1]]) - 1 if after.block != before.block else 0,
-                squeezed=after.squeezed,
+                gave_way=after.gave_way,
                 reached=reached,
                 collided=terminated and not reached,
             )

@@ -17,7 +17,7 @@ REVISIT = -0.1  # for each earlier visit of the state reached, up to MAX_REVISIT
 MAX_REVISITS = 8
 REENTRY = -0.3  # for each earlier visit of the block entered, up to MAX_REENTRIES; the high level only
 MAX_REENTRIES = 4
-SQUEEZED = -0.2  # where full care leaves no path to the goal: not forbidden, but better avoided
+GAVE_WAY = -0.2  # where full care leaves no path to the goal: not forbidden, but better avoided
 ENTRY = 0.5
 GOAL = 2.0
 COLLISION = -4.0
@@ -26,7 +26,7 @@ MAX_PROGRESS_M = 2.0  # a changed map can shorten a path by more, which the acti
 
 
 @cache
-def way_costs(grid: Grid) -> np.ndarray:
+def path_costs(grid: Grid) -> np.ndarray:
     """Return the cost of each action by heading, `(8, 5)` metres with a surcharge for turns, read-only.
 
     Progress is measured in these costs.
@@ -57,21 +57,21 @@ class Step:
     Attributes:
         revisits: number of earlier visits of the state reached.
         reentries: number of earlier visits of the block entered; 0 where the block is the same as before.
-        squeezed: whether full care leaves no path to the goal where the step ended.
+        gave_way: whether full care leaves no path to the goal where the step ended.
         reached: whether the goal was reached.
         collided: whether something was hit.
     """
 
     revisits: int
     reentries: int
-    squeezed: bool
+    gave_way: bool
     reached: bool
     collided: bool
 
     def reward(self, progress_m: float) -> float:
         """Return the terms that both levels share: progress, step, revisits, squeezing, goal and collision."""
         reward = PROGRESS_A_METRE * progress_m + STEP + REVISIT * min(self.revisits, MAX_REVISITS)
-        return reward + SQUEEZED * self.squeezed + GOAL * self.reached + COLLISION * self.collided
+        return reward + GAVE_WAY * self.gave_way + GOAL * self.reached + COLLISION * self.collided
 
     def low_reward(self, progress_m: float, entered: bool) -> float:
         """Return the reward of the low level.

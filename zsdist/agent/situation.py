@@ -23,7 +23,7 @@ class Situation:
         occupied: `(fine_size, fine_size)` bool, fine cells that count as occupied.
         seen: `(fine_size, fine_size)` bool, fine cells that were seen.
         moves: blocked moves of the shield's judgement.
-        squeezed: whether full care leaves the car no path to the goal.
+        gave_way: whether full care leaves the car no path to the goal.
         drive_m: `(cells, cells)` metres of the shortest free path into each cell, with a surcharge for turns; infinite
             where none leads there.
         visits: `(cells, cells, 8)` int32, number of times that the car was in each state, now included.
@@ -40,7 +40,7 @@ class Situation:
     occupied: np.ndarray
     seen: np.ndarray
     moves: BlockedMoves
-    squeezed: bool
+    gave_way: bool
     drive_m: np.ndarray
     visits: np.ndarray
     block_visits: np.ndarray
@@ -48,7 +48,7 @@ class Situation:
     goal_tries: int
 
     @cached_property
-    def place(self) -> tuple[float, float]:
+    def position(self) -> tuple[float, float]:
         """Centre of the car's cell, `(x_m, y_m)`."""
         return self.grid.centre(self.state.ix, self.state.iy)
 

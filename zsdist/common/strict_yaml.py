@@ -5,7 +5,7 @@ from typing import Any
 import yaml
 
 
-class KeyTwice(yaml.YAMLError):
+class DuplicateKeyError(yaml.YAMLError):
     """Mapping that has a key twice."""
 
 
@@ -15,7 +15,9 @@ class _Loader(yaml.SafeLoader):
         for key_node, _ in node.value:
             if isinstance(key_node, yaml.ScalarNode):
                 if key_node.value in seen:
-                    raise KeyTwice(f"line {key_node.start_mark.line + 1}: key {key_node.value!r} is there twice")
+                    raise DuplicateKeyError(
+                        f"line {key_node.start_mark.line + 1}: key {key_node.value!r} appears twice"
+                    )
                 seen.add(key_node.value)
         return super().construct_mapping(node, deep)
 

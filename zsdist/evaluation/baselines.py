@@ -108,18 +108,22 @@ BASELINES: dict[str, Baseline] = {
     "random": Baseline("any action that stays on the grid", Observability.NOTHING, lambda config, see: Random()),
     "goal-greedy": Baseline("straight at the goal", Observability.NOTHING, lambda config, see: GoalGreedy()),
     "potential-field": Baseline(
-        "down the field on the map of what it sees, under the shield", Observability.CAMERA, _unlearned("field")
+        "potential field on the believed map, under the shield", Observability.CAMERA, _unlearned("field")
     ),
     "potential-field-no-trail": Baseline(
-        "the same, not repelled from where it has been", Observability.CAMERA, _unlearned("field", trail=0.0)
+        "the same field without repulsion from visited states", Observability.CAMERA, _unlearned("field", trail=0.0)
     ),
     "astar": Baseline(
-        "shortest way over (cell, heading), planned once", Observability.MAP, lambda config, see: AStar(config)
+        "shortest path over (cell, heading) on the true map, planned once",
+        Observability.MAP,
+        lambda config, see: AStar(config),
     ),
     "astar-frontier": Baseline(
-        "shortest way on the map of what it saw, planned anew at each step, under the shield",
+        "shortest path on the map built from true distances, planned anew at each step, under the shield",
         Observability.RANGES,
         _unlearned("planner"),
     ),
-    "astar-vision": Baseline("the same by what the visual-act model says", Observability.CAMERA, _unlearned("planner")),
+    "astar-vision": Baseline(
+        "the same on the map built by the visual-act model", Observability.CAMERA, _unlearned("planner")
+    ),
 }

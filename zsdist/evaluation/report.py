@@ -82,7 +82,7 @@ class Report:
         changed = sum(record.shield_changes for record in self.records)
         notes = [
             f"n {result['episodes']}, seed {result['seed']}, success within {settings.success_radius_m} m, at most "
-            f"{settings.max_steps} actions; sees {self.contender.observability}; "
+            f"{settings.max_steps} actions; observes {self.contender.observability}; "
             f"shield changed {changed} of {decisions} actions ({result['shield_changed_share']:.1%}). "
             f"Code {result['code_sha256']}."
         ]

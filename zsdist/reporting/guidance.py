@@ -12,7 +12,7 @@ from matplotlib.patheffects import withStroke
 
 from zsdist.agent import features
 from zsdist.agent.blocks import GOAL_CHOICE, NEIGHBOURS, choices
-from zsdist.agent.reward_shaping import way_costs
+from zsdist.agent.reward_shaping import path_costs
 from zsdist.agent.situation import Situation
 from zsdist.config import Config
 from zsdist.dqn import network
@@ -153,7 +153,7 @@ def _started_at(known: Situation, state: LatticeState, advice: np.ndarray) -> Si
         known,
         state=state,
         advice=advice,
-        drive_m=forward_search.path_lengths_from(known.blocked, state, way_costs(known.grid)),
+        drive_m=forward_search.path_lengths_from(known.blocked, state, path_costs(known.grid)),
         visits=np.zeros_like(known.visits),
         block_visits=np.zeros_like(known.block_visits),
         tries=np.zeros_like(known.tries),
@@ -183,7 +183,7 @@ def _best_choice(situations: Sequence[Situation], parameters: Parameters) -> tup
     means = np.array([np.nanmean(column) if np.isfinite(column).any() else np.nan for column in world.T])
     best = int(np.nanargmax(means))
     if best == GOAL_CHOICE:
-        x, y = situations[0].place
+        x, y = situations[0].position
         step = np.array([situations[0].goal[0] - x, situations[0].goal[1] - y])
     else:
         step = STEPS[best].astype(float)

@@ -52,7 +52,7 @@ class Display:
 
     def refresh(self, transport: Transport, now: float) -> None:
         """Receive what has arrived, and show it when that is due."""
-        self.take(transport)
+        self.update(transport)
         if time.monotonic() < self._next_s:
             return
         if self._live is not None:
@@ -62,14 +62,14 @@ class Display:
             self._next_s = time.monotonic() + LINE_EVERY_S
             self.console.print(self.line(), highlight=False, soft_wrap=True, markup=False)
 
-    def take(self, transport: Transport) -> None:
+    def update(self, transport: Transport) -> None:
         """Receive statistics, events and liveliness; the first call subscribes to them."""
         if self._mailbox is None:
             self._mailbox = Mailbox(MAILBOX_BYTES)
             transport.subscribe(keys.stats(self.run, keys.ANY, keys.ANY), self._mailbox)
             transport.subscribe(keys.events(self.run), self._mailbox)
             transport.watch_alive(keys.alive(self.run, keys.ANY, keys.ANY), self._mailbox)
-        self.snapshot.take(self._mailbox.drain())
+        self.snapshot.update(self._mailbox.drain())
 
     def figures(self) -> dict[str, str]:
         """Return the text under each heading."""

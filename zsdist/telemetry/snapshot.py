@@ -42,7 +42,7 @@ class Snapshot:
         self.max_lag_s = 0.0
         self._history: dict[tuple[str, str], deque[Fields]] = {}
 
-    def take(self, messages: Iterable[Message]) -> None:
+    def update(self, messages: Iterable[Message]) -> None:
         """Accept statistics, events and changes of liveliness."""
         for message in messages:
             parsed = keys.parse(message.key)

@@ -42,7 +42,7 @@ def wait_for_reports(display: Display, transport: Transport) -> Snapshot:
     """
     snapshot, deadline_s = display.snapshot, time.monotonic() + FIRST_REPORT_WITHIN_S
     while time.monotonic() < deadline_s:
-        display.take(transport)
+        display.update(transport)
         if snapshot.alive and snapshot.alive <= set(snapshot.roles):
             break
         time.sleep(0.05)

@@ -5,7 +5,7 @@ import pytest
 
 from zsdist.agent import features
 from zsdist.agent.blocks import GOAL_CHOICE, HIGH_ACTIONS, choices
-from zsdist.agent.reward_shaping import way_costs
+from zsdist.agent.reward_shaping import path_costs
 from zsdist.agent.situation import Situation
 from zsdist.planning import forward_search
 from zsdist.planning.footprint import FootprintTable
@@ -83,9 +83,9 @@ def situation(parts):
     return Situation(
         grid=GRID,
         moves=BlockedMoves.from_array(blocked),
-        squeezed=False,
+        gave_way=False,
         goals=goal_mask(GRID, parts["goal"], 0.6),
-        drive_m=forward_search.path_lengths_from(blocked, parts["state"], way_costs(GRID)),
+        drive_m=forward_search.path_lengths_from(blocked, parts["state"], path_costs(GRID)),
         **parts,
     )
 

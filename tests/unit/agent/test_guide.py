@@ -31,9 +31,9 @@ def situation(occupied=None, state=EAST, goal=(8.0, -1.9), seen=True, advice=(0.
         occupied=occupied,
         seen=np.full((size, size), seen),
         moves=BlockedMoves.from_array(blocked),
-        squeezed=False,
+        gave_way=False,
         goals=goal_mask(GRID, goal, 0.6),
-        drive_m=forward_search.path_lengths_from(blocked, state, reward_shaping.way_costs(GRID)),
+        drive_m=forward_search.path_lengths_from(blocked, state, reward_shaping.path_costs(GRID)),
         visits=visits,
         block_visits=np.zeros((4, 4), np.int32),
         tries=np.zeros((4, 4), np.int32),
@@ -73,7 +73,7 @@ def test_explored_share_counts_the_seen_cells_of_a_block():
 
 
 def choose(known):
-    costs = reward_shaping.way_costs(GRID)
+    costs = reward_shaping.path_costs(GRID)
     field = cost_to_go(known.blocked, goal_mask(GRID, known.goal, 0.6), costs)
     return guide.high_choice(known, choices(known), field, costs)
 

@@ -46,7 +46,7 @@ def test_tries_are_counted_by_block_and_for_the_goal(memory):
 def test_the_situation_is_that_of_the_pose_and_the_judgement(memory):
     situation, judgement = observe(memory, HERE)
     assert situation.state == HERE and situation.moves is judgement.moves
-    assert situation.squeezed == judgement.gave_way
+    assert situation.gave_way == judgement.gave_way
     np.testing.assert_array_equal(situation.advice, VIEW.advice)
 
 

@@ -6,7 +6,7 @@ from zsdist.agent.reward_shaping import Step
 from zsdist.planning.grid import Grid
 from zsdist.types import Action
 
-PLAIN = {"revisits": 0, "reentries": 0, "squeezed": False, "reached": False, "collided": False}
+PLAIN = {"revisits": 0, "reentries": 0, "gave_way": False, "reached": False, "collided": False}
 
 
 def test_progress_is_measured_along_the_way_and_is_nothing_where_there_is_none():
@@ -23,7 +23,7 @@ def test_arriving_is_better_than_going_on_and_everything_else_worse():
     assert on > 0 > Step(**PLAIN).low_reward(0.0, entered=False)
     assert Step(**PLAIN).low_reward(0.6, entered=True) > on
     assert Step(**PLAIN | {"reached": True}).low_reward(0.6, entered=False) > on
-    for worse in ({"revisits": 1}, {"squeezed": True}, {"collided": True}):
+    for worse in ({"revisits": 1}, {"gave_way": True}, {"collided": True}):
         assert Step(**PLAIN | worse).low_reward(0.6, entered=False) < on
     again = Step(**PLAIN | {"reentries": 1})
     assert again.high_reward(0.6) < Step(**PLAIN).high_reward(0.6)
@@ -32,10 +32,10 @@ def test_arriving_is_better_than_going_on_and_everything_else_worse():
 
 def test_a_collision_costs_more_than_any_step_can_gain():
     best = Step(**PLAIN | {"collided": True}).low_reward(reward_shaping.MAX_PROGRESS_M, entered=True)
-    assert best < Step(**PLAIN | {"revisits": 99, "squeezed": True}).low_reward(0.0, entered=False)
+    assert best < Step(**PLAIN | {"revisits": 99, "gave_way": True}).low_reward(0.0, entered=False)
 
 
 def test_turns_count_in_the_length_of_a_way():
-    costs = reward_shaping.way_costs(Grid())
+    costs = reward_shaping.path_costs(Grid())
     assert costs[0, Action.FORWARD] < costs[7, Action.LEFT_45]
     assert costs[0, Action.TURN_LEFT_90] == costs[0, Action.TURN_RIGHT_90] > 0.1

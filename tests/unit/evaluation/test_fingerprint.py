@@ -76,7 +76,7 @@ def test_listed_hashes_are_equivalent_to_those_of_their_entry_and_others_to_them
     ("text", "message"),
     [
         ("hashes: [", "is not valid YAML"),
-        ("- {a: 1, a: 2}", "key 'a' is there twice"),
+        ("- {a: 1, a: 2}", "key 'a' appears twice"),
         ("", "holds a NoneType; allowed is a list of entries"),
         ("- {commit: 1a2b3c4}", "entry 1 is {'commit': '1a2b3c4'}; allowed is a mapping with commit, hashes, proof"),
         (f'- {{commit: 1, hashes: ["{A}"], proof: equal}}', "entry 1: commit is 1; allowed is a text"),

@@ -3,7 +3,7 @@ import heapq
 import numpy as np
 import pytest
 
-from zsdist.agent.reward_shaping import way_costs
+from zsdist.agent.reward_shaping import path_costs
 from zsdist.planning.cost_field import CostField
 from zsdist.planning.footprint import successor
 from zsdist.planning.grid import Grid
@@ -48,7 +48,7 @@ def searched(blocked, targets, costs):
     return np.array(cost, np.float32).reshape(CELLS, CELLS, 8)
 
 
-@pytest.mark.parametrize("costs", [STEPS_COST, METRES, way_costs(Grid(cells=CELLS, blocks=3))])
+@pytest.mark.parametrize("costs", [STEPS_COST, METRES, path_costs(Grid(cells=CELLS, blocks=3))])
 def test_costs_repaired_from_map_to_map_are_bit_identical_to_those_of_a_new_search(costs):
     rng = np.random.default_rng(0)
     field, closed = CostField(targets((3, 9), (4, 9)), costs), 0

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from zsdist.agent.reward_shaping import way_costs
+from zsdist.agent.reward_shaping import path_costs
 from zsdist.planning import forward_search
 from zsdist.planning.footprint import successor
 from zsdist.planning.grid import Grid
@@ -45,7 +45,7 @@ def test_cells_at_a_finite_distance_are_those_that_single_steps_reach(cells, sha
 
 
 def test_the_path_into_a_cell_is_as_long_as_the_path_found_backwards_from_that_cell():
-    costs = way_costs(Grid(cells=12, blocks=3))
+    costs = path_costs(Grid(cells=12, blocks=3))
     rng, blocked = world(12, 7, 0.5)
     start = LatticeState(3, 5, 2)
     forth = forward_search.path_lengths_from(blocked, start, costs)

@@ -22,7 +22,7 @@ class Watched:
         self.publisher, self.subscriber = MemoryTransport(broker), MemoryTransport(broker)
         self.output = io.StringIO()
         self.display = Display(RUN, Console(file=self.output, width=120, **options))
-        self.display.take(self.subscriber)
+        self.display.update(self.subscriber)
 
     def publish(self, role, identifier, **fields):
         about = {"time_s": self.now_s, "role": role, "id": identifier, "epoch": 1}
@@ -45,7 +45,7 @@ def test_figures_are_shown_under_their_headings(watched):
     watched.publish("actor", "0", low_weight_version=7, env_steps=120)
     watched.publish("replay", "0", low_size=50, low_batch_size=16)
     watched.publisher.declare_alive(keys.alive(RUN, "actor", "0"))
-    watched.display.take(watched.subscriber)
+    watched.display.update(watched.subscriber)
     shown = watched.display.figures()
     assert shown["episodes"] == "7/20" and shown["stage"] == "merge, 3 drives left"
     assert shown["success, last 50"] == "0.50" and shown["success collision timeout"] == "4 2 1"
@@ -77,7 +77,7 @@ def test_a_table_has_all_figures_and_the_last_events_as_plain_text(watched):
     for number in range(5):
         event = {"event": "merge", "chosen": f"[red]{number}", "host": "h", "time_s": 1.0}
         watched.publisher.publish(keys.events(RUN), json.dumps(event).encode())
-    watched.display.take(watched.subscriber)
+    watched.display.update(watched.subscriber)
     watched.display.console.print(watched.display.table())
     text = watched.output.getvalue()
     assert all(heading in text for heading in watched.display.figures())

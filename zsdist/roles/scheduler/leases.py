@@ -46,6 +46,6 @@ class Leases:
             del self.holders[number]
         return numbers
 
-    def of(self, actor: str) -> list[int]:
+    def held_by(self, actor: str) -> list[int]:
         """Return the numbers that `actor` holds, in order."""
         return sorted(number for number, holder in self.holders.items() if holder == actor)

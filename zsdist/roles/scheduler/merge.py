@@ -54,7 +54,7 @@ class Merge:
     def __post_init__(self) -> None:
         self.results = {name: {} for name in self.candidates}
 
-    def offered(self, names_by_level: Sequence[set[str]]) -> None:
+    def start_drives(self, names_by_level: Sequence[set[str]]) -> None:
         """Start the drives once every level has offered every candidate."""
         if self.phase is Phase.COLLECT and all(set(self.candidates) <= names for names in names_by_level):
             self.phase = Phase.DRIVE
@@ -70,7 +70,7 @@ class Merge:
             if name not in self.dropped and scene not in self.results[name]
         ]
 
-    def drove(self, name: CandidateName, scene: int, outcome: Outcome) -> None:
+    def add_result(self, name: CandidateName, scene: int, outcome: Outcome) -> None:
         """Record one result; a repeated or unwanted one changes nothing."""
         if self.phase is not Phase.DRIVE or name not in self.results or scene in self.results[name]:
             return
@@ -81,7 +81,7 @@ class Merge:
             winner = max(self._alive(), key=self._rank)
             self.chosen, self.phase = winner, Phase.PROMOTE
 
-    def promoted(self) -> None:
+    def finish(self) -> None:
         """End the merge: both learners have taken over the winner."""
         if self.phase is Phase.PROMOTE:
             self.phase = Phase.DONE

@@ -12,7 +12,8 @@ from zsdist.roles.scheduler.checkpointing import ANSWER_WITHIN_S, StateCollectio
 from zsdist.roles.scheduler.leases import Leases
 from zsdist.roles.scheduler.merge import Drive, Merge, deal_drives, next_merge_at
 from zsdist.roles.scheduler.run_log import RunLog
-from zsdist.roles.scheduler.summary import RunTotals, run_summary
+from zsdist.roles.scheduler.summary import run_summary
+from zsdist.roles.scheduler.totals import RunTotals
 from zsdist.roles.schemas import BEST, DISTILLED, RECENT, Phase, Supervision
 from zsdist.telemetry.snapshot import Fields, Snapshot
 from zsdist.types import Level, Outcome
@@ -80,10 +81,10 @@ class Scheduler(Role):
 
     def work(self, now: float) -> float:
         """Receive what has arrived, decide what follows, and publish it."""
-        self._obey_supervisor(now)
+        self._follow_supervisor(now)
         self._receive_records(now)
         self._receive_offers()
-        self.snapshot.take(self._watch.drain())
+        self.snapshot.update(self._watch.drain())
         self._conduct(now)
         self._publish(now)
         if now >= self._next_metrics_s:
@@ -113,7 +114,7 @@ class Scheduler(Role):
 
     # -- input --------------------------------------------------------------------------------------------------
 
-    def _obey_supervisor(self, now: float) -> None:
+    def _follow_supervisor(self, now: float) -> None:
         for content in self.orders(self._commands, {Orders: Supervision}):
             for actor, epoch in content.epochs.items():
                 if epoch <= self._epochs.get(actor, -1):
@@ -152,7 +153,7 @@ class Scheduler(Role):
 
     def _add_drive(self, record: dict[str, Any]) -> None:
         if self.merge is not None and record["merge"] == self.merge.index:
-            self.merge.drove(record["candidate"], record["scene_index"], Outcome(record["outcome"]))
+            self.merge.add_result(record["candidate"], record["scene_index"], Outcome(record["outcome"]))
 
     def _receive_offers(self) -> None:
         for _, message in self.messages(self._learners, Candidate, WeightsMessage):
@@ -203,9 +204,9 @@ class Scheduler(Role):
 
     def _conduct_merge(self, merge: Merge, now: float) -> None:
         before = merge.phase
-        merge.offered([{name for index, name in self._offered[level] if index == merge.index} for level in Level])
+        merge.start_drives([{name for index, name in self._offered[level] if index == merge.index} for level in Level])
         if merge.phase is Phase.PROMOTE and all(index >= merge.index for index in self._merged.values()):
-            merge.promoted()
+            merge.finish()
         if merge.phase is not before:
             self._next_orders_s = 0.0
         if merge.phase is Phase.DONE and self._save(now):
@@ -284,7 +285,7 @@ class Scheduler(Role):
         return {
             "actor": {
                 "epochs": self._epochs,
-                "leases": {actor: self.leases.of(actor) for actor in self._epochs},
+                "leases": {actor: self.leases.held_by(actor) for actor in self._epochs},
                 "finished": self.finished_episodes,
                 "merge": merge.index if merge else len(self.totals.merges) + 1,
                 "closing": ending,

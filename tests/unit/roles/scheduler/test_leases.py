@@ -10,7 +10,7 @@ def test_every_number_is_finished_once_even_when_actors_die():
             leases.give_back("a")
             continue
         for actor in ("a", "b"):
-            for number in leases.of(actor)[:1]:
+            for number in leases.held_by(actor)[:1]:
                 assert leases.finish(number, actor)
     assert leases.finished == set(range(1, 51))
     assert not leases.holders
@@ -19,7 +19,7 @@ def test_every_number_is_finished_once_even_when_actors_die():
 def test_no_number_above_the_barrier_is_leased():
     leases = Leases()
     leases.grant("a", capacity=10, barrier=4)
-    assert leases.of("a") == [1, 2, 3, 4]
+    assert leases.held_by("a") == [1, 2, 3, 4]
 
 
 def test_a_number_given_back_is_leased_again_and_no_longer_counts_for_its_first_holder():
@@ -27,7 +27,7 @@ def test_a_number_given_back_is_leased_again_and_no_longer_counts_for_its_first_
     leases.grant("a", capacity=1, barrier=10)
     assert leases.give_back("a") == [1]
     leases.grant("b", capacity=1, barrier=10)
-    assert leases.of("b") == [1]
+    assert leases.held_by("b") == [1]
     assert not leases.finish(1, "a")
     assert leases.finish(1, "b")
 
@@ -35,10 +35,10 @@ def test_a_number_given_back_is_leased_again_and_no_longer_counts_for_its_first_
 def test_a_resumed_run_leases_unfinished_numbers():
     leases = Leases({1, 2, 4})
     leases.grant("a", capacity=3, barrier=100)
-    assert leases.of("a") == [3, 5, 6]
+    assert leases.held_by("a") == [3, 5, 6]
 
 
 def test_numbers_finished_out_of_order_count_towards_the_barrier():
     leases = Leases({1, 2, 7})
     leases.grant("a", capacity=10, barrier=5)
-    assert leases.of("a") == [3, 4]
+    assert leases.held_by("a") == [3, 4]

@@ -7,14 +7,14 @@ from zsdist.types import Outcome
 
 def make(candidates=("recent", "distilled"), scenes=6, drop_after=2) -> Merge:
     merge = Merge(1, 100, candidates, scenes, drop_after)
-    merge.offered([set(candidates), set(candidates)])
+    merge.start_drives([set(candidates), set(candidates)])
     return merge
 
 
 def drive_all(merge: Merge, good: str) -> None:
     while merge.outstanding():
         name, scene = merge.outstanding()[0]
-        merge.drove(name, scene, Outcome.SUCCESS if name == good else Outcome.COLLISION)
+        merge.add_result(name, scene, Outcome.SUCCESS if name == good else Outcome.COLLISION)
 
 
 @pytest.mark.parametrize("good", ["recent", "distilled", "best"])
@@ -27,7 +27,7 @@ def test_the_candidate_that_drives_best_is_chosen(good):
 
 def test_no_drive_is_wanted_until_both_levels_have_offered_every_candidate():
     merge = Merge(1, 100, ("recent", "distilled"), 6, 2)
-    merge.offered([{"recent", "distilled"}, {"recent"}])
+    merge.start_drives([{"recent", "distilled"}, {"recent"}])
     assert merge.phase is Phase.COLLECT
     assert merge.outstanding() == []
 
@@ -43,15 +43,15 @@ def test_a_hopeless_candidate_is_dropped_early_and_never_chosen():
 def test_on_a_tie_the_recent_networks_stay():
     merge = make()
     for name, scene in merge.outstanding():
-        merge.drove(name, scene, Outcome.TIMEOUT)
+        merge.add_result(name, scene, Outcome.TIMEOUT)
     assert merge.chosen == "recent"
 
 
 def test_a_repeated_result_counts_once():
     merge = make()
     for _ in range(3):
-        merge.drove("recent", 0, Outcome.SUCCESS)
-    merge.drove("recent", 0, Outcome.COLLISION)
+        merge.add_result("recent", 0, Outcome.SUCCESS)
+    merge.add_result("recent", 0, Outcome.COLLISION)
     assert merge.results["recent"] == {0: Outcome.SUCCESS}
 
 

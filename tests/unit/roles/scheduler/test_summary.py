@@ -3,7 +3,8 @@ import json
 import pytest
 
 from zsdist.config import Config
-from zsdist.roles.scheduler.summary import RunTotals, run_summary
+from zsdist.roles.scheduler.summary import run_summary
+from zsdist.roles.scheduler.totals import RunTotals
 from zsdist.telemetry.snapshot import Snapshot
 from zsdist.types import Outcome
 from zsdist.wire.messages import State

@@ -32,7 +32,7 @@ WRONG = {
     "unknown key of an obstacle": (TREE, "{kind: tree, x: 1, y: 2, height_m: 3}", "unknown key 'height_m'"),
     "missing key": ("ground: sand\n", "", "lacks the key 'ground'"),
     "missing coordinate": (TREE, "{kind: tree, x: 1}", "lacks the key 'y'"),
-    "key twice": ("ground: sand", "ground: sand\nground: grass", "'ground' is there twice"),
+    "key twice": ("ground: sand", "ground: sand\nground: grass", "'ground' appears twice"),
     "version": ("version: 1", "version: 2", "version is 2; allowed is 1"),
     "version of another type": ("version: 1", "version: true", "version is True"),
     "name": ("name: wilderness-0001", "name: ../x", "name is"),
