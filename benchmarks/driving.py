@@ -2,9 +2,10 @@
 
 `python benchmarks/driving.py [--quick] [--episodes N] [--seed S] [--runs RUN...] [--out DIR]` evaluates each
 contender of `CONTENDERS`, and the policies of the given runs, on each family of `SPLITS` with `zsdist.evaluate`, one
-after the other, and prints a table and one JSON line. `--splits` chooses other test families. Runs of one name are training seeds of one contender. After an
-interruption the same command resumes: episodes are kept in DIR with the hashes of the code and the weights that drove
-them. `python -m zsdist.report DIR` writes a page of them with paired differences and figures.
+after the other, and prints a table and one JSON line. `--splits` chooses other test families. Runs of one name are
+training seeds of one contender. After an interruption the same command resumes: episodes are kept in DIR with the
+hashes of the code and the weights that drove them. `python -m zsdist.report DIR` writes a page of them with paired
+differences and figures.
 """
 
 import argparse

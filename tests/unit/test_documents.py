@@ -2,11 +2,14 @@
 
 import json
 import re
+import textwrap
 from pathlib import Path
 
 import pytest
 
 from zsdist.reporting.tables import TABLE_4
+from zsdist.sim.scenes.scene import read_folder
+from zsdist.sim.scenes.solvability import solve
 
 ROOT = Path(__file__).parents[2]
 MEASURED = ROOT / "docs" / "measured"
@@ -64,7 +67,9 @@ def test_the_readme_is_short():
 
 def test_the_results_of_the_readme_are_those_measured_and_those_of_the_paper():
     for split, *cells, paper in rows("README.md", "## Results"):
-        assert cells == [outcomes(name, split) for name in ("full", "potential-field", "astar-vision", "astar-frontier")], split
+        assert cells == [
+            outcomes(name, split) for name in ("full", "potential-field", "astar-vision", "astar-frontier")
+        ], split
         success, collision = TABLE_4[split][-2:] if split in TABLE_4 else ("", "")
         assert paper == (f"{float(success):.1f} / {float(collision):.1f}" if success else "-"), split
 
@@ -112,6 +117,23 @@ def test_the_glossary_explains_each_term_once_and_in_one_sentence():
     terms = [entry[0] for entry in entries]
     assert len(terms) == len(set(terms)) > 50
     assert [meaning for _, meaning, _ in entries if not meaning.endswith(".") or ". " in meaning] == []
+
+
+def test_the_index_of_the_glossary_names_every_term_in_alphabetical_order():
+    text = (ROOT / "docs" / "glossary.md").read_text()
+    index = " ".join(re.search(r"^Index: (.*?)\.$", text, re.MULTILINE | re.DOTALL).group(1).split()).split(", ")
+    terms = [cell for cell in re.findall(r"^\| (.+?) \|", text, re.MULTILINE) if cell != "term"]
+    names = [name for term in terms for name in re.sub(r" \(.*\)", "", term).split(", ")]
+    assert index == sorted(names, key=str.lower)
+
+
+def test_the_scene_of_the_usage_document_is_valid_and_solvable(tmp_path):
+    lines = re.search(r"^    version: 1\n(?:    .*\n)+", (ROOT / "docs" / "usage.md").read_text(), re.MULTILINE).group(
+        0
+    )
+    (tmp_path / "example.yaml").write_text(textwrap.dedent(lines))
+    (example,) = read_folder(tmp_path)
+    assert solve(example) is not None
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
