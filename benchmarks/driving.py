@@ -1,10 +1,11 @@
 """Success and collisions of the shipped policy, baselines, ablations and oracles on the test scenes.
 
 `python benchmarks/driving.py [--quick] [--episodes N] [--seed S] [--runs RUN...] [--out DIR]` evaluates each
-contender of `CONTENDERS`, and the policies of the given runs, on each split of `SPLITS` with `zsdist.evaluate`, one
-after the other, and prints a table and one JSON line. Runs of one name are training seeds of one contender. After an
-interruption the same command resumes: episodes are kept in DIR with the hashes of the code and the weights that drove
-them. `python -m zsdist.report DIR` writes a page of them with paired differences and figures.
+contender of `CONTENDERS`, and the policies of the given runs, on each family of `SPLITS` with `zsdist.evaluate`, one
+after the other, and prints a table and one JSON line. `--splits` chooses other test families. Runs of one name are
+training seeds of one contender. After an interruption the same command resumes: episodes are kept in DIR with the
+hashes of the code and the weights that drove them. `python -m zsdist.report DIR` writes a page of them with paired
+differences and figures.
 """
 
 import argparse
@@ -18,8 +19,10 @@ from _common import report
 
 from zsdist import config
 from zsdist.errors import ConfigError
+from zsdist.sim.scenes.manifest import MANIFEST
 
 SPLITS = ("iid", "ood-start-goal", "ood-layout", "ood-clusters", "ood-dynamic")
+FAMILIES = MANIFEST["test"].families
 # Arguments of `zsdist.evaluate` by the name in the table: first the claimed policies, then upper bounds, baselines
 # without a map, and the policy with a part removed or replaced.
 CONTENDERS = {
@@ -63,7 +66,8 @@ def main() -> None:
     add("--seed", type=int, default=1, metavar="S", help="seed that selects the test scenes (default: 1)")
     names = ", ".join(CONTENDERS)
     add("--entrants", nargs="+", choices=CONTENDERS, default=list(CONTENDERS), metavar="NAME", help=names)
-    add("--splits", nargs="+", choices=SPLITS, default=list(SPLITS), metavar="SPLIT", help=", ".join(SPLITS))
+    families = ", ".join(FAMILIES)
+    add("--splits", nargs="+", choices=FAMILIES, default=list(SPLITS), metavar="SPLIT", help=families)
     add("--runs", nargs="+", type=Path, default=[], metavar="RUN", help="run directories that zsdist.launch made")
     add("--out", type=Path, metavar="DIR", help="folder of the episodes (default: a temporary folder)")
     options = parser.parse_args()
