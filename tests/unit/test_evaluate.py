@@ -37,11 +37,11 @@ def folder(tmp_path_factory):
     return path
 
 
-def test_list_names_every_baseline_with_what_it_sees_and_every_variant(capsys):
+def test_list_names_every_baseline_with_its_observability_and_every_variant(capsys):
     assert run("--list") == 0
     baselines, variants = capsys.readouterr().out.split("variants of a learned policy, --variant NAME:\n")
     assert [line.split()[0] for line in baselines.splitlines()] == ["pretrained", *BASELINES]
-    assert all("sees" in line for line in baselines.splitlines())
+    assert all("observes" in line for line in baselines.splitlines())
     assert [line.split()[0] for line in variants.splitlines()] == list(VARIANTS)
 
 

@@ -14,12 +14,22 @@ EAST = LatticeState(16, 16, 0)
 TURNS = [Action.TURN_LEFT_90, Action.TURN_RIGHT_90]
 
 
+class MarkedBelief(BeliefMap):
+    """Belief map whose cells are set as a test needs them."""
+
+    def mark(self, cells, log_odds=2.4, seen=True):
+        self._log_odds[cells], self._seen[cells] = log_odds, seen
+
+    def forget(self, cells):
+        self._seen[cells] = False
+
+
 def known_free(occupied=None):
     """Return a belief map in which all ground was seen and is free except for the `occupied` fine cells."""
-    belief = BeliefMap(GRID)
+    belief = MarkedBelief(GRID)
     belief.clear_disc(0.0, 0.0, 20.0)
     if occupied is not None:
-        belief._log_odds[occupied] = 2.4
+        belief.mark(occupied)
     return belief
 
 
@@ -94,7 +104,7 @@ def test_a_passage_too_narrow_to_turn_in_is_entered_only_once_its_end_was_seen()
     state, end = LatticeState(18, 16, 0), slice(fx + 10, fx + 60)
     belief = known_free(passage)
     assert shield.judge(belief, state, goals(28, 16), visited(state)).allowed[Action.FORWARD]
-    belief._seen[fy - 40 : fy + 40, end] = False  # its end is unseen, and there is a path around it
+    belief.forget((slice(fy - 40, fy + 40), end))  # its end is unseen, and there is a path around it
     judgement = shield.judge(belief, state, goals(28, 16), visited(state))
     assert not judgement.allowed[Action.FORWARD] and judgement.allowed.any()
 
@@ -124,12 +134,12 @@ def test_where_everything_is_blocked_only_turns_in_place_are_left():
 
 def seen_disc_beyond_a_wall():
     """Return a belief map that knows only a disc around the car and a wall across the path to the goal."""
-    belief = BeliefMap(GRID)
+    belief = MarkedBelief(GRID)
     belief.clear_disc(*GRID.centre(16, 16), 1.5)
     wall = np.zeros((GRID.fine_size, GRID.fine_size), bool)
     fx, fy = GRID.fine_index(*GRID.centre(19, 16))
     wall[fy - 14 : fy + 14, fx : fx + 3] = True
-    belief._log_odds[wall], belief._seen[wall] = 2.4, True
+    belief.mark(wall)
     return belief
 
 
@@ -144,7 +154,7 @@ def test_the_car_looks_in_all_directions_before_it_enters_unseen_ground():
 
 
 def test_a_state_not_yet_looked_from_may_lead_over_unseen_ground():
-    belief = BeliefMap(GRID)
+    belief = MarkedBelief(GRID)
     belief.clear_disc(*GRID.centre(16, 16), 1.5)
     judgement = shield.judge(belief, EAST, goals(28, 16), visited(EAST))
     assert judgement.moves.blocked[16, 16, 0, Action.FORWARD]
