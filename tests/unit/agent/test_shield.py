@@ -166,8 +166,8 @@ def test_unseen_ground_counts_as_occupied_up_to_its_edge_except_for_slivers():
     x, y = GRID.fine_index(*GRID.centre(16, 16))
     side = slice(y - 12, y - 5)  # the edge of this is 0.3 m beside the car
     for width, free in ((3, True), (12, False)):
-        belief._seen[:] = True
-        belief._seen[side, x + 4 : x + 4 + width] = False
+        belief.clear_disc(0.0, 0.0, 20.0)
+        belief.forget((side, slice(x + 4, x + 4 + width)))
         assert shield.judge(belief, EAST, goals(28, 28), visited(EAST)).allowed[Action.RIGHT_45] == free
 
 
