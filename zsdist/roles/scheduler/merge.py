@@ -37,7 +37,7 @@ class Merge:
         drop_after: number of scenes after which a candidate may be dropped.
         phase: present phase.
         results: outcome by candidate and index of the scene.
-        dropped: candidates that can no longer win.
+        dropped: candidates that are out of the comparison.
         chosen: name of the winner; empty until it is known.
     """
 
