@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from zsdist.common import random_streams
+from zsdist.common import output_files, random_streams
 from zsdist.config import CameraConfig, Config, VisionConfig
 from zsdist.errors import RunError, WeightsError
 from zsdist.evaluation.statistics import wilson_95
@@ -66,8 +66,8 @@ def check(
         WeightsError: the weights cannot be used.
         RunError: a file cannot be written, or the objects file cannot be resumed.
     """
-    if out is not None and (out.is_dir() or not out.resolve().parent.is_dir()):
-        raise RunError(f"--json is {str(out)!r}; allowed is a file in a folder that exists")
+    if out is not None:
+        output_files.check_place("--json", out)
     model = VisualAct.load(config.vision, config.camera)
     depth_rays: list[np.ndarray] = []
     left_out: dict[str, str] = {}
