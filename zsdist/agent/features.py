@@ -114,7 +114,7 @@ def high_state(situation: Situation, options: Choices, rooms: np.ndarray) -> np.
         (options.exists, options.mask, options.blocks, options.subgoals, options.onward),
         beeline_m,
         fine_cells,
-        (situation.block_visits, situation.tries),
+        (situation.block_visits, situation.tries.blocks),
         situation.drive_m,
         (x, y, heading_rad),
         (bx, by),
@@ -125,7 +125,7 @@ def high_state(situation: Situation, options: Choices, rooms: np.ndarray) -> np.
         float(tuple(options.blocks[GOAL_CHOICE]) == (bx, by)),
         (min(float(situation.drive_m[situation.goals].min(initial=np.inf)), goal_m + LONG_PATH_M) - goal_m) / SIGHT_M,
         *line(fine_cells, x, y, *goal, *geometry[2:4]),
-        math.log1p(situation.goal_tries),
+        math.log1p(situation.tries.goal),
         math.log1p(int(situation.block_visits[by, bx])),
         own_seen,
     ]

@@ -22,7 +22,7 @@ from zsdist.config import AgentConfig
 from zsdist.dqn import network
 from zsdist.planning.grid import Grid
 from zsdist.planning.rewards import RewardTerms
-from zsdist.types import Action, Behaviour, Level, Parameters, Pose, View
+from zsdist.types import Action, Behaviour, Level, Outcome, Parameters, Pose, View
 
 QFunctions = dict[Level, QFunction]
 
@@ -134,7 +134,7 @@ class HierarchicalAgent:
         self._shielded, self._recorder = shielded, recorder
         self._now: _Present | None = None
         self._option: Option | None = None
-        self._result: tuple[RewardTerms, bool, bool] | None = None
+        self._result: tuple[RewardTerms, Outcome | None] | None = None
         self._counts: Counter[str] = Counter()
 
     @property
@@ -183,9 +183,9 @@ class HierarchicalAgent:
         self._counts["shield_changes"] += shield_changed
         return Decision(Action(choice.index), choice.behaviour, option.subgoal, shield_changed, started)
 
-    def result(self, terms: RewardTerms, terminated: bool, truncated: bool) -> None:
-        """Store the outcome of the step; the next `observe` completes it."""
-        self._result = (terms, terminated, truncated)
+    def result(self, terms: RewardTerms, outcome: Outcome | None) -> None:
+        """Store the rewards of a step and the outcome if it ended the episode; the next `observe` completes it."""
+        self._result = (terms, outcome)
 
     def finish(self) -> None:
         """End the episode, which need not be over; open trajectories are closed as truncated."""
@@ -246,10 +246,12 @@ class HierarchicalAgent:
         planned = self._planner.high_choice(now.situation, now.options)
         recorder.act(Level.HIGH, now.features.high(), now.options.mask, high, planned, option.behaviour)
 
-    def _complete(
-        self, before: Situation, now: _Present, terms: RewardTerms, terminated: bool, truncated: bool
-    ) -> None:
-        """Complete the step from `before` to `now` (lines 13 and 14): rewards, transitions, end of the option."""
+    def _complete(self, before: Situation, now: _Present, terms: RewardTerms, outcome: Outcome | None) -> None:
+        """Complete the step from `before` to `now` (lines 13 and 14): rewards, transitions, end of the option.
+
+        An option that failed is counted before the trajectories are closed: the state in which they end is the one in
+        which the high level decides next.
+        """
         self._result = None
         option = self._option
         assert option is not None, "a step is taken under an option"
@@ -261,18 +263,19 @@ class HierarchicalAgent:
                 before,
                 now.situation,
                 terms,
-                terminated=terminated,
+                outcome=outcome,
                 entered=entered,
                 option=option,
                 planner=self._planner,
             )
-        if terminated or truncated or end is not None:
+        if end is not None:
+            self._counts[f"options_{end}"] += 1
+            if not entered:
+                self._memory.tries.count(option.block)
+        if outcome is not None or end is not None:
+            terminated = outcome in (Outcome.SUCCESS, Outcome.COLLISION)
             self._close(now, option, low_final=terminated or entered, high_final=terminated)
             self._option = None
-            if end is not None:
-                self._counts[f"options_{end}"] += 1
-                if not entered:
-                    self._memory.count_try(option.block)
             return
         self._option = followed
         if self._recorder is not None and followed.subgoal != option.subgoal:

@@ -5,7 +5,7 @@ import numpy as np
 from zsdist.agent import shield
 from zsdist.agent.reward_shaping import path_costs
 from zsdist.agent.shield import Judgement
-from zsdist.agent.situation import Situation
+from zsdist.agent.situation import Situation, Tries
 from zsdist.planning import forward_search
 from zsdist.planning.belief import BeliefMap
 from zsdist.planning.grid import HEADINGS, Grid
@@ -28,6 +28,7 @@ class EpisodeMemory:
     Attributes:
         goals: `(cells, cells)` bool, the cells in which the goal is reached.
         revisits: number of steps into a state that the car had visited before.
+        tries: counts of the options that failed.
     """
 
     def __init__(
@@ -40,8 +41,7 @@ class EpisodeMemory:
         self._belief.clear_disc(pose.x_m, pose.y_m, START_DISC_M)
         self._visits = np.zeros((grid.cells, grid.cells, HEADINGS), np.int32)
         self._block_visits = np.zeros((grid.blocks, grid.blocks), np.int32)
-        self._tries = np.zeros((grid.blocks, grid.blocks), np.int32)
-        self._goal_tries = 0
+        self.tries = Tries.none(grid)
         self._block: tuple[int, int] | None = None
 
     def observe(self, pose: Pose, view: View) -> tuple[Situation, Judgement]:
@@ -76,18 +76,6 @@ class EpisodeMemory:
             drive_m=forward_search.path_lengths_from(judgement.moves.blocked, state, path_costs(self._grid)),
             visits=self._visits,
             block_visits=self._block_visits,
-            tries=self._tries,
-            goal_tries=self._goal_tries,
+            tries=self.tries,
         )
         return situation, judgement
-
-    def count_try(self, block: tuple[int, int] | None) -> None:
-        """Count an option that ended before it entered its block or reached the goal.
-
-        Args:
-            block: `(bx, by)` of the option's block; None: the option sought the goal.
-        """
-        if block is None:
-            self._goal_tries += 1
-        else:
-            self._tries[block[1], block[0]] += 1

@@ -10,7 +10,7 @@ from zsdist.agent.planner import Planner
 from zsdist.agent.reward_shaping import Step, progress_m
 from zsdist.agent.situation import Situation
 from zsdist.planning.rewards import RewardTerms
-from zsdist.types import NO_GUIDE, Behaviour, Level, Trajectory
+from zsdist.types import NO_GUIDE, Behaviour, Level, Outcome, Trajectory
 
 
 @dataclass(frozen=True)
@@ -20,12 +20,10 @@ class RecorderSettings:
     Attributes:
         discounts: gamma of each level.
         literal_reward: whether both levels learn from the paper's sum of terms instead of the shaped rewards.
-        goal_reward: the paper's term for a step that reaches the goal; such a step is recognised by it.
     """
 
     discounts: Mapping[Level, float]
     literal_reward: bool
-    goal_reward: float
 
 
 @dataclass
@@ -142,7 +140,7 @@ class Recorder:
         after: Situation,
         terms: RewardTerms,
         *,
-        terminated: bool,
+        outcome: Outcome | None,
         entered: bool,
         option: Option,
         planner: Planner,
@@ -153,7 +151,7 @@ class Recorder:
             before: situation in which the step began.
             after: situation in which it ended.
             terms: paper rewards of the step.
-            terminated: whether the step reached the goal or hit something.
+            outcome: outcome of the episode if the step ended it; else None.
             entered: whether it entered the block that the low level was sent to.
             option: option under which it was taken.
             planner: planner that measures the progress on the map after the step.
@@ -162,15 +160,14 @@ class Recorder:
             low = high = terms.total
         else:
             here, there = _index(before), _index(after)
-            reached = terminated and terms.goal == self._settings.goal_reward
             to_goal_m = progress_m(planner.cost_to_goal(after), here, there)
             to_subgoal_m = progress_m(planner.cost_to_subgoal(after, option), here, there)
             step = Step(
                 revisits=int(after.visits[there]) - 1,
                 reentries=int(after.block_visits[after.block[::-1]]) - 1 if after.block != before.block else 0,
                 gave_way=after.gave_way,
-                reached=reached,
-                collided=terminated and not reached,
+                reached=outcome is Outcome.SUCCESS,
+                collided=outcome is Outcome.COLLISION,
             )
             low, high = step.low_reward(to_subgoal_m, entered), step.high_reward(to_goal_m)
         self._builders[Level.LOW].reward(low)

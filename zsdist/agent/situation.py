@@ -2,12 +2,38 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
 from zsdist.planning.grid import Grid
 from zsdist.planning.reachability import BlockedMoves
 from zsdist.types import LatticeState
+
+
+@dataclass
+class Tries:
+    """Counts of the options of an episode that ended without reaching what they sought.
+
+    Attributes:
+        blocks: `(blocks, blocks)` int32, `[by, bx]`, number of options towards each block that ended outside it.
+        goal: number of options towards the goal that ended without reaching it.
+    """
+
+    blocks: np.ndarray
+    goal: int = 0
+
+    @classmethod
+    def none(cls, grid: Grid) -> Self:
+        """Return the counts before the first option."""
+        return cls(np.zeros((grid.blocks, grid.blocks), np.int32))
+
+    def count(self, block: tuple[int, int] | None) -> None:
+        """Count an option towards `block`, `(bx, by)`; None: the option sought the goal."""
+        if block is None:
+            self.goal += 1
+        else:
+            self.blocks[block[1], block[0]] += 1
 
 
 @dataclass(frozen=True)
@@ -28,8 +54,7 @@ class Situation:
             where none leads there.
         visits: `(cells, cells, 8)` int32, number of times that the car was in each state, now included.
         block_visits: `(blocks, blocks)` int32, `[by, bx]`, number of times that it entered each block.
-        tries: `(blocks, blocks)` int32, `[by, bx]`, number of options towards each block that ended outside it.
-        goal_tries: number of options towards the goal that ended without reaching it.
+        tries: counts of the options that failed; they go on while the situation lasts.
     """
 
     grid: Grid
@@ -44,8 +69,7 @@ class Situation:
     drive_m: np.ndarray
     visits: np.ndarray
     block_visits: np.ndarray
-    tries: np.ndarray
-    goal_tries: int
+    tries: Tries
 
     @cached_property
     def position(self) -> tuple[float, float]:

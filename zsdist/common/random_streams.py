@@ -1,32 +1,35 @@
 """Random streams: the table of the numbers that seed each generator.
 
-A generator is seeded by a list: the user's seed, then numbers for the subject of the stream (an episode, a set of
-pictures), then a tag that keeps streams of the same subject apart. numpy pads such lists with zeros, so `[s]`,
-`[s, 0]` and `[s, 0, 0]` are one stream.
+A generator is seeded by a list of numbers: the tag of its stream, the user's seed, then the subject of the stream (an
+episode, a set of pictures). numpy pads such lists with zeros, so `[s]`, `[s, 0]` and `[s, 0, 0]` are one generator, and
+it takes a number beyond 32 bits as two. No two streams coincide here, because every list begins with a tag of its own,
+the lists of one stream are equally long, and each number takes two places of 32 bits. Scenes alone have no tag: their
+lists begin with the number of a family, which is smaller than any tag.
 
 Runs are repeatable only with the same numbers: a changed number changes every result that follows from it.
 
-| stream | seeded by |
-|---|---|
-| `initial_weights` | seed |
-| `reflected_rows` | seed, 1 |
-| `replay_sampling` | seed, 0 (high) or 1 (low), shard |
-| `exploration` | seed, episode |
-| `shielded_episodes` | seed, episode, 1 |
-| `training_scene` | seed, episode, 2 |
-| `candidate_drive` | seed, merge, validation scene |
-| `evaluated_episode` | seed, index among the scenes |
-| `intervals` | seed |
-| `scene` | number of the family, seed of the scene |
-| `labelled_pictures` | seed, characters of the split's name |
-| `masked_or_captioned_pictures` | seed, 4, characters of the split's name |
-| `training_stage` | seed, number of the stage |
-| `check_wilderness` | seed, 2 |
-| `check_goals` | seed, 3 |
-| `check_set` | seed, 4, number of the set |
-| `check_approach` | seed, 5, number of the approach |
-| `check_names` | seed, 6 |
-| `check_words` | seed, 7 |
+| stream | tag | subject |
+|---|---|---|
+| `initial_weights` | 1001 | seed |
+| `reflected_rows` | 1002 | seed |
+| `replay_sampling` | 1003 | seed, 0 (high) or 1 (low), shard |
+| `exploration` | 1004 | seed, episode |
+| `shielded_episodes` | 1005 | seed, episode |
+| `training_scene` | 1006 | seed, episode |
+| `candidate_drive` | 1007 | seed, merge, validation scene |
+| `evaluated_episode` | 1008 | seed, index among the scenes |
+| `intervals` | 1009 | seed |
+| `scene` | none | number of the family, seed of the scene |
+| `labelled_pictures` | 1010 | seed, characters of the split's name |
+| `masked_pictures` | 1011 | seed, characters of the split's name |
+| `captioned_pictures` | 1012 | seed, characters of the split's name |
+| `training_stage` | 1013 | seed, number of the stage |
+| `check_wilderness` | 1014 | seed |
+| `check_goals` | 1015 | seed |
+| `check_set` | 1016 | seed, number of the set |
+| `check_approach` | 1017 | seed, number of the approach |
+| `check_names` | 1018 | seed |
+| `check_words` | 1019 | seed |
 """
 
 import numpy as np
@@ -34,50 +37,52 @@ from numpy.random import Generator
 
 Seed = tuple[int, ...]
 
+_WORD = 2**32  # numpy's generators are seeded by words of 32 bits
+
 
 def initial_weights(seed: int) -> Generator:
     """Return the stream of a network's initial weights."""
-    return np.random.default_rng(seed)
+    return _generator(1001, seed)
 
 
 def reflected_rows(seed: int) -> Generator:
     """Return the stream that chooses which rows of a batch a learner reflects."""
-    return np.random.default_rng([seed, 1])
+    return _generator(1002, seed)
 
 
 def replay_sampling(seed: int, high: bool, shard: int) -> Generator:
     """Return the stream that draws the batches of one shard of the high or the low level's replay."""
-    return np.random.default_rng([seed, 0 if high else 1, shard])
+    return _generator(1003, seed, 0 if high else 1, shard)
 
 
 def exploration(seed: int, episode: int) -> Seed:
     """Return the seed of one training episode's exploration."""
-    return (seed, episode)
+    return _seed(1004, seed, episode)
 
 
 def shielded_episodes(seed: int, episode: int) -> Generator:
     """Return the stream that decides whether the shield masks in a training episode."""
-    return np.random.default_rng([seed, episode, 1])
+    return _generator(1005, seed, episode)
 
 
 def training_scene(seed: int, episode: int) -> Generator:
     """Return the stream that draws the scene of a training episode."""
-    return np.random.default_rng([seed, episode, 2])
+    return _generator(1006, seed, episode)
 
 
 def candidate_drive(seed: int, merge: int, index: int) -> Seed:
     """Return the seed of a candidate's drive through validation scene `index` of a merge."""
-    return (seed, merge, index)
+    return _seed(1007, seed, merge, index)
 
 
 def evaluated_episode(seed: int, index: int) -> Generator:
     """Return the stream of the driver in evaluated scene `index`."""
-    return np.random.default_rng([seed, index])
+    return _generator(1008, seed, index)
 
 
 def intervals(seed: int) -> Generator:
     """Return the stream that resamples episodes for bootstrap intervals."""
-    return np.random.default_rng(seed)
+    return _generator(1009, seed)
 
 
 def scene(family: int, seed: int) -> Generator:
@@ -87,44 +92,58 @@ def scene(family: int, seed: int) -> Generator:
 
 def labelled_pictures(seed: int, split: str) -> Generator:
     """Return the stream of labelled pictures of a split, simulated or photographed."""
-    return np.random.default_rng([seed, *split.encode()])
+    return _generator(1010, seed, *split.encode())
 
 
-def masked_or_captioned_pictures(seed: int, split: str) -> Generator:
-    """Return the stream of a split's masked pictures, or of its captioned ones."""
-    return np.random.default_rng([seed, 4, *split.encode()])
+def masked_pictures(seed: int, split: str) -> Generator:
+    """Return the stream of a split's masked pictures."""
+    return _generator(1011, seed, *split.encode())
+
+
+def captioned_pictures(seed: int, split: str) -> Generator:
+    """Return the stream of a split's captioned pictures."""
+    return _generator(1012, seed, *split.encode())
 
 
 def training_stage(seed: int, stage: int) -> Generator:
     """Return the stream of one stage of a pretraining."""
-    return np.random.default_rng([seed, stage])
+    return _generator(1013, seed, stage)
 
 
 def check_wilderness(seed: int) -> Generator:
     """Return the stream of the wilderness pictures of a check."""
-    return np.random.default_rng([seed, 2])
+    return _generator(1014, seed)
 
 
 def check_goals(seed: int) -> Generator:
     """Return the stream of the goals for which a check reads its pictures."""
-    return np.random.default_rng([seed, 3])
+    return _generator(1015, seed)
 
 
 def check_set(seed: int, number: int) -> Generator:
     """Return the stream of the pictures of one set of a check."""
-    return np.random.default_rng([seed, 4, number])
+    return _generator(1016, seed, number)
 
 
 def check_approach(seed: int, number: int) -> Generator:
     """Return the stream of one approach to an object in a check."""
-    return np.random.default_rng([seed, 5, number])
+    return _generator(1017, seed, number)
 
 
 def check_names(seed: int) -> Generator:
     """Return the stream of the words from which a check chooses the names of pictures."""
-    return np.random.default_rng([seed, 6])
+    return _generator(1018, seed)
 
 
 def check_words(seed: int) -> Generator:
     """Return the stream of the words on which a check trains projections that have not seen some kinds."""
-    return np.random.default_rng([seed, 7])
+    return _generator(1019, seed)
+
+
+def _seed(tag: int, *numbers: int) -> Seed:
+    """Return the list that seeds a stream: its tag, then each number as two words, the lower one first."""
+    return (tag, *(word for number in numbers for word in (number % _WORD, number // _WORD)))
+
+
+def _generator(tag: int, *numbers: int) -> Generator:
+    return np.random.default_rng(_seed(tag, *numbers))

@@ -62,7 +62,7 @@ def captioned_views(
         varied: whether mount, tilt and picture quality are random, and the colours of one camera in four (for
             training); else scenes have the appearance of a drive.
     """
-    rng = random_streams.masked_or_captioned_pictures(seed, split)
+    rng = random_streams.captioned_pictures(seed, split)
     for _, scene, number in drawn_scenes(families, split, count, rng):
         yield from _views_of(scene, number, rng, camera, varied)
 

@@ -33,7 +33,7 @@ def masked_views(
     """
     if camera.back_end != "caster":
         raise SceneError(f"camera.back_end is {camera.back_end!r}; allowed for pictures with masks is 'caster'")
-    rng = random_streams.masked_or_captioned_pictures(seed, split)
+    rng = random_streams.masked_pictures(seed, split)
     for _, scene, number in drawn_scenes(families, split, count, rng):
         eye = varied_camera(camera, rng) if varied else CasterCamera(camera)
         assert isinstance(eye, CasterCamera), "the back end was checked above"

@@ -24,13 +24,11 @@ class StepResult(NamedTuple):
 
     Attributes:
         terms: paper rewards of the action.
-        terminated: whether the goal was reached or something was hit.
-        truncated: whether the episode ended without either.
+        outcome: outcome of the episode if the action ended it; else None.
     """
 
     terms: RewardTerms
-    terminated: bool
-    truncated: bool
+    outcome: Outcome | None
 
 
 class Episode:
@@ -83,7 +81,7 @@ class Episode:
             self.outcome = Outcome.SUCCESS if self.info["success"] else Outcome.COLLISION
         elif truncated:
             self.outcome = Outcome.TIMEOUT
-        return StepResult(terms, terminated, truncated)
+        return StepResult(terms, self.outcome)
 
 
 def _pose(observation: dict[str, np.ndarray]) -> Pose:

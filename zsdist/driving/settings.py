@@ -22,5 +22,4 @@ def recorder_settings(config: Config) -> RecorderSettings:
     return RecorderSettings(
         discounts={Level.HIGH: config.high.discount, Level.LOW: config.low.discount},
         literal_reward=config.reward.literal,
-        goal_reward=config.reward.goal,
     )

@@ -13,7 +13,7 @@ from zsdist.config import Config
 from zsdist.driving.settings import agent_settings
 from zsdist.planning.rewards import RewardTerms
 from zsdist.sim.scenes.scene import Scene
-from zsdist.types import Level, Parameters, Pose, View
+from zsdist.types import Level, Outcome, Parameters, Pose, View
 from zsdist.vision.ray_ablation import ablate_rays
 
 # Views of images `(B, px, px, 3)` for goals at bearings (rad) and distances (m) `(B,)`; see `zsdist.vision.visual_act`.
@@ -78,8 +78,8 @@ class Driver(ABC):
     def act(self, observed: Observed) -> int:
         """Return the next action."""
 
-    def result(self, terms: RewardTerms, terminated: bool, truncated: bool) -> None:  # noqa: B027 (most learn nothing)
-        """Report the outcome of the action."""
+    def result(self, terms: RewardTerms, outcome: Outcome | None) -> None:  # noqa: B027 (most learn nothing)
+        """Report the rewards of the action, and the outcome if it ended the episode."""
 
 
 class LearnedDriver(Driver):
@@ -120,9 +120,9 @@ class LearnedDriver(Driver):
         self.shield_changes += bool(decision.shield_changed)
         return int(decision.action)
 
-    def result(self, terms: RewardTerms, terminated: bool, truncated: bool) -> None:
+    def result(self, terms: RewardTerms, outcome: Outcome | None) -> None:
         """Report the outcome to the agent, whose options end with the episode."""
-        self._agent.result(terms, terminated, truncated)
+        self._agent.result(terms, outcome)
 
     def _view(self, observed: Observed) -> View:
         """Return the view that reaches the agent: fields shuffled first, then limited as `vision.rays` says.

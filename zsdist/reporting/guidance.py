@@ -13,7 +13,7 @@ from matplotlib.patheffects import withStroke
 from zsdist.agent import features
 from zsdist.agent.blocks import GOAL_CHOICE, NEIGHBOURS, choices
 from zsdist.agent.reward_shaping import path_costs
-from zsdist.agent.situation import Situation
+from zsdist.agent.situation import Situation, Tries
 from zsdist.config import Config
 from zsdist.dqn import network
 from zsdist.evaluation.drivers import ViewPredictor
@@ -156,8 +156,7 @@ def _started_at(known: Situation, state: LatticeState, advice: np.ndarray) -> Si
         drive_m=forward_search.path_lengths_from(known.blocked, state, path_costs(known.grid)),
         visits=np.zeros_like(known.visits),
         block_visits=np.zeros_like(known.block_visits),
-        tries=np.zeros_like(known.tries),
-        goal_tries=0,
+        tries=Tries.none(known.grid),
     )
 
 

@@ -6,7 +6,7 @@ import pytest
 from zsdist.agent import features
 from zsdist.agent.blocks import GOAL_CHOICE, HIGH_ACTIONS, choices
 from zsdist.agent.reward_shaping import path_costs
-from zsdist.agent.situation import Situation
+from zsdist.agent.situation import Situation, Tries
 from zsdist.planning import forward_search
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
@@ -38,8 +38,7 @@ def world(seed):
         "seen": rng.random((FINE, FINE)) < 0.7,
         "visits": rng.integers(0, 2, (CELLS, CELLS, 8)).astype(np.int32),
         "block_visits": rng.integers(0, 4, (4, 4)).astype(np.int32),
-        "tries": rng.integers(0, 4, (4, 4)).astype(np.int32),
-        "goal_tries": int(rng.integers(3)),
+        "tries": Tries(rng.integers(0, 4, (4, 4)).astype(np.int32), int(rng.integers(3))),
     }
 
 
@@ -55,7 +54,7 @@ def reflected(parts):
         "seen": parts["seen"][::-1],
         "visits": parts["visits"][::-1][:, :, turned],
         "block_visits": parts["block_visits"][::-1],
-        "tries": parts["tries"][::-1],
+        "tries": Tries(parts["tries"].blocks[::-1], parts["tries"].goal),
     }
 
 
@@ -73,7 +72,7 @@ def quarter_turned(parts):
         "seen": turned(parts["seen"]),
         "visits": np.roll(turned(parts["visits"]), 2, axis=2),
         "block_visits": turned(parts["block_visits"]),
-        "tries": turned(parts["tries"]),
+        "tries": Tries(turned(parts["tries"].blocks), parts["tries"].goal),
     }
 
 
@@ -157,8 +156,9 @@ def test_the_state_of_a_car_that_drives_in_circles_keeps_changing(count):
     parts = world(1) | {"occupied": np.zeros((FINE, FINE), bool), "state": LatticeState(12, 12, 0)}
 
     def after(turns):
-        counts = {name: np.full_like(parts[name], turns) for name in ("visits", "block_visits", "tries")}
-        return states(situation(parts | counts | {"goal_tries": turns}), (3.0, -1.7))[:2]
+        counts = {name: np.full_like(parts[name], turns) for name in ("visits", "block_visits")}
+        tries = Tries(np.full((4, 4), turns, np.int32), turns)
+        return states(situation(parts | counts | {"tries": tries}), (3.0, -1.7))[:2]
 
     for earlier, later in zip(after(count), after(count + count // 5), strict=True):
         assert (later - earlier).max() > 0.1

@@ -2,7 +2,7 @@ import numpy as np
 
 from zsdist.agent import guide, reward_shaping
 from zsdist.agent.blocks import GOAL_CHOICE, choices
-from zsdist.agent.situation import Situation
+from zsdist.agent.situation import Situation, Tries
 from zsdist.config import AgentConfig
 from zsdist.planning import forward_search
 from zsdist.planning.footprint import FootprintTable
@@ -36,8 +36,7 @@ def situation(occupied=None, state=EAST, goal=(8.0, -1.9), seen=True, advice=(0.
         drive_m=forward_search.path_lengths_from(blocked, state, reward_shaping.path_costs(GRID)),
         visits=visits,
         block_visits=np.zeros((4, 4), np.int32),
-        tries=np.zeros((4, 4), np.int32),
-        goal_tries=0,
+        tries=Tries.none(GRID),
     )
 
 

@@ -6,7 +6,7 @@ import pytest
 from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist.agent import features
-from zsdist.agent.blocks import GOAL_CHOICE, HIGH_ACTIONS
+from zsdist.agent.blocks import GOAL_CHOICE, HIGH_ACTIONS, NEIGHBOURS
 from zsdist.agent.hierarchy import HierarchicalAgent
 from zsdist.agent.recorder import Recorder
 from zsdist.config import Config
@@ -14,7 +14,7 @@ from zsdist.dqn import network
 from zsdist.driving.settings import agent_settings, recorder_settings
 from zsdist.planning.rewards import RewardTerms
 from zsdist.sim.scenes import families
-from zsdist.types import NO_GUIDE, Behaviour, Level, Pose
+from zsdist.types import NO_GUIDE, Behaviour, Level, Outcome, Pose
 
 CONFIG = Config()
 SIZES = {
@@ -61,11 +61,12 @@ class Drive:
             decision = self.agent.act(q or networks())
             observation, _, terminated, truncated, info = self.env.step(int(decision.action))
             self.terms.append(RewardTerms(**info["reward_terms"]))
-            self.agent.result(self.terms[-1], terminated, truncated)
+            if terminated or truncated:
+                reached = Outcome.SUCCESS if info["success"] else Outcome.COLLISION
+                self.outcome = reached if terminated else Outcome.TIMEOUT
+            self.agent.result(self.terms[-1], self.outcome)
             self.decisions.append(decision)
             self.trajectories += recorder.drain() if recorder else []
-            if terminated or truncated:
-                self.outcome = "success" if info["success"] else "collision" if info["collision"] else "timeout"
         self.agent.finish()
         self.trajectories += recorder.drain() if recorder else []
 
@@ -142,6 +143,59 @@ def test_options_are_never_longer_than_configured():
     drive = Drive(SCENES[0], config=guided(option_max_steps=3), epsilon=1.0)
     assert max(len(trajectory) for trajectory in drive.of(Level.HIGH)) == 3
     assert drive.agent.statistics()["options_long"] > 0
+
+
+class Heard:
+    """Q-functions that keep the states in which each level decides."""
+
+    def __init__(self, **preferred):
+        self.states = {level: [] for level in Level}
+        self.q = {level: partial(self._values, level, values) for level, values in networks().items()}
+        self._preferred = {Level(name): choice for name, choice in preferred.items()}
+
+    def _values(self, level, values, states):
+        self.states[level].append(states[0].copy())
+        found = np.array(values(states))
+        if level in self._preferred:
+            found[:, self._preferred[level]] = 1e6
+        return found
+
+
+@pytest.mark.parametrize("preferred", [{}, {"high": GOAL_CHOICE}, {"high": 0}])
+def test_training_and_evaluation_decide_on_the_same_states(preferred):
+    config = CONFIG.model_copy(update={"agent": CONFIG.agent.model_copy(update={"option_max_steps": 3})})
+    heard = Heard(**preferred), Heard(**preferred)
+    for recorded, states in zip((True, False), heard, strict=True):
+        Drive(SCENES[0], q=states.q, config=config, epsilon=0.0, recorded=recorded)
+    for level in Level:
+        trained, evaluated = (states.states[level] for states in heard)
+        np.testing.assert_array_equal(trained, evaluated)
+
+
+def test_each_failed_option_is_in_the_state_of_the_next_decision():
+    config = CONFIG.model_copy(update={"agent": CONFIG.agent.model_copy(update={"option_max_steps": 3})})
+    goal_tries = NEIGHBOURS * features.BLOCK_FEATURES + 7
+    for recorded in (True, False):
+        heard = Heard(high=GOAL_CHOICE)
+        drive = Drive(SCENES[0], q=heard.q, config=config, epsilon=0.0, recorded=recorded)
+        counted = [state[goal_tries] for state in heard.states[Level.HIGH]]
+        np.testing.assert_allclose(counted, np.log1p(np.arange(len(counted))), rtol=1e-6)
+        assert len(counted) > 5
+        for trajectory, after in zip(drive.of(Level.HIGH), counted[1:], strict=False):
+            assert trajectory.states[-1][goal_tries] == after
+
+
+def test_a_crash_is_learned_as_a_crash_where_both_ends_are_paid_alike():
+    reward = CONFIG.reward.model_copy(update={"goal": CONFIG.reward.step})
+    config = CONFIG.model_copy(update={"reward": reward})
+    ahead = Heard(low=0)
+    for scene in SCENES:
+        drive = Drive(scene, q=ahead.q, config=config, epsilon=0.0, shielded=False)
+        if drive.outcome is Outcome.COLLISION:
+            assert all(drive.of(level)[-1].rewards[-1] < -2 for level in Level)
+            break
+    else:
+        pytest.fail("no car that drives straight ahead hit anything")
 
 
 def test_nothing_is_bootstrapped_after_the_goal_and_everything_after_a_cut():

@@ -37,10 +37,10 @@ def test_a_block_counts_only_where_it_is_entered(memory):
 
 
 def test_tries_are_counted_by_block_and_for_the_goal(memory):
-    memory.count_try((2, 1))
-    memory.count_try(None)
+    memory.tries.count((2, 1))
+    memory.tries.count(None)
     situation, _ = observe(memory, HERE)
-    assert situation.tries[1, 2] == situation.tries.sum() == 1 and situation.goal_tries == 1
+    assert situation.tries.blocks[1, 2] == situation.tries.blocks.sum() == 1 and situation.tries.goal == 1
 
 
 def test_the_situation_is_that_of_the_pose_and_the_judgement(memory):

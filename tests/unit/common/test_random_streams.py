@@ -1,5 +1,8 @@
 import ast
+import inspect
+import itertools
 import re
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -7,38 +10,53 @@ import pytest
 
 import zsdist
 from zsdist.common import random_streams
+from zsdist.sim.scenes import families
 
 PACKAGE = Path(zsdist.__file__).parent
 
 
-@pytest.mark.parametrize(
-    ("stream", "numbers"),
-    [
-        (random_streams.initial_weights(5), 5),
-        (random_streams.reflected_rows(5), [5, 1]),
-        (random_streams.replay_sampling(5, True, 2), [5, 0, 2]),
-        (random_streams.replay_sampling(5, False, 2), [5, 1, 2]),
-        (np.random.default_rng(random_streams.exploration(5, 7)), [5, 7]),
-        (random_streams.shielded_episodes(5, 7), [5, 7, 1]),
-        (random_streams.training_scene(5, 7), [5, 7, 2]),
-        (np.random.default_rng(random_streams.candidate_drive(5, 3, 7)), [5, 3, 7]),
-        (random_streams.evaluated_episode(5, 7), [5, 7]),
-        (random_streams.scene(3, 5), [3, 5]),
-        (random_streams.labelled_pictures(5, "test"), [5, *b"test"]),
-        (random_streams.masked_or_captioned_pictures(5, "test"), [5, 4, *b"test"]),
-        (random_streams.check_set(5, 7), [5, 4, 7]),
-        (random_streams.check_approach(5, 7), [5, 5, 7]),
-    ],
-)
-def test_a_stream_is_seeded_by_the_numbers_of_the_table(stream, numbers):
-    assert (stream.integers(2**63, size=4) == np.random.default_rng(numbers).integers(2**63, size=4)).all()
+def streams(*numbers):
+    """Return every stream that can be made of the first of some numbers, by its name and what it was made of."""
+    made = {}
+    for name, stream in inspect.getmembers(random_streams, inspect.isfunction):
+        if not name.startswith("_"):
+            kinds = [parameter.annotation for parameter in inspect.signature(stream).parameters.values()]
+            values = ["test" if kind is str else kind(number) for kind, number in zip(kinds, numbers, strict=False)]
+            made[name, *values] = np.random.default_rng(stream(*values))
+    return made
+
+
+@pytest.mark.parametrize("seed", [0, 1, 5, 2**31 - 1])
+def test_no_two_streams_draw_the_same(seed):
+    subjects = itertools.product((0, 1, 2, 4, 2**32, 2**32 + 1), repeat=2)
+    made = {key: stream for subject in subjects for key, stream in streams(seed, *subject).items()}
+    drawn = Counter(tuple(stream.integers(2**63, size=2)) for stream in made.values())
+    assert len(made) > 100 and set(drawn.values()) == {1}
+
+
+def test_numbers_beyond_a_word_have_streams_of_their_own():
+    made = [random_streams.evaluated_episode(*numbers) for numbers in ((5, 1), (5 + 2**32, 0), (5, 2**32), (5, 0))]
+    assert len({int(stream.integers(2**63)) for stream in made}) == len(made)
+
+
+def test_each_stream_has_the_tag_of_the_table_and_no_two_have_one():
+    rows = dict(re.findall(r"^\| `(\w+)` \| (\d{4}|none) \|", random_streams.__doc__, re.MULTILINE))
+    assert rows.pop("scene") == "none" and len(families.FAMILIES) < min(map(int, rows.values()))
+    assert len(set(rows.values())) == len(rows)
+    for (name, seed, *_), stream in streams(7, 1, 2).items():
+        if name in rows:
+            assert list(stream.bit_generator.seed_seq.entropy[:3]) == [int(rows[name]), seed, 0]
+
+
+def test_scenes_are_drawn_as_ever():
+    assert random_streams.scene(3, 5).integers(2**63) == np.random.default_rng([3, 5]).integers(2**63)
 
 
 def test_the_table_lists_every_stream_of_the_module():
     functions = {
         node.name
         for node in ast.parse(Path(random_streams.__file__).read_text()).body
-        if isinstance(node, ast.FunctionDef)
+        if isinstance(node, ast.FunctionDef) and not node.name.startswith("_")
     }
     assert set(re.findall(r"^\| `(\w+)` \|", random_streams.__doc__, re.MULTILINE)) == functions
 

@@ -31,8 +31,7 @@ def test_an_episode_begins_at_the_start_of_its_scene():
 def test_goal_and_obstacle_terminate_an_episode(scene, outcome):
     episode, results = drive(scene)
     assert episode.outcome is outcome
-    assert [result.terminated for result in results] == [False] * (len(results) - 1) + [True]
-    assert not any(result.truncated for result in results)
+    assert [result.outcome for result in results] == [None] * (len(results) - 1) + [outcome]
 
 
 def test_every_action_adds_a_pose_and_its_rewards():
@@ -46,4 +45,4 @@ def test_the_step_limits_of_environment_and_task_truncate_an_episode():
     for limits in ({"overrides": ("sim.max_steps=5",)}, {"most_steps": 5}):
         episode, results = drive(OPEN, Action.TURN_LEFT_90, **limits)
         assert episode.outcome is Outcome.TIMEOUT
-        assert [result.truncated for result in results] == [False] * 4 + [True]
+        assert [result.outcome for result in results] == [None] * 4 + [Outcome.TIMEOUT]

@@ -49,8 +49,8 @@ class Scripted(Driver):
         self.seen.append(observed)
         return next(self.queue)
 
-    def result(self, terms, terminated, truncated):
-        self.results.append((terms, terminated, truncated))
+    def result(self, terms, outcome):
+        self.results.append((terms, outcome))
 
 
 def examine(driver, scene, observability=Observability.NOTHING, config=CONFIG, clock=lambda: 0.0):
@@ -118,7 +118,7 @@ def test_true_distances_are_those_of_the_camera_at_its_place():
 def test_the_result_of_each_action_is_reported_to_the_driver():
     driver = Scripted(Action.FORWARD)
     examine(driver, OPEN)
-    assert [terminated for _, terminated, _ in driver.results] == [False] * 17 + [True]
+    assert [outcome for _, outcome in driver.results] == [None] * 17 + [Outcome.SUCCESS]
     assert driver.results[-1][0].goal == CONFIG.reward.goal
 
 
