@@ -43,7 +43,7 @@ class Limiter:
     Args:
         updates_per_insert: learner updates per stored transition, `r`.
         min_size: transitions to store before anything is limited or learned.
-        grain: transitions that a stream must be able to produce at once (cars of an actor times the longest option).
+        grain: transitions that a stream must be able to produce at once, or none of its trajectories may ever end.
         band: transitions granted beyond one grain a stream, shared by all streams. It hides the latency of credit, and
             should be at least the largest batch (Table 2: 256).
 

@@ -49,7 +49,8 @@ class Actor(Role):
         self._max_lag_s = 0.0
         self._candidates: dict[tuple[int, str], dict[Level, Parameters]] = {}
         self._leases: list[int] = []
-        self._started: set[int] = set()  # numbers of the leases begun; this process drives each once
+        self._started: set[int] = set()  # numbers of the present leases that were begun; each is driven once
+        self._started_episodes = 0
         self._jobs = DriveJobs(merge=0, drives=[])
         self._driven: set[tuple[int, str, int]] = set()
         self._finished_episodes = 0
@@ -91,7 +92,7 @@ class Actor(Role):
             "cars": len(self.cars),
             "cars_driving": sum(not car.idle for car in self.cars),
             "waiting_credit_s": round(self.waiting_credit_s, 3),
-            "started_episodes": len(self._started),
+            "started_episodes": self._started_episodes,
             **self.perception.statistics(),
         }
         fields |= {f"{level}_weight_version": message.weights.version for level, message in self._weights.items()}
@@ -110,6 +111,7 @@ class Actor(Role):
         for content in self.orders(self._orders, {Orders: ActorOrders, Jobs: DriveJobs}):
             if isinstance(content, DriveJobs):
                 self._jobs = content
+                self._driven = {job for job in self._driven if job[0] >= content.merge}
             elif isinstance(content, ActorOrders):
                 self._follow(content)
 
@@ -117,6 +119,7 @@ class Actor(Role):
         if content.epochs.get(self.context.name) != self.context.epoch:
             return  # meant for a predecessor of this process, or for its successor
         self._leases = content.leases.get(self.context.name, [])
+        self._started.intersection_update(self._leases)  # a number that is not leased to it any more never returns
         self._finished_episodes = content.finished
         self._closing = content.closing
         self._cut = content.cut
@@ -179,6 +182,7 @@ class Actor(Role):
         for number in self._leases:
             if number not in self._started:
                 self._started.add(number)
+                self._started_episodes += 1
                 share = epsilon(self._finished_episodes, agent.epsilon_decay, agent.epsilon_min)
                 seed = random_streams.exploration(self.config.seed, number)
                 shielded = bool(

@@ -1,6 +1,7 @@
 """Base of all roles: an identity, mailboxes that wake the role, statistics twice a second, a liveliness token."""
 
 import json
+import math
 import os
 import socket
 import threading
@@ -187,4 +188,5 @@ class Role(ABC):
     def _publish_json(self, key: str, now: float, fields: dict[str, float | str]) -> None:
         context = self.context
         about = {"time_s": round(now, 3), "role": context.role, "id": context.id, "host": HOST, "pid": os.getpid()}
-        self.transport.publish(key, json.dumps({**about, **fields}, allow_nan=False).encode(), json=True)
+        known = {name: value for name, value in fields.items() if isinstance(value, str) or math.isfinite(value)}
+        self.transport.publish(key, json.dumps({**about, **known}, allow_nan=False).encode(), json=True)

@@ -68,9 +68,10 @@ class ReplayOrders(Content):
 
 
 class LearnerOrders(Content):
-    """Orders to the learners: whether to learn, and the phase of the merge."""
+    """Orders to the learners: whether to learn, the phase of the merge, and the progress of the run."""
 
     learning: bool
+    finished: Count = 0
     merge: Count
     phase: Annotated[Phase, Strict(False)] | Literal[""]
     candidates: Annotated[list[CandidateName], Field(max_length=8)]

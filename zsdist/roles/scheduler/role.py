@@ -47,7 +47,7 @@ class Scheduler(Role):
         self._inboxes: dict[str, Inbox[Records]] = {
             stream: Inbox(stream, sender_epoch=context.epoch) for stream in (EPISODES, EVALUATION)
         }
-        self._offered: dict[Level, set[tuple[int, str]]] = {level: set() for level in Level}
+        self._offered: dict[Level, dict[str, int]] = {level: {} for level in Level}  # candidate -> its newest merge
         self._merged = dict.fromkeys(Level, 0)  # index of the last merge that each learner has taken over
         self._collection = StateCollection(context.config)
         self._final_states: dict[str, State] = {}
@@ -158,7 +158,7 @@ class Scheduler(Role):
     def _receive_offers(self) -> None:
         for _, message in self.messages(self._learners, Candidate, WeightsMessage):
             if isinstance(message, Candidate):
-                self._offered[message.level].add((message.merge, message.name))
+                self._offered[message.level][message.name] = message.merge
             else:
                 self._merged[message.weights.level] = max(self._merged[message.weights.level], message.merge)
 
@@ -204,7 +204,8 @@ class Scheduler(Role):
 
     def _conduct_merge(self, merge: Merge, now: float) -> None:
         before = merge.phase
-        merge.start_drives([{name for index, name in self._offered[level] if index == merge.index} for level in Level])
+        offered = self._offered.values()
+        merge.start_drives([{name for name, index in names.items() if index == merge.index} for names in offered])
         if merge.phase is Phase.PROMOTE and all(index >= merge.index for index in self._merged.values()):
             merge.finish()
         if merge.phase is not before:
@@ -300,6 +301,7 @@ class Scheduler(Role):
             "learner": {
                 # Not while candidates are compared, nor after the last comparison.
                 "learning": self.stage is Stage.TRAIN,
+                "finished": self.finished_episodes,
                 "merge": merge.index if merge else 0,
                 "phase": merge.phase.value if merge else "",
                 "candidates": list(merge.candidates) if merge else [],

@@ -119,7 +119,7 @@ class Bench:
         for level in Level:
             for name in names:
                 message = Candidate(2, level, merge, name, WEIGHTS)
-                self.others.publish(keys.candidate(RUN, level, f"{merge}-{name}"), codec.encode(message))
+                self.others.publish(keys.candidate(RUN, level, name), codec.encode(message))
         self.step()
 
     def promote(self, merge=1):
