@@ -101,6 +101,14 @@ class Limiter:
         ratio = self._ratio  # as integers: a product of fractions takes longer than sampling a batch
         return max(0, ratio.numerator * self.stored // ratio.denominator - self.updates) if self.limited else 0
 
+    @property
+    def lacking(self) -> int:
+        """Number of transitions without which the learner may take no batch; 0 if it may take one now."""
+        if self.allowed:
+            return 0
+        wanted = -(-(self.updates + 1) * self._ratio.denominator // self._ratio.numerator)
+        return max(wanted, self._min_size) - self.stored
+
     def take_batch(self) -> None:
         """Count a batch that is handed out. Raises ProtocolError if none is allowed."""
         if not self.allowed:

@@ -123,6 +123,7 @@ class Role(ABC):
                 addresses.require(message.key, self.context.run, decoded)
             except DecodeError as error:
                 self.refuse(error.reason)
+                self.tell_sender(message.key, str(error))
             else:
                 yield message, decoded
 
@@ -169,6 +170,10 @@ class Role(ABC):
         except DecodeError as error:
             self.refuse(error.reason)
             return None
+
+    def tell_sender(self, key: str, reason: str) -> None:
+        """Tell the sender under `key` why its message was refused, where it can be told: by default it cannot."""
+        return
 
     def refuse(self, reason: str) -> None:
         """Count a message that is not acted on; statistics report the count as `rejected_{reason}`."""

@@ -251,7 +251,7 @@ class Learner(Role):
             ),
             BEST: lambda: self._best or self.dqn.parameters(),
         }
-        candidates = {name: makers[name]() for name in names}
+        candidates: dict[str, Parameters] = {name: makers[name]() for name in names}
         for name, parameters in candidates.items():
             self._require_finite(f"candidate {name}", parameters)
         return candidates
