@@ -9,7 +9,7 @@ from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.replay import shards
 from zsdist.roles.scheduler.checkpointing import ANSWER_WITHIN_S, StateCollection
 from zsdist.roles.scheduler.leases import Leases
-from zsdist.roles.scheduler.merge import Drive, Merge, deal_drives, next_merge_at
+from zsdist.roles.scheduler.merge import NO_MERGE, Drive, Merge, deal_drives, next_merge_at
 from zsdist.roles.scheduler.records_inbox import RecordsInbox
 from zsdist.roles.scheduler.run_log import RunLog
 from zsdist.roles.scheduler.standstill import StandstillWatch
@@ -90,8 +90,7 @@ class Scheduler(Role):
         if now >= self._next_metrics_s:
             self._next_metrics_s = now + 1.0
             self.run_log.metrics(self.snapshot.row())
-            if (found := self._standstill.report(now, self.snapshot)) is not None:
-                self.event(now, "standstill", **found)
+            self._standstill.watch(now, self.snapshot, self.event)
         self.finished = self.stage is Stage.DONE
         return min([self._next_orders_s, *(wake for box in self._inboxes.values() if (wake := box.next_wake(now)))])
 
@@ -304,10 +303,7 @@ class Scheduler(Role):
                 # Not while candidates are compared, nor after the last comparison.
                 "learning": self.stage is Stage.TRAIN,
                 "finished": self.finished_episodes,
-                "merge": merge.index if merge else 0,
-                "phase": merge.phase.value if merge else "",
-                "candidates": list(merge.candidates) if merge else [],
-                "chosen": (merge.chosen or "") if merge else "",
+                **(merge.orders() if merge else NO_MERGE),
                 "stop": done,
             },
         }

@@ -1,6 +1,8 @@
 """Watch over a run that stands still: every role is alive, nothing moves, and each waits for another."""
 
-from zsdist.telemetry.snapshot import Fields, Snapshot
+from collections.abc import Callable
+
+from zsdist.telemetry.snapshot import Snapshot
 from zsdist.types import Level
 
 STANDSTILL_S = 60.0  # time without any progress after which a run counts as standing still
@@ -14,18 +16,19 @@ class StandstillWatch:
         self._progress: list[float] = []
         self._moved_s = self._report_s = 0.0
 
-    def report(self, now: float, snapshot: Snapshot) -> Fields | None:
-        """Return who waits for what, as fields of an event; None while the run moves, or right after a report.
+    def watch(self, now: float, snapshot: Snapshot, publish: Callable[..., None]) -> None:
+        """Look at a run, and publish who waits for what if it stands still.
 
         Args:
             now: current time in seconds.
             snapshot: statistics of all roles.
+            publish: function that publishes an event, `Role.event`.
         """
         progress = [snapshot.total(role, name) for role, name in _PROGRESS]
         if not self._progress or progress != self._progress:
             self._progress, self._moved_s, self._report_s = progress, now, now + STANDSTILL_S
         if now < self._report_s:
-            return None
+            return
         self._report_s = now + STANDSTILL_S
         cars, driving = (int(snapshot.total("actor", name)) for name in ("cars_waiting_credit", "cars_driving"))
         in_flight = sum(
@@ -33,14 +36,16 @@ class StandstillWatch:
             for level in Level
             for name in ("unacknowledged_frames", "waiting")
         )
-        return {
-            "since_s": round(now - self._moved_s, 1),
-            "actors": len(snapshot.of("actor")),
-            "cars_driving": driving,
-            "cars_waiting_credit": cars,
-            "in_flight": in_flight,
-            "waits": "; ".join([f"{cars} of {driving} driving cars for credit", *_learner_waits(snapshot)]),
-        }
+        publish(
+            now,
+            "standstill",
+            since_s=round(now - self._moved_s, 1),
+            actors=len(snapshot.of("actor")),
+            cars_driving=driving,
+            cars_waiting_credit=cars,
+            in_flight=in_flight,
+            waits="; ".join([f"{cars} of {driving} driving cars for credit", *_learner_waits(snapshot)]),
+        )
 
 
 def _learner_waits(snapshot: Snapshot) -> list[str]:
