@@ -83,7 +83,7 @@ class Credit:
     [
         {"actors": 257},
         {"actors": 300, "min_size": 1},
-        {"actors": 1500, "option": 2},
+        {"actors": 4096, "option": 2},
         {"actors": 300, "cars": 4, "option": 6},
         {"actors": 2, "cars": 256, "option": 3},
         {"actors": 16, "shards": 16, "cars": 3},
