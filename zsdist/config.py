@@ -14,11 +14,10 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from zsdist.common import strict_yaml
+from zsdist.common import ranges, strict_yaml
 from zsdist.errors import ConfigError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
 Folder = Annotated[str, Field(min_length=1), AfterValidator(lambda path: str(Path(path).absolute()))]
@@ -44,8 +43,8 @@ class GridConfig(Section):
 
     cells: Count = 32  # cells per side, the grid of the low level; a multiple of `blocks`
     blocks: Count = 4  # blocks of cells per side, the grid of the high level
-    cell_size_m: Positive = 0.625  # side of a cell
-    arena_m: Positive = 25.0  # side of the square arena
+    cell_size_m: ranges.Metres = 0.625  # side of a cell
+    arena_m: ranges.Metres = 25.0  # side of the square arena
 
 
 class ScenesConfig(Section):
@@ -62,17 +61,17 @@ class CameraConfig(Section):
     back_end: Literal["caster", "pybullet"] = "caster"  # renderer: our own ray caster, or PyBullet's
     size_px: Annotated[int, Field(ge=32, le=1024)] = 224  # side of the square picture
     field_of_view_deg: Annotated[float, Field(ge=30, le=120)] = 90.0  # horizontal and vertical angle
-    range_m: Positive = 5.0  # range of vision; a ray that meets nothing nearer is free
-    height_m: Positive = 1.0  # height of the camera above the ground
+    range_m: ranges.Metres = 5.0  # range of vision; a ray that meets nothing nearer is free
+    height_m: ranges.Metres = 1.0  # height of the camera above the ground
     forward_m: Annotated[float, Field(ge=-100, le=100)] = 1.0  # distance of the camera ahead of the car's centre
 
 
 class SimConfig(Section):
     """Simulation (Table 1)."""
 
-    step_s: Positive = 0.05  # simulated time per physics step
-    max_steps: Count = 500  # actions per episode; then it ends as a timeout (Table 2)
-    success_radius_m: Positive = 0.60  # distance to the goal at which an episode succeeds
+    step_s: ranges.PhysicsStep = 0.05  # simulated time per physics step
+    max_steps: ranges.Steps = 500  # actions per episode; then it ends as a timeout (Table 2)
+    success_radius_m: ranges.Metres = 0.60  # distance to the goal at which an episode succeeds
 
 
 class VisionConfig(Section):
@@ -89,10 +88,10 @@ class VisionConfig(Section):
 class RewardConfig(Section):
     """Reward terms of Eqs. (18)-(20), and which reward the levels learn from."""
 
-    goal: float = 1000.0  # reward for reaching the goal
-    collision: float = -200.0  # reward for hitting an obstacle
-    safe: float = 0.0  # R_safe of the obstacle term, for an action without collision
-    step: float = 0.0  # R_step of the goal term, for an action that does not reach the goal
+    goal: ranges.Reward = 1000.0  # reward for reaching the goal
+    collision: ranges.Reward = -200.0  # reward for hitting an obstacle
+    safe: ranges.Reward = 0.0  # R_safe of the obstacle term, for an action without collision
+    step: ranges.Reward = 0.0  # R_step of the goal term, for an action that does not reach the goal
     literal: bool = False  # learn from the paper's sum of the terms; false: from progress towards subgoal and goal
 
 
@@ -104,10 +103,10 @@ class AgentConfig(Section):
     guide_share: Share = 0.8  # share of exploratory actions that follow the guide policy; the others are uniform
     option_max_steps: Count = 24  # actions after which the high level chooses a new subgoal
     shield_share: Share = 0.7  # share of training episodes in which the shield masks unsafe actions
-    attraction: Positive = 1.0  # k_att of Eq. (14)
-    repulsion: Positive = 1.0  # k_rep of Eq. (15)
-    influence_m: Positive = 1.5  # d_o0 of Eq. (15), distance from which obstacles repel
-    trail: NonNegative = 0.5  # weight of the repulsion from positions that the car has visited
+    attraction: ranges.Factor = 1.0  # k_att of Eq. (14)
+    repulsion: ranges.Factor = 1.0  # k_rep of Eq. (15)
+    influence_m: ranges.Metres = 1.5  # d_o0 of Eq. (15), distance from which obstacles repel
+    trail: ranges.Weight = 0.5  # weight of the repulsion from positions that the car has visited
     high_policy: Literal["learned", "planner", "goal"] = "learned"  # planner: over blocks; goal: flat DQN
     low_policy: Literal["learned", "planner", "field"] = "learned"  # planner: shortest path; field: potential field
     explored_share: Share = 0.5  # seen share of a block's cells from which the block counts as explored
@@ -116,17 +115,19 @@ class AgentConfig(Section):
 class LevelConfig(Section):
     """DQN of one level: its network and its learning."""
 
-    hidden: tuple[Count, ...] = (128, 128)  # widths of the hidden layers
-    learning_rate: Positive = 0.002  # Table 2
+    hidden: ranges.Widths = (128, 128)  # widths of the hidden layers
+    learning_rate: ranges.LearningRate = 0.002  # Table 2
     discount: Share = 0.99
-    reward_scale: Positive = 1.0  # factor on rewards before learning
+    reward_scale: ranges.Factor = 1.0  # factor on rewards before learning
     double: bool = True  # double DQN; false: the target network chooses the next action too
     huber: bool = True  # Huber loss; false: squared error
     target_tau: Share = 0.01  # share of the soft target update, per update; 0: only a merge changes the target network
     max_gradient_norm: Positive = 10.0  # norm to which gradients are clipped
-    guide_margin: NonNegative = 0.8  # value by which the guide's action should exceed the others
-    guide_margin_weight: NonNegative = 0.0  # weight of the margin loss; 0: it is not used
-    updates_per_insert: Positive = 0.25  # updates per new transition, for any batch size; DQN updates every fourth step
+    guide_margin: ranges.Weight = 0.8  # value by which the guide's action should exceed the others
+    guide_margin_weight: ranges.Weight = 0.0  # weight of the margin loss; 0: it is not used
+    updates_per_insert: ranges.Ratio = (
+        0.25  # updates per new transition, for any batch size; DQN updates every fourth step
+    )
     min_size: Count = 128  # stored transitions from which learning starts
 
 
@@ -134,7 +135,7 @@ class HighConfig(LevelConfig):
     """Defaults that differ for the high level. Table 2 has a discount of 0.99 for both levels (configs/paper.yaml)."""
 
     discount: Share = 0.95  # a horizon nearer to what the level can foresee
-    guide_margin_weight: NonNegative = 1.0
+    guide_margin_weight: ranges.Weight = 1.0
     min_size: Count = 16
 
 
@@ -142,7 +143,7 @@ class LowConfig(LevelConfig):
     """Defaults that differ for the low level."""
 
     discount: Share = 0.95  # as for the high level
-    guide_margin_weight: NonNegative = 1.0
+    guide_margin_weight: ranges.Weight = 1.0
 
 
 class ReplayConfig(Section):
@@ -159,7 +160,7 @@ class ReplayConfig(Section):
     size_max: Count = 20_000
     batch_initial: Count = 128  # transitions in a batch
     batch_min: Count = 16
-    batch_max: Count = 256
+    batch_max: ranges.BatchSize = 256
     grow_rate: Annotated[float, Field(gt=0, lt=1)] = 0.9  # an adjustment grows a size to at most size / grow_rate
     grow_threshold: Positive = 1.2  # wanted / current size above which it grows
     shrink_rate: Annotated[float, Field(gt=0, lt=1)] = 0.9  # and shrinks it to at least size * shrink_rate
@@ -174,7 +175,7 @@ class MergeConfig(Section):
     """Merge of the global policy: the best of several candidates on validation scenes becomes the target network."""
 
     every_episodes: Annotated[int, Field(ge=0)] = 100  # finished episodes between merges; 0: no merge
-    validation_scenes: Count = 20  # scenes that every candidate drives
+    validation_scenes: ranges.Drives = 20  # scenes that every candidate drives
     drive_steps: Count = 150  # actions after which a validation drive is a timeout; the shortest path takes about 30
     distil_updates: Count = 200  # updates towards the guide's actions that make the distilled candidate
     drop_after_scenes: Count = 6  # scenes after which a candidate that is clearly behind is dropped
@@ -196,7 +197,7 @@ class TransportConfig(Section):
     endpoint: str = "tcp/127.0.0.1:7447"  # endpoint of the hub; with `tls` tls/HOST:PORT, default tls/127.0.0.1:7447
     tls: Folder | None = None  # folder made by `python -m zsdist.certs`; None: reachable from this machine only
     mailbox_bytes: Count = 64 * 2**20  # size of received messages that wait; others are dropped and sent again
-    window_frames: Count = 64  # unacknowledged frames per stream
+    window_frames: ranges.Window = 64  # unacknowledged frames per stream
     resend_after_s: Positive = 0.25  # age at which an unacknowledged frame is sent again
     give_up_after_s: Positive = 60.0  # time without progress at a live receiver after which the run fails
 

@@ -278,6 +278,9 @@ class Weights:
     parameters: Parameters
 
 
+MAX_REASON = 200  # characters of `Ack.refused`
+
+
 @dataclass(frozen=True)
 class Ack:
     """Acknowledgement: frames that a receiver holds of one (stream, actor, epoch), and the credit to send more.
@@ -289,6 +292,7 @@ class Ack:
         stream: name of the stream.
         received: number below which the receiver holds every frame.
         credit: absolute total of transitions that the stream may produce in this epoch; None: unlimited.
+        refused: why the receiver refused a frame since it last accepted one; empty: it refused none.
     """
 
     sender_epoch: int
@@ -297,3 +301,4 @@ class Ack:
     stream: str
     received: int
     credit: int | None
+    refused: str = ""

@@ -27,7 +27,7 @@ OTHERS = ("actor-7", "stranger")  # certified by the authority, but not on the a
 OF_ACTOR_0 = ("push/low/actor-0/3", "push/high/actor-0/3", "episodes/actor-0/3", "evaluation/actor-0", "stats/actor/0")
 NOT_OF_ACTOR_0 = (
     "weights/low",
-    "candidate/low/1-recent",
+    "candidate/low/recent",
     "control/actor",
     "control/scheduler",
     "ack/actor-0",
@@ -42,10 +42,10 @@ NOT_OF_ACTOR_0 = (
     "priority/low",
     "events",
 )
-TO_ACTOR_0 = ("weights/low", "candidate/high/1-recent", "control/actor", "ack/actor-0", "evaluation/actor-0")
+TO_ACTOR_0 = ("weights/low", "candidate/high/recent", "control/actor", "ack/actor-0", "evaluation/actor-0")
 NOT_TO_ACTOR_0 = ("push/low/actor-1/3", "ack/actor-1", "evaluation/actor-1", "control/replay", "episodes/actor-1/3")
 TO_MONITOR = ("stats/actor/0", "events", "weights/low")
-NOT_TO_MONITOR = ("push/low/actor-0/3", "ack/actor-0", "control/actor", "candidate/low/1-best", "evaluation/actor-0")
+NOT_TO_MONITOR = ("push/low/actor-0/3", "ack/actor-0", "control/actor", "candidate/low/best", "evaluation/actor-0")
 
 
 class Client:

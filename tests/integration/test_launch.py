@@ -22,7 +22,7 @@ GARBAGE_KEYS = (
     "episodes/actor-0/0",
     "ack/actor-0",
     "weights/low",
-    "candidate/high/1-recent",
+    "candidate/high/recent",
     "evaluation/actor-0",
     "control/actor",
     "control/replay",

@@ -5,6 +5,7 @@ the copy into the target network are one operation each, whatever the number of 
 """
 
 import copy
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -114,6 +115,18 @@ class BaseDqnLearner(ABC):
             margin = losses.margin_loss(last.q, last.masks, last.guides, config.guide_margin)
             loss += config.guide_margin_weight * margin
         return {"loss": loss, "q_mean": float(last.q.mean()), "gradient_norm": last.gradient_norm}
+
+    def largest(self) -> float:
+        """Return the largest magnitude of values and errors in the last update; 0 before the first.
+
+        It is not finite if one of them, or the gradient, is not.
+        """
+        if self._last is None:
+            return 0.0
+        if not math.isfinite(self._last.gradient_norm):
+            return self._last.gradient_norm
+        q, errors = np.abs(self._last.q).max(), np.abs(self._last.errors).max()
+        return float(np.maximum(q, errors))  # NaN if either is
 
     def errors(self) -> np.ndarray:
         """Return the absolute temporal-difference errors of the last update's rows, `(B,)` float32.

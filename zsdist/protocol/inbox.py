@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 from zsdist.protocol.frames import Frame
-from zsdist.types import Ack, Level
+from zsdist.types import MAX_REASON, Ack, Level
 
 HOLD_FRAMES = 256  # number of frames, from the next expected one on, that are held; later ones are refused
 ACK_EVERY_FRAMES = 8
@@ -35,6 +35,7 @@ class _Stream(Generic[AnyFrame]):
         unacknowledged: number of frames received since the last acknowledgement.
         receipt_s: time of the first frame since the last acknowledgement.
         heartbeat_s: time of the next heartbeat; None: at once.
+        refusal: why a frame of the epoch was refused since the last one was delivered; empty: none was.
     """
 
     epoch: int
@@ -47,6 +48,7 @@ class _Stream(Generic[AnyFrame]):
     unacknowledged: int = 0
     receipt_s: float | None = None
     heartbeat_s: float | None = None
+    refusal: str = ""
 
 
 class Inbox(Generic[AnyFrame]):
@@ -121,9 +123,9 @@ class Inbox(Generic[AnyFrame]):
         if frame.epoch < stream.epoch or stream.state == "abandoned":
             return self._refuse("closed_epoch")
         if frame.sequence >= stream.received and stream.state == "closed":
-            return self._refuse("after_close")
+            return self._refuse("after_close", stream)
         if frame.sequence >= stream.received + self._hold_frames:
-            return self._refuse("beyond_window")
+            return self._refuse("beyond_window", stream)
         stream.unacknowledged += 1
         stream.receipt_s = now if stream.receipt_s is None else stream.receipt_s
         if frame.sequence < stream.received or frame.sequence in stream.held:
@@ -131,6 +133,12 @@ class Inbox(Generic[AnyFrame]):
             return []
         stream.held[frame.sequence] = frame
         return self._deliver(stream)
+
+    def note_refusal(self, actor: str, epoch: int, reason: str) -> None:
+        """Tell an actor, in its acknowledgements, why a frame of it was refused before it got here."""
+        stream = self._streams.get(actor)
+        if stream is not None and stream.epoch == epoch:
+            stream.refusal = "".join(filter(str.isprintable, reason))[:MAX_REASON]
 
     def acks(self, now: float, credit: Callable[[str, int], int | None]) -> list[Ack]:
         """Return the acknowledgements that are due.
@@ -147,7 +155,8 @@ class Inbox(Generic[AnyFrame]):
                 continue
             allowed = credit(actor, stream.epoch) if stream.state == "open" else stream.produced
             stream.granted = None if allowed is None else max(stream.granted or 0, allowed)
-            acks.append(Ack(self.sender_epoch, actor, stream.epoch, str(self.stream), stream.received, allowed))
+            name, refusal = str(self.stream), stream.refusal
+            acks.append(Ack(self.sender_epoch, actor, stream.epoch, name, stream.received, allowed, refusal))
             stream.unacknowledged, stream.receipt_s, stream.heartbeat_s = 0, None, now + HEARTBEAT_S
         return acks
 
@@ -173,9 +182,9 @@ class Inbox(Generic[AnyFrame]):
         delivered = []
         while (frame := stream.held.pop(stream.received, None)) is not None:
             if frame.produced != stream.produced + frame.count:
-                self._refuse("wrong_total")  # a damaged frame; the right one is sent again
+                self._refuse("wrong_total", stream)  # a damaged frame; the right one is sent again
                 break
-            stream.received += 1
+            stream.received, stream.refusal = stream.received + 1, ""
             stream.produced = frame.produced
             delivered.append(frame)
             if frame.closes:
@@ -193,8 +202,10 @@ class Inbox(Generic[AnyFrame]):
             self.abandoned_unlimited += 1
         self.abandoned_at_most += max(stream.granted or 0, stream.declared) - stream.produced
 
-    def _refuse(self, reason: str) -> list[AnyFrame]:
+    def _refuse(self, reason: str, stream: _Stream[AnyFrame] | None = None) -> list[AnyFrame]:
         self.refused[reason] += 1
+        if stream is not None:
+            stream.refusal = reason
         return []
 
 

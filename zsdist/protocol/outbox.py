@@ -17,7 +17,9 @@ from zsdist.types import Ack, Level, Trajectory
 Item = Trajectory | dict[str, Any]
 
 COMBINE = 16  # transitions from which a frame is sent at once
-MAX_COUNT = 256  # most transitions or records in a frame, unless its first item alone has more
+MAX_COUNT = 256  # most transitions in a frame, unless its first item alone has more
+MAX_RECORDS = 16  # most records in a frame; one is large where its episode was long
+REFUSED_S = 10.0  # time for which a refused frame is sent again; a damaged one would have been accepted by then
 LINGER_S = 0.05  # longest time that fewer than `COMBINE` transitions wait for more
 RESEND_BURST = 8  # most frames that one poll sends again
 BURST_PAUSE = 0.25  # shortest time between two such polls, in units of `resend_after_s`, to spare the receiver
@@ -45,6 +47,7 @@ class Outbox:
         credit: absolute total that the stream may produce; None: unlimited. It is 0 until the receiver has answered,
             and None for records. Within an incarnation of the receiver, credit only becomes limited or grows, so
             acknowledgements may overtake each other.
+        refusal: why the receiver refused a frame since it last accepted one; empty: it refused none.
     """
 
     def __init__(
@@ -81,7 +84,8 @@ class Outbox:
         self._resend_after_s = resend_after_s
         self._give_up_after_s = give_up_after_s
         self._make_frame = make_frame
-        self._combine = COMBINE if self._metered else 1
+        self._combine, self._most = (COMBINE, MAX_COUNT) if self._metered else (1, MAX_RECORDS)
+        self.refusal = ""
         self._waiting: deque[Item] = deque()
         self._waiting_count = 0
         self._waiting_since_s: float | None = None
@@ -181,6 +185,7 @@ class Outbox:
                 self.credit = max(self.credit, ack.credit)
         self._sender_epoch = ack.sender_epoch
         self._heard_s = now
+        self.refusal = ack.refused
 
     def next_wake(self, now: float) -> float | None:
         """Return the time at which `poll` has to be called if nothing else happens; None: never."""
@@ -196,7 +201,8 @@ class Outbox:
         """Return whether a live receiver has made no progress for too long, so that the run must end."""
         if not self._flight or self._heard_s is None or now - self._heard_s > SILENCE_S:
             return False
-        return now - self._stalled_since_s > self._give_up_after_s
+        patience_s = min(REFUSED_S, self._give_up_after_s) if self.refusal else self._give_up_after_s
+        return now - self._stalled_since_s > patience_s
 
     def statistics(self) -> dict[str, int]:
         """Return counts of transitions (or records), of frames, and of ignored acknowledgements, by name."""
@@ -243,7 +249,7 @@ class Outbox:
         """Return the next numbered frame, made of waiting items."""
         items: list[Item] = []
         count = 0
-        while self._waiting and (not items or count + _count(self._waiting[0]) <= MAX_COUNT):
+        while self._waiting and (not items or count + _count(self._waiting[0]) <= self._most):
             item = self._waiting.popleft()
             items.append(item)
             count += _count(item)

@@ -43,7 +43,7 @@ class Limiter:
     Args:
         updates_per_insert: learner updates per stored transition, `r`.
         min_size: transitions to store before anything is limited or learned.
-        grain: transitions that a stream must be able to produce at once (cars of an actor times the longest option).
+        grain: transitions that a stream must be able to produce at once, or none of its trajectories may ever end.
         band: transitions granted beyond one grain a stream, shared by all streams. It hides the latency of credit, and
             should be at least the largest batch (Table 2: 256).
 
@@ -100,6 +100,14 @@ class Limiter:
         """Number of batches that the learner may take now, one for each update."""
         ratio = self._ratio  # as integers: a product of fractions takes longer than sampling a batch
         return max(0, ratio.numerator * self.stored // ratio.denominator - self.updates) if self.limited else 0
+
+    @property
+    def lacking(self) -> int:
+        """Number of transitions without which the learner may take no batch; 0 if it may take one now."""
+        if self.allowed:
+            return 0
+        wanted = -(-(self.updates + 1) * self._ratio.denominator // self._ratio.numerator)
+        return max(wanted, self._min_size) - self.stored
 
     def take_batch(self) -> None:
         """Count a batch that is handed out. Raises ProtocolError if none is allowed."""

@@ -36,6 +36,8 @@ def n_step(
     ends, total, discount = successors.copy(), rewards.astype(np.float64), discounts.astype(np.float64)
     growing = np.flatnonzero(usable)
     for _ in range(steps - 1):
+        if not len(growing):
+            break
         following = beginning_at[ends[growing]]
         growing, following = (part[(following >= 0) & (discount[growing] > 0)] for part in (growing, following))
         longer = total[growing] + discount[growing] * rewards[following]

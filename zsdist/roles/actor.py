@@ -9,7 +9,8 @@ from zsdist.dqn import network
 from zsdist.dqn.exploration import epsilon
 from zsdist.driving.actor_car import ActorCar, EpisodeTask
 from zsdist.driving.perception import Perception
-from zsdist.errors import WeightsError
+from zsdist.errors import DecodeError, RunError, WeightsError
+from zsdist.roles import schemas
 from zsdist.roles.actor_outboxes import ActorOutboxes, CreditAccount
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.schemas import ActorOrders, DriveJobs
@@ -42,14 +43,17 @@ class Actor(Role):
         self.perception = perception
         self.schedule = schedule
         self.env_steps = 0
+        self.actions = 0  # of all cars, those of candidates included
         self.waiting_credit_s = 0.0
+        self._cars_waiting = 0  # for credit
         self._waiting_since_s: float | None = None
         self._weights: dict[Level, WeightsMessage] = {}
         self._lags_s: dict[Level, float] = {}  # age at which the weights before the present ones were replaced
         self._max_lag_s = 0.0
         self._candidates: dict[tuple[int, str], dict[Level, Parameters]] = {}
         self._leases: list[int] = []
-        self._started: set[int] = set()  # numbers of the leases begun; this process drives each once
+        self._started: set[int] = set()  # numbers of the present leases that were begun; each is driven once
+        self._started_episodes = 0
         self._jobs = DriveJobs(merge=0, drives=[])
         self._driven: set[tuple[int, str, int]] = set()
         self._finished_episodes = 0
@@ -74,7 +78,8 @@ class Actor(Role):
         self._assign()
         driving = [car for car in self.cars if not car.idle]
         ready = [car for car in driving if self._may_act(car)]
-        self._account_waiting(now, len(ready) < len(driving))
+        self._cars_waiting = len(driving) - len(ready)
+        self._account_waiting(now, self._cars_waiting > 0)
         if ready:
             self._advance(ready)
         if self._closing and all(car.idle for car in self.cars):
@@ -88,10 +93,12 @@ class Actor(Role):
         """Return counts of steps, cars and cached readings, versions and lags of weights, and counts of outboxes."""
         fields: dict[str, float | str] = {
             "env_steps": self.env_steps,
+            "actions": self.actions,
             "cars": len(self.cars),
             "cars_driving": sum(not car.idle for car in self.cars),
+            "cars_waiting_credit": self._cars_waiting,
             "waiting_credit_s": round(self.waiting_credit_s, 3),
-            "started_episodes": len(self._started),
+            "started_episodes": self._started_episodes,
             **self.perception.statistics(),
         }
         fields |= {f"{level}_weight_version": message.weights.version for level, message in self._weights.items()}
@@ -110,6 +117,7 @@ class Actor(Role):
         for content in self.orders(self._orders, {Orders: ActorOrders, Jobs: DriveJobs}):
             if isinstance(content, DriveJobs):
                 self._jobs = content
+                self._driven = {job for job in self._driven if job[0] >= content.merge}
             elif isinstance(content, ActorOrders):
                 self._follow(content)
 
@@ -117,6 +125,7 @@ class Actor(Role):
         if content.epochs.get(self.context.name) != self.context.epoch:
             return  # meant for a predecessor of this process, or for its successor
         self._leases = content.leases.get(self.context.name, [])
+        self._started.intersection_update(self._leases)  # a number that is not leased to it any more never returns
         self._finished_episodes = content.finished
         self._closing = content.closing
         self._cut = content.cut
@@ -179,6 +188,7 @@ class Actor(Role):
         for number in self._leases:
             if number not in self._started:
                 self._started.add(number)
+                self._started_episodes += 1
                 share = epsilon(self._finished_episodes, agent.epsilon_decay, agent.epsilon_min)
                 seed = random_streams.exploration(self.config.seed, number)
                 shielded = bool(
@@ -195,6 +205,7 @@ class Actor(Role):
         for car, view in zip(cars, self.perception.views(cars), strict=True):
             ended = car.over
             car.advance(view, car.candidate_q or self._online_q())
+            self.actions += not ended
             if car.trains:
                 if not ended:
                     self.env_steps += 1
@@ -214,6 +225,10 @@ class Actor(Role):
     def _report(self, car: ActorCar) -> None:
         stream = EPISODES if car.trains else EVALUATION
         record = car.record() | {"actor": self.context.name}
+        try:
+            schemas.check_record(stream, record)
+        except DecodeError as error:
+            raise RunError(f"{self.context.name}: the record of an episode is out of range: {error}") from error
         self._outboxes.release(self._accounts[car])
         self._outboxes.offer_record(stream, record)
 

@@ -5,12 +5,17 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from zsdist.config import TransportConfig
-from zsdist.errors import RunError
+from zsdist.errors import ProtocolError, RunError
 from zsdist.protocol.outbox import Outbox
 from zsdist.transport.base import Transport
 from zsdist.types import Ack, Level, Trajectory
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import EPISODES, EVALUATION, Push, Records
+
+_CONTENT: dict[str, str] = {level: f"transitions of the {level} level" for level in Level} | {
+    EPISODES: "records of finished episodes",
+    EVALUATION: "results of validation drives",
+}
 
 
 @dataclass
@@ -85,10 +90,10 @@ class ActorOutboxes:
         return True
 
     def release(self, account: CreditAccount) -> None:
-        """Release the credit that was reserved and not used."""
+        """Release the credit that was reserved and not used, and forget steps whose transitions never came."""
         for level in Level:
             self._outboxes[level].release(account.reserved[level])
-            account.reserved[level] = 0
+            account.reserved[level] = account.pending[level] = 0
 
     def offer(self, trajectories: Sequence[Trajectory], account: CreditAccount) -> None:
         """Queue trajectories, which use up the credit reserved for them."""
@@ -110,17 +115,27 @@ class ActorOutboxes:
         """Publish all frames that are due.
 
         Raises:
-            RunError: a receiver that lives has not acknowledged the oldest frame of a stream for too long.
+            RunError: a frame cannot be sent or is refused, or a receiver that lives has not acknowledged the oldest
+                frame of a stream for too long.
         """
         for stream, outbox in self._outboxes.items():
             if outbox.stuck(now):
+                if outbox.refusal:
+                    raise RunError(f"{self._actor}: {_CONTENT[stream]} are refused by their receiver: {outbox.refusal}")
                 raise RunError(
                     f"{self._actor}: the oldest frame of stream '{stream}' has gone unacknowledged for "
                     f"{self._give_up_after_s:g} s while its receiver lives"
                 )
             for frame in outbox.poll(now):
                 assert isinstance(frame, Push | Records), "frames are of the kinds that the outboxes were made with"
-                transport.publish(self._keys[stream], codec.encode(frame))
+                transport.publish(self._keys[stream], self._encoded(stream, frame))
+
+    def _encoded(self, stream: str, frame: Push | Records) -> bytes:
+        """Return the bytes of a frame; raise RunError where its receiver would refuse them."""
+        try:
+            return codec.encode(frame)
+        except ProtocolError as error:
+            raise RunError(f"{self._actor}: {_CONTENT[stream]} cannot be sent: {error.__cause__}") from error
 
     def wakes(self, now: float) -> list[float]:
         """Return the times at which a frame is due again, one for each outbox that has any."""

@@ -1,6 +1,7 @@
 """Base of all roles: an identity, mailboxes that wake the role, statistics twice a second, a liveliness token."""
 
 import json
+import math
 import os
 import socket
 import threading
@@ -122,6 +123,7 @@ class Role(ABC):
                 addresses.require(message.key, self.context.run, decoded)
             except DecodeError as error:
                 self.refuse(error.reason)
+                self.tell_sender(message.key, str(error))
             else:
                 yield message, decoded
 
@@ -169,6 +171,10 @@ class Role(ABC):
             self.refuse(error.reason)
             return None
 
+    def tell_sender(self, key: str, reason: str) -> None:
+        """Tell the sender under `key` why its message was refused, where it can be told: by default it cannot."""
+        return
+
     def refuse(self, reason: str) -> None:
         """Count a message that is not acted on; statistics report the count as `rejected_{reason}`."""
         self._refused[reason] += 1
@@ -187,4 +193,5 @@ class Role(ABC):
     def _publish_json(self, key: str, now: float, fields: dict[str, float | str]) -> None:
         context = self.context
         about = {"time_s": round(now, 3), "role": context.role, "id": context.id, "host": HOST, "pid": os.getpid()}
-        self.transport.publish(key, json.dumps({**about, **fields}, allow_nan=False).encode(), json=True)
+        known = {name: value for name, value in fields.items() if isinstance(value, str) or math.isfinite(value)}
+        self.transport.publish(key, json.dumps({**about, **known}, allow_nan=False).encode(), json=True)

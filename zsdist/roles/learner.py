@@ -2,10 +2,14 @@
 
 import itertools
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
 
 from zsdist.dqn import batches, network
 from zsdist.dqn.base import BaseDqnLearner
+from zsdist.errors import RunError
+from zsdist.roles import divergence
 from zsdist.roles.base import Context, Role
 from zsdist.roles.schemas import BEST, DISTILLED, RECENT, CandidateName, LearnerOrders, Phase
 from zsdist.types import Batch, Level, Parameters, Weights
@@ -65,6 +69,8 @@ class Learner(Role):
         self._best: Parameters | None = None
         self._candidates: dict[str, Parameters] = {}
         self._offered = 0
+        self._episodes = 0  # finished ones of the run, as far as is known here
+        self._value_limit = divergence.value_limit(context.config, level)
         self._paused = False
         self._recent_batches: deque[Batch] = deque(maxlen=DISTIL_BATCHES)
         self._sources = [_ShardSource() for _ in range(context.config.replay.shards)]
@@ -110,6 +116,7 @@ class Learner(Role):
         """Return networks, optimiser, generator and counts."""
         arrays = {f"dqn/{name}": array for name, array in self.dqn.state().items()}
         arrays |= {f"best/{name}": array for name, array in (self._best or {}).items()}
+        self._require_finite("state", arrays)
         meta = {
             "version": self.version,
             "updates": self.updates,
@@ -175,13 +182,28 @@ class Learner(Role):
             self._ask(now)
             self._recent_batches.append(batch)
             self.dqn.update(batch)
+            self.updates += 1
+            self._require_range(now)
             if batch.serials is not None:
                 priorities = Priorities(self.context.epoch, self.level, batch.serials, self.dqn.errors())
                 key = keys.priority(self.context.run, self.level, self._sources.index(source))
                 self.transport.publish(key, codec.encode(priorities))
             self._batch_size = len(batch)
-            self.updates += 1
         return UPDATES_A_STEP
+
+    def _require_range(self, now: float) -> None:
+        """End the run where the last update left the range of returns, and tell watchers."""
+        if (found := divergence.beyond(self.dqn.largest(), self._value_limit)) is not None:
+            self.event(now, "diverged", level=self.level.value, update=self.updates, finished=self._episodes)
+            raise self._diverged(found)
+
+    def _require_finite(self, name: str, arrays: Mapping[str, np.ndarray]) -> None:
+        """End the run rather than let others have arrays that are not finite."""
+        if not all(np.isfinite(array).all() for array in arrays.values()):
+            raise self._diverged(f"its {name} holds a number that is not finite")
+
+    def _diverged(self, found: str) -> RunError:
+        return divergence.diverged(self.config, self.level, self.updates, self._episodes, found)
 
     def _ask(self, now: float) -> None:
         for index, source in enumerate(self._sources):
@@ -203,12 +225,13 @@ class Learner(Role):
             self.version, self._made_s = self.version + 1, now
         self._published_s, self._published_updates = now, self.updates
         parameters = self.dqn.parameters()
+        self._require_finite("network", parameters)
         weights = Weights(self.level, self.version, parameters)
         message = WeightsMessage(self.context.epoch, self.merge, network.sha256(parameters), self._made_s, weights)
         self.transport.publish(keys.weights(self.context.run, self.level), codec.encode(message), retained=True)
 
     def _follow(self, content: LearnerOrders, now: float) -> None:
-        index = content.merge
+        index, self._episodes = content.merge, content.finished
         if content.phase == Phase.COLLECT and index > self._offered:
             self._offered = index
             if DISTILLED in content.candidates and not self._recent_batches:  # just resumed: no checkpoint has them
@@ -228,13 +251,16 @@ class Learner(Role):
             ),
             BEST: lambda: self._best or self.dqn.parameters(),
         }
-        return {name: makers[name]() for name in names}
+        candidates: dict[str, Parameters] = {name: makers[name]() for name in names}
+        for name, parameters in candidates.items():
+            self._require_finite(f"candidate {name}", parameters)
+        return candidates
 
     def _publish_candidates(self, now: float) -> None:
         self._offered_s = now
         for name, parameters in self._candidates.items():
             message = Candidate(self.context.epoch, self.level, self._offered, name, parameters)
-            key = keys.candidate(self.context.run, self.level, f"{self._offered}-{name}")
+            key = keys.candidate(self.context.run, self.level, name)
             self.transport.publish(key, codec.encode(message), retained=True)
 
     def _promote(self, index: int, chosen: str, now: float) -> None:

@@ -68,9 +68,10 @@ class ReplayOrders(Content):
 
 
 class LearnerOrders(Content):
-    """Orders to the learners: whether to learn, and the phase of the merge."""
+    """Orders to the learners: whether to learn, the phase of the merge, and the progress of the run."""
 
     learning: bool
+    finished: Count = 0
     merge: Count
     phase: Annotated[Phase, Strict(False)] | Literal[""]
     candidates: Annotated[list[CandidateName], Field(max_length=8)]
@@ -164,9 +165,15 @@ def read(model: type[Model], content: dict[str, Any]) -> Model:
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
+        first = error.errors(include_url=False)[0]
         field = ".".join(str(part) for part in first["loc"])
-        raise DecodeError("content", f"{model.__name__} {field}: {first['msg']}"[:200]) from error
+        found = repr(first["input"])[:40]
+        raise DecodeError("content", f"{model.__name__} {field} is {found}: {first['msg']}"[:200]) from error
+
+
+def check_record(stream: str, record: dict[str, Any]) -> DriveRecord:
+    """Return a record, read by the model of its stream; raise `DecodeError` where it does not fit."""
+    return read(TrainingRecord if stream == EPISODES else CandidateRecord, record)
 
 
 def check_records(records: Records) -> Sequence[DriveRecord]:
@@ -175,8 +182,7 @@ def check_records(records: Records) -> Sequence[DriveRecord]:
     Raises:
         DecodeError: a record does not fit the model, or names another actor than the frame does.
     """
-    model = TrainingRecord if records.stream == EPISODES else CandidateRecord
-    found = [read(model, record) for record in records.records]
+    found = [check_record(records.stream, record) for record in records.records]
     for record in found:
         if record.actor != records.actor:
             raise DecodeError("actor", f"a record of {record.actor} from {records.actor}")

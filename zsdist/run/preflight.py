@@ -20,6 +20,8 @@ from zsdist.types import Level, Parameters
 from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.wire.messages import State
 
+MAX_STATE_BYTES = 900 * 2**20  # zenoh drops a message of more than 1 GiB
+
 
 def check_memory(config: Config) -> None:
     """Check the largest size of the replay against its byte budget.
@@ -33,6 +35,12 @@ def check_memory(config: Config) -> None:
         raise ConfigError(
             f"replay.size_max is {config.replay.size_max}: both levels would take {needed} bytes; "
             f"allowed by replay.max_bytes are {config.replay.max_bytes}"
+        )
+    in_one = shards.ReplayShard.of(config, 0).part(config.replay.size_max) * row
+    if in_one > MAX_STATE_BYTES:
+        raise ConfigError(
+            f"replay.size_max is {config.replay.size_max} with {config.replay.shards} replay.shards: a shard would "
+            f"hold {in_one} bytes; allowed are {MAX_STATE_BYTES}, since its checkpoint is one message: use more shards"
         )
 
 

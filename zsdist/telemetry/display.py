@@ -33,6 +33,7 @@ class Display:
         self.snapshot = Snapshot()
         self.console = console or Console(file=sys.stdout)
         self._mailbox: Mailbox | None = None
+        self._announced_s = 0.0  # time of the last event that was printed
         self._opened_s = time.monotonic()
         self._next_s = self._opened_s
         self._live = (
@@ -53,6 +54,7 @@ class Display:
     def refresh(self, transport: Transport, now: float) -> None:
         """Receive what has arrived, and show it when that is due."""
         self.update(transport)
+        self._announce()
         if time.monotonic() < self._next_s:
             return
         if self._live is not None:
@@ -70,6 +72,17 @@ class Display:
             transport.subscribe(keys.events(self.run), self._mailbox)
             transport.watch_alive(keys.alive(self.run, keys.ANY, keys.ANY), self._mailbox)
         self.snapshot.update(self._mailbox.drain())
+
+    def _announce(self) -> None:
+        """Print new events that nobody may miss."""
+        for event in self.snapshot.events:
+            told_s = event.get("time_s", 0.0)
+            new = not isinstance(told_s, str) and told_s > self._announced_s
+            if new and event.get("event") == "standstill":
+                self._announced_s = float(told_s)
+                since_s, waits, in_flight = (event.get(name) for name in ("since_s", "waits", "in_flight"))
+                line = f"nothing has moved for {since_s} s: waiting are {waits}; {in_flight} messages are in flight"
+                self.console.print(line, highlight=False, soft_wrap=True, markup=False)
 
     def figures(self) -> dict[str, str]:
         """Return the text under each heading."""

@@ -52,10 +52,7 @@ _ADDRESSES: Mapping[type, Callable[[Any], tuple[str, dict[str, Any]]]] = {
     SampleReply: lambda reply: ("sample", {"level": reply.level}),
     Priorities: lambda priorities: ("priority", {"level": priorities.level}),
     WeightsMessage: lambda message: ("weights", {"level": message.weights.level}),
-    Candidate: lambda candidate: (
-        "candidate",
-        {"level": candidate.level, "id": f"{candidate.merge}-{candidate.name}"},
-    ),
+    Candidate: lambda candidate: ("candidate", {"level": candidate.level, "id": candidate.name}),
     Orders: lambda orders: ("control", {"role": orders.role}),
     Jobs: lambda jobs: ("evaluation", {"actor": jobs.actor}),
     State: lambda state: ("control", {"role": state.role}),

@@ -12,7 +12,7 @@ from typing import Any, TypeVar, overload
 import numpy as np
 
 from zsdist.errors import DecodeError, ProtocolError
-from zsdist.types import Level, Weights
+from zsdist.types import MAX_REASON, Level, Weights
 from zsdist.wire import columns as column_codec
 from zsdist.wire import frame, keys
 from zsdist.wire.messages import (
@@ -227,10 +227,13 @@ def _build_records(meta: Meta, columns: Columns) -> Records:
 
 def _check_ack(meta: Meta, columns: Columns) -> None:
     _no_columns(columns)
-    _fields(meta, "sender_epoch", "actor", "epoch", "stream", "received", "credit")
+    _fields(meta, "sender_epoch", "actor", "epoch", "stream", "received", "credit", "refused")
     _names(meta, "actor")
     _one_of(meta, "stream", _LEVELS + _RECORD_STREAMS)
     _counts(meta, "sender_epoch", "epoch", "received", *(() if meta["credit"] is None else ("credit",)))
+    refused = meta["refused"]
+    if not isinstance(refused, str) or len(refused) > MAX_REASON or not refused.isprintable():
+        raise DecodeError("field", f"refused is not printable text of at most {MAX_REASON} characters")
 
 
 def _check_sample_request(meta: Meta, columns: Columns) -> None:

@@ -195,7 +195,10 @@ def require_columns(columns: Mapping[str, np.ndarray], schema: Schema) -> None:
 def require_finite(column: np.ndarray, name: str) -> None:
     """Raise `DecodeError` if a float column holds NaN or infinity."""
     if not (half_precision.all_finite(column) if column.dtype == np.float16 else np.isfinite(column).all()):
-        raise DecodeError("nonfinite", f"column {name!r}")
+        largest = np.finfo(column.dtype).max
+        raise DecodeError(
+            "nonfinite", f"column {name!r} holds NaN or more than {largest:.6g}, the most of {column.dtype}"
+        )
 
 
 def _to_wire_dtype(column: np.ndarray, name: str, dtype: type) -> np.ndarray:

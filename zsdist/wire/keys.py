@@ -81,7 +81,10 @@ def weights(run: str, level: Level | str) -> str:
 
 
 def candidate(run: str, level: Level | str, name: str) -> str:
-    """Return the key of a candidate's parameters, whose name is `{merge}-{candidate}`; retained."""
+    """Return the key of the newest candidate of this name, such as `recent`; retained.
+
+    The number of its merge is in the message alone. A key for each merge would keep the parameters of all merges.
+    """
     return _join(run, "candidate", level, name)
 
 

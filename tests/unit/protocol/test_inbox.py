@@ -3,7 +3,8 @@
 import json
 
 from zsdist.protocol.inbox import ACK_AFTER_S, ACK_EVERY_FRAMES, HEARTBEAT_S, Inbox
-from zsdist.types import Level
+from zsdist.types import MAX_REASON, Level
+from zsdist.wire import codec
 from zsdist.wire.messages import EPISODES, Ack, Push, Records
 
 
@@ -157,3 +158,17 @@ def test_its_state_survives_json_and_is_resumed() -> None:
     assert sequences(restored.receive(frame(1), 9.0)) == [1], "frame 2 was not acknowledged, so it comes again"
     assert sequences(restored.receive(frame(2), 9.0)) == [2]
     assert restored.produced == 4
+
+
+def test_acknowledgements_tell_why_a_frame_was_refused_until_one_is_delivered():
+    inbox = Inbox(EPISODES, sender_epoch=7)
+    inbox.issue("a0", 1)
+    inbox.note_refusal("a0", 1, "content: too long\n" + "x" * 500)
+    inbox.note_refusal("a0", 2, "of another epoch")
+    inbox.note_refusal("unknown", 1, "of nobody")
+    (ack,) = inbox.acks(0.0, unlimited)
+    assert ack.refused.startswith("content: too longx") and len(ack.refused) == MAX_REASON
+    codec.decode(codec.encode(ack), expect=Ack)
+    inbox.receive(Records(EPISODES, "a0", 1, 0, 1, False, ({"episode": 1},)), 1.0)
+    (ack,) = inbox.acks(2.0, unlimited)
+    assert ack.refused == ""

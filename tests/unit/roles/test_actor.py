@@ -1,17 +1,19 @@
 import threading
 
 import pytest
+from flow import InstantCar, NoPictures, NoScenes
 
 from zsdist.config import parse
 from zsdist.dqn import network
 from zsdist.driving.perception import Perception
+from zsdist.errors import RunError
 from zsdist.roles.actor import Actor
 from zsdist.roles.base import Context
 from zsdist.roles.shapes import SHAPES
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
-from zsdist.types import Level, Weights
+from zsdist.types import Ack, Level, Weights
 from zsdist.wire import codec, keys
-from zsdist.wire.messages import WeightsMessage
+from zsdist.wire.messages import Orders, WeightsMessage
 
 RUN, CONFIG = "test", parse({})
 LOW = SHAPES[Level.LOW]
@@ -88,3 +90,29 @@ def test_weights_of_a_new_learner_lag_by_the_time_from_their_own_making(bench):
     bench.statistics(10.1)
     bench.publish(3, 200.0, epoch=5)
     assert bench.statistics(200.5)["low_weights_lag_s"] == pytest.approx(0.5)
+
+
+class RichCar(InstantCar):
+    """Car whose episodes return more than a record may say."""
+
+    def record(self):
+        return super().record() | {"return": 1e38}
+
+
+def test_a_record_that_would_be_refused_ends_the_run_at_once_with_its_value():
+    broker = MemoryBroker()
+    others = MemoryTransport(broker)
+    context = Context(CONFIG, RUN, "actor", "0", 1, MemoryTransport(broker), threading.Event())
+    actor = Actor(context, [RichCar()], NoPictures(), NoScenes())
+    for level in Level:
+        shape = SHAPES[level]
+        parameters = network.initial_parameters(shape.state_size, shape.actions, (4,), seed=0)
+        message = WeightsMessage(1, 0, network.sha256(parameters), 1.0, Weights(level, 1, parameters))
+        others.publish(keys.weights(RUN, level), codec.encode(message))
+        others.publish(keys.ack(RUN, "actor-0"), codec.encode(Ack(1, "actor-0", 1, level, 0, None)))
+    orders = {"epochs": {"actor-0": 1}, "leases": {"actor-0": [1]}, "finished": 0, "merge": 1}
+    content = orders | {"closing": False, "cut": False}
+    others.publish(keys.control(RUN, "actor"), codec.encode(Orders(1, "actor", content)))
+    with pytest.raises(RunError, match=r"actor-0: the record of an episode is out of range: .*return is 1e\+38"):
+        for now in (0.0, 0.1, 0.2):
+            actor.step(now)

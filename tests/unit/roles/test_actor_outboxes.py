@@ -1,8 +1,11 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
 from zsdist.config import Config
 from zsdist.errors import RunError
+from zsdist.protocol.outbox import REFUSED_S
 from zsdist.roles.actor_outboxes import ActorOutboxes, CreditAccount
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import Ack, Level, Trajectory
@@ -98,3 +101,32 @@ def test_a_frame_that_a_living_receiver_does_not_acknowledge_ends_the_run(outbox
         grant(outboxes, None, now)
     with pytest.raises(RunError, match="stream 'low' has gone unacknowledged for 60 s"):
         outboxes.flush(transport, heard_s[-1])
+
+
+def test_refused_transitions_end_the_run_with_the_reason_long_before_silence_does(outboxes):
+    transport = MemoryTransport(MemoryBroker())
+    grant(outboxes, None)
+    outboxes.offer([trajectory(Level.LOW, 20)], driven(outboxes, 20))
+    outboxes.flush(transport, 0.0)
+    for now in np.arange(0.0, REFUSED_S + 1.0):
+        outboxes.on_ack(Ack(1, "actor-0", 7, Level.LOW, 0, None, "range: weight version"), now)
+    with pytest.raises(RunError, match="actor-0: transitions of the low level are refused by their receiver: range"):
+        outboxes.flush(transport, REFUSED_S + 1.0)
+
+
+@pytest.mark.parametrize(("name", "value"), [("rewards", np.inf), ("states", 1e6)])
+def test_transitions_that_cannot_be_sent_are_named_with_what_is_allowed(outboxes, name, value):
+    grant(outboxes, None)
+    column = getattr(trajectory(Level.HIGH, 20), name)
+    wrong = dataclasses.replace(trajectory(Level.HIGH, 20), **{name: np.full_like(column, value)})
+    outboxes.offer([wrong], driven(outboxes, 20))
+    with pytest.raises(RunError, match=f"transitions of the high level cannot be sent: nonfinite: column '{name}'"):
+        outboxes.flush(MemoryTransport(MemoryBroker()), 0.0)
+
+
+def test_a_car_that_was_cut_short_needs_no_credit_for_the_steps_it_lost(outboxes):
+    grant(outboxes, 3)
+    account = driven(outboxes, 3)
+    outboxes.release(account)
+    assert sum(outboxes.reserve(CreditAccount()) for _ in range(2)) == 2
+    assert outboxes.reserve(account)

@@ -5,15 +5,17 @@ import threading
 import numpy as np
 import pytest
 
-from zsdist.config import LevelConfig, parse
+from zsdist.config import LevelConfig, load, parse
 from zsdist.dqn.learner import DqnLearner
+from zsdist.errors import RunError
+from zsdist.roles import divergence
 from zsdist.roles.base import Context
 from zsdist.roles.learner import BATCHES_AN_ANSWER, PREFETCH, UPDATES_A_STEP, Learner
 from zsdist.transport.base import Mailbox
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import Level, StoredBatch
 from zsdist.wire import codec, keys
-from zsdist.wire.messages import Orders, Priorities, SampleReply, SampleRequest, WeightsMessage
+from zsdist.wire.messages import Candidate, Orders, Priorities, SampleReply, SampleRequest, WeightsMessage
 
 FEATURES, ACTIONS, RUN = 3, 2, "test"
 
@@ -34,7 +36,7 @@ def batch(rng, rows=4):
 class Bench:
     """Learner at a memory transport; the test plays the replay and the scheduler."""
 
-    def __init__(self, shards=1):
+    def __init__(self, shards=1, low=None):
         self.rng, self.broker, self.now = np.random.default_rng(0), MemoryBroker(), 0.0
         self.others = MemoryTransport(self.broker)
         self.shards, self.weights = [Mailbox(2**20) for _ in range(shards)], Mailbox(2**24)
@@ -42,9 +44,10 @@ class Bench:
         for index, box in enumerate(self.shards):
             self.others.serve(keys.sample(RUN, Level.LOW, index), box)
         self.others.subscribe(keys.weights(RUN, Level.LOW), self.weights)
-        config = parse({"replay": {"shards": shards, "prioritised": True}})
+        config = parse({"replay": {"shards": shards, "prioritised": True}, "low": low or {}, "run": {"actors": 2}})
         context = Context(config, RUN, "learner", "low", 1, MemoryTransport(self.broker), threading.Event())
-        self.learner = Learner(context, Level.LOW, DqnLearner(FEATURES, ACTIONS, LevelConfig(hidden=(8,)), seed=0))
+        dqn = DqnLearner(FEATURES, ACTIONS, LevelConfig(hidden=(8,)) if low is None else config.low, seed=0)
+        self.learner = Learner(context, Level.LOW, dqn)
 
     def step(self, seconds=0.1):
         self.now += seconds
@@ -199,3 +202,115 @@ def test_errors_of_rows_sampled_by_priority_go_to_the_shard_they_came_from():
     (found,) = (codec.decode(message.payload, expect=Priorities) for message in published[1].drain())
     assert found.serials.tolist() == [7, 9, 7, 3]
     assert (found.errors > 0).all()
+
+
+def merge_orders(phase, merge, chosen=""):
+    candidates = ["recent", "distilled", "best"] if merge > 1 else ["recent", "distilled"]
+    return {
+        "learning": False,
+        "merge": merge,
+        "phase": phase,
+        "candidates": candidates,
+        "chosen": chosen,
+        "stop": False,
+    }
+
+
+def test_merges_leave_no_more_retained_values_or_tokens_than_the_second_one(bench):
+    transport = bench.learner.transport
+    kept = []
+    for merge in range(1, 30):
+        for phase, chosen in (("collect", ""), ("promote", "recent")):
+            content = merge_orders(phase, merge, chosen)
+            bench.others.publish(keys.control(RUN, "learner"), codec.encode(Orders(1, "learner", content)))
+            bench.step()
+        kept.append((len(transport.kept), len(transport.tokens)))
+    assert bench.learner.merge == 29
+    assert set(kept[1:]) == {(1 + 3, 1)}  # weights and one candidate of each name
+
+
+def test_a_late_actor_gets_the_newest_candidate_of_each_name_alone(bench):
+    for merge in range(1, 5):
+        for phase, chosen in (("collect", ""), ("promote", "distilled")):
+            content = merge_orders(phase, merge, chosen)
+            bench.others.publish(keys.control(RUN, "learner"), codec.encode(Orders(1, "learner", content)))
+            bench.step()
+    late = Mailbox(2**24)
+    bench.others.subscribe(keys.candidate(RUN, keys.ANY, keys.ANY), late, retained=True)
+    found = [codec.decode(message.payload, expect=Candidate) for message in late.drain()]
+    assert sorted((message.name, message.merge) for message in found) == [("best", 4), ("distilled", 4), ("recent", 4)]
+
+
+def reward_batch(rng, reward, rows=4):
+    return dataclasses.replace(batch(rng, rows), rewards=np.full(rows, reward, np.float32))
+
+
+def diverge(bench, reward, steps=400):
+    """Feed batches with a reward until the learner raises; return its message and the last state before."""
+    saved = bench.learner.state()
+    for _ in range(steps):
+        for request in bench.requests.drain():
+            batches = codec.decode(request.payload, expect=SampleRequest).batches
+            drawn = reward_batch(bench.rng, reward, 4 * batches)
+            request.reply(codec.encode(SampleReply(Level.LOW, drawn, 100, 0.0, batches)))
+        try:
+            bench.step()
+        except RunError as error:
+            return str(error), saved
+        saved = bench.learner.state()
+    raise AssertionError("it did not diverge")
+
+
+@pytest.mark.parametrize("reward", [1e38, 3e5])
+def test_a_level_whose_values_leave_their_range_ends_the_run_with_the_cause(reward):
+    bench = Bench(
+        low={"reward_scale": 1e4, "hidden": [8], "huber": False, "max_gradient_norm": 1e30, "learning_rate": 0.5}
+    )
+    content = merge_orders("", 0) | {"learning": True, "candidates": [], "finished": 12}
+    bench.others.publish(keys.control(RUN, "learner"), codec.encode(Orders(1, "learner", content)))
+    bench.step()
+    events = Mailbox(2**20)
+    bench.others.subscribe(keys.events(RUN), events)
+    message, saved = diverge(bench, reward)
+    assert "the low level diverged at update" in message and "after 12 episodes" in message
+    assert "low.learning_rate is 0.5" in message and "--set low.learning_rate=0.002" in message
+    assert all(np.isfinite(array).all() for array in saved.arrays.values())
+    (event,) = (json.loads(message.payload) for message in events.drain())
+    assert (event["event"], event["level"], event["finished"]) == ("diverged", "low", 12)
+
+
+def test_a_network_that_is_not_finite_is_in_no_state_and_no_message(bench, monkeypatch):
+    wrong = {name: np.full_like(array, np.nan) for name, array in bench.learner.dqn.parameters().items()}
+    monkeypatch.setattr(bench.learner.dqn, "parameters", lambda: wrong)
+    with pytest.raises(RunError, match=r"the low level diverged.* not finite"):
+        bench.learner.state()
+    with pytest.raises(RunError, match=r"the low level diverged.* not finite"):
+        bench.step()
+    assert not bench.weights.drain()
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({}, "low.learning_rate=0.0002"),
+        ({"low": {"learning_rate": 0.1}}, "low.learning_rate=0.002"),
+        ({"low": {"reward_scale": 100.0}}, "low.reward_scale=1.0"),
+        ({"low": {"guide_margin": 1e5}}, "low.guide_margin=0.8"),
+        ({"low": {"huber": False}}, "low.huber=true"),
+        ({"low": {"discount": 1.0}}, "low.discount=0.95"),
+        ({"reward": {"literal": True, "goal": 1e6}}, "reward.goal=1000.0"),
+    ],
+)
+def test_the_remedy_names_the_most_unusual_setting_and_can_be_pasted(settings, named):
+    message = str(divergence.diverged(parse(settings), Level.LOW, 1, 2, "found"))
+    override = message.partition("--set ")[2].partition(";")[0]
+    assert override == named
+    load(None, (override,))
+
+
+def test_no_return_of_ordinary_rewards_is_beyond_the_limit():
+    for settings in ({}, {"reward": {"literal": True}}, {"low": {"discount": 1.0}}):
+        config = parse(settings)
+        largest = 1300 if config.reward.literal else divergence.SHAPED_REWARD
+        horizon = min(config.sim.max_steps, 1 / max(1 - config.low.discount, 1e-9))
+        assert divergence.value_limit(config, Level.LOW) > 100 * largest * horizon

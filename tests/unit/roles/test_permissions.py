@@ -25,7 +25,7 @@ def test_each_actor_may_push_under_its_own_name_only():
 def test_only_trusted_roles_serve_request_or_publish_weights_and_orders(name):
     grant = GRANTS[name]
     assert grant.serve == grant.request == ()
-    for key in (keys.weights("run", "low"), keys.candidate("run", "low", "1-best"), keys.control("run", "actor")):
+    for key in (keys.weights("run", "low"), keys.candidate("run", "low", "best"), keys.control("run", "actor")):
         assert not covers(grant.publish, key)
 
 

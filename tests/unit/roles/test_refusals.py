@@ -74,9 +74,9 @@ def test_an_actor_refuses_weights_of_another_network_or_with_a_wrong_hash(bench)
     other = PARAMETERS | {"output.bias": np.zeros(LOW.actions + 1, np.float32)}
     for sha256, parameters in ((network.sha256(other), other), ("0" * 64, PARAMETERS)):
         actor.send(keys.weights(RUN, "low"), WeightsMessage(1, 0, sha256, 1.0, Weights(Level.LOW, 5, parameters)))
-    actor.send(keys.candidate(RUN, "low", "1-recent"), Candidate(1, Level.LOW, 1, "recent", other))
+    actor.send(keys.candidate(RUN, "low", "recent"), Candidate(1, Level.LOW, 1, "recent", other))
     for merge in range(30):
-        actor.send(keys.candidate(RUN, "low", f"{merge}-x"), Candidate(1, Level.LOW, merge, "x", PARAMETERS))
+        actor.send(keys.candidate(RUN, "low", "x"), Candidate(1, Level.LOW, merge, "x", PARAMETERS))
     assert actor.refused() == {"weights": 2, "hash": 1, "candidates": 14}
     assert "low_weight_version" not in actor.role.statistics()
     message = WeightsMessage(1, 0, network.sha256(PARAMETERS), 1.0, Weights(Level.LOW, 5, PARAMETERS))

@@ -91,3 +91,20 @@ def test_a_terminal_gets_a_live_table_and_no_lines(monkeypatch):
         watched.publish("scheduler", "0", stage="train", episodes=12)
         text = watched.refresh()
     assert "zsdist run test" in text and "12/?" in text and "episodes 12/?" not in text
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_a_standstill_is_printed_once_for_each_event(monkeypatch, terminal):
+    watched = Watched(monkeypatch, force_terminal=terminal)
+    about = {"event": "standstill", "waits": "2 of 2 driving cars for credit", "in_flight": 0}
+    for time_s, since_s in ((200.0, 60.0), (260.0, 120.0)):
+        event = about | {"time_s": time_s, "since_s": since_s}
+        watched.publisher.publish(keys.events(RUN), json.dumps(event).encode())
+        watched.refresh()
+        shown = watched.refresh()
+        assert shown.count(f"nothing has moved for {since_s} s: waiting are 2 of 2 driving cars for credit; 0") == 1
+
+
+def test_an_event_with_strange_fields_is_not_printed(watched):
+    watched.publisher.publish(keys.events(RUN), json.dumps({"event": "standstill", "time_s": "soon"}).encode())
+    assert "nothing has moved" not in watched.refresh()

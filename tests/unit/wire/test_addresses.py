@@ -35,7 +35,7 @@ def key_of(message, run="run"):
         case WeightsMessage():
             return keys.weights(run, message.weights.level)
         case Candidate():
-            return keys.candidate(run, message.level, f"{message.merge}-{message.name}")
+            return keys.candidate(run, message.level, message.name)
         case Jobs():
             return keys.evaluation(run, message.actor)
         case Orders():

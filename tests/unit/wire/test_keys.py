@@ -16,7 +16,7 @@ EXAMPLES = [
     (keys.sample(RUN, Level.HIGH, 2), "sample/high/2", {"level": "high", "shard": "2"}),
     (keys.priority(RUN, Level.LOW, 12), "priority/low/12", {"level": "low", "shard": "12"}),
     (keys.weights(RUN, Level.LOW), "weights/low", {"level": "low"}),
-    (keys.candidate(RUN, Level.LOW, "3-best"), "candidate/low/3-best", {"level": "low", "id": "3-best"}),
+    (keys.candidate(RUN, Level.LOW, "best"), "candidate/low/best", {"level": "low", "id": "best"}),
     (keys.evaluation(RUN, "a0"), "evaluation/a0", {"actor": "a0"}),
     (keys.control(RUN, "learner-low"), "control/learner-low", {"role": "learner-low"}),
     (keys.stats(RUN, "replay", "0"), "stats/replay/0", {"role": "replay", "id": "0"}),

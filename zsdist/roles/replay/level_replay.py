@@ -40,6 +40,16 @@ class Entry(IntEnum):
     PACE = 3  # JSON: `LevelReplay.pace`
 
 
+def credit_to_end_options(config: Config) -> int:
+    """Return the credit that lets every car of an actor end its option, whatever the others do.
+
+    The trajectories of both levels are complete when an option ends. A car notices that in its next step, for which it
+    reserves credit as for any other: hence the one in addition.
+    """
+    longest = min(config.agent.option_max_steps, config.sim.max_steps)
+    return (longest + 1) * config.run.cars_per_actor
+
+
 class WaitingRequest(NamedTuple):
     """A learner's request that has not been answered yet.
 
@@ -79,9 +89,12 @@ class LevelReplay:
         self.prioritised = 0  # rows whose priority a learner has updated
         self.inbox: Inbox[Push] = Inbox(level, sender_epoch=sender_epoch)
         learning = config.high if level is Level.HIGH else config.low
-        # A trajectory of either level is complete when an option ends, so every car must be able to end its option.
-        grain = config.agent.option_max_steps * config.run.cars_per_actor
-        self.limiter = Limiter(learning.updates_per_insert, shard.part(learning.min_size), grain, shard.part(BAND))
+        self.limiter = Limiter(
+            learning.updates_per_insert,
+            shard.part(learning.min_size),
+            credit_to_end_options(config),
+            shard.part(BAND),
+        )
         self.rng = random_streams.replay_sampling(config.seed, level is Level.HIGH, shard.index)
         self._shard = shard
         self.stored = 0

@@ -93,6 +93,13 @@ class Replay(Role):
             shutil.rmtree(self._folder, ignore_errors=True)  # the last checkpoint holds everything
         return wake_s
 
+    def tell_sender(self, key: str, reason: str) -> None:
+        """Tell an actor why its push was refused, by its acknowledgements."""
+        parsed = keys.parse(key)
+        if parsed is not None and parsed.kind == "push" and parsed.fields["level"] in self.level_replays:
+            inbox = self.level_replays[Level(parsed.fields["level"])].inbox
+            inbox.note_refusal(parsed.fields["actor"], int(parsed.fields["epoch"]), reason)
+
     def statistics(self) -> dict[str, float | str]:
         """Return counts, sizes and pace of both levels, and the size of the journals."""
         fields: dict[str, float | str] = {
@@ -109,6 +116,7 @@ class Replay(Role):
                 f"{level}_updates_served": level_replay.limiter.updates,
                 f"{level}_samples_per_insert": round(level_replay.sampled / max(1, level_replay.stored), 3),
                 f"{level}_waiting_requests": len(level_replay.waiting),
+                f"{level}_transitions_lacking": level_replay.limiter.lacking,
                 f"{level}_bytes": buffer.nbytes,
             }
             if self.config.replay.prioritised:

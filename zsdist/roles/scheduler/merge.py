@@ -7,11 +7,12 @@ comparison.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TypedDict
+from typing import Any, TypedDict
 
 from zsdist.roles.schemas import CandidateName, Phase
 from zsdist.types import Outcome
 
+NO_MERGE: dict[str, Any] = {"merge": 0, "phase": "", "candidates": [], "chosen": ""}  # `Merge.orders` without one
 Drive = tuple[CandidateName, int]  # a candidate, and the index of the validation scene that it drives
 
 
@@ -91,6 +92,15 @@ class Merge:
         outcomes = list(self.results[name].values())
         wins = outcomes.count(Outcome.SUCCESS) - outcomes.count(Outcome.COLLISION)
         return wins / len(outcomes) if outcomes else 0.0
+
+    def orders(self) -> dict[str, Any]:
+        """Return the part of the learners' orders that concerns this merge."""
+        return {
+            "merge": self.index,
+            "phase": self.phase.value,
+            "candidates": list(self.candidates),
+            "chosen": self.chosen or "",
+        }
 
     def summary(self) -> MergeSummary:
         """Return the entry of this merge in `summary.json`."""

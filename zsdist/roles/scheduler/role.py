@@ -4,14 +4,15 @@ from enum import StrEnum
 from typing import Any
 
 from zsdist.dqn.exploration import epsilon
-from zsdist.protocol.inbox import Inbox
 from zsdist.roles import schemas
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.replay import shards
 from zsdist.roles.scheduler.checkpointing import ANSWER_WITHIN_S, StateCollection
 from zsdist.roles.scheduler.leases import Leases
-from zsdist.roles.scheduler.merge import Drive, Merge, deal_drives, next_merge_at
+from zsdist.roles.scheduler.merge import NO_MERGE, Drive, Merge, deal_drives, next_merge_at
+from zsdist.roles.scheduler.records_inbox import RecordsInbox
 from zsdist.roles.scheduler.run_log import RunLog
+from zsdist.roles.scheduler.standstill import StandstillWatch
 from zsdist.roles.scheduler.summary import run_summary
 from zsdist.roles.scheduler.totals import RunTotals
 from zsdist.roles.schemas import BEST, DISTILLED, RECENT, Phase, Supervision
@@ -44,16 +45,15 @@ class Scheduler(Role):
         self.merge: Merge | None = None
         self._epochs: dict[str, int] = {}  # newest epoch of each actor
         self._interrupted = False
-        self._inboxes: dict[str, Inbox[Records]] = {
-            stream: Inbox(stream, sender_epoch=context.epoch) for stream in (EPISODES, EVALUATION)
-        }
-        self._offered: dict[Level, set[tuple[int, str]]] = {level: set() for level in Level}
+        self._inboxes = {stream: RecordsInbox(stream, context.epoch, self.refuse) for stream in (EPISODES, EVALUATION)}
+        self._offered: dict[Level, dict[str, int]] = {level: {} for level in Level}  # candidate -> its newest merge
         self._merged = dict.fromkeys(Level, 0)  # index of the last merge that each learner has taken over
         self._collection = StateCollection(context.config)
         self._final_states: dict[str, State] = {}
         self._saved_at = 0  # finished episodes at the last checkpoint
         self._next_orders_s = 0.0
         self._next_metrics_s = 0.0
+        self._standstill = StandstillWatch()
         if restored is not None:
             self._restore(restored.meta)
         run = context.run
@@ -90,6 +90,7 @@ class Scheduler(Role):
         if now >= self._next_metrics_s:
             self._next_metrics_s = now + 1.0
             self.run_log.metrics(self.snapshot.row())
+            self._standstill.watch(now, self.snapshot, self.event)
         self.finished = self.stage is Stage.DONE
         return min([self._next_orders_s, *(wake for box in self._inboxes.values() if (wake := box.next_wake(now)))])
 
@@ -132,8 +133,8 @@ class Scheduler(Role):
 
     def _receive_records(self, now: float) -> None:
         for _, records in self.messages(self._reports, Records, Jobs):
-            if isinstance(records, Jobs) or self.checked(schemas.check_records, records) is None:
-                continue  # this role's own jobs, or records that their actor will send again
+            if isinstance(records, Jobs):
+                continue  # this role's own
             for frame in self._inboxes[records.stream].receive(records, now):
                 for record in frame.records:
                     if frame.stream == EPISODES:
@@ -158,7 +159,7 @@ class Scheduler(Role):
     def _receive_offers(self) -> None:
         for _, message in self.messages(self._learners, Candidate, WeightsMessage):
             if isinstance(message, Candidate):
-                self._offered[message.level].add((message.merge, message.name))
+                self._offered[message.level][message.name] = message.merge
             else:
                 self._merged[message.weights.level] = max(self._merged[message.weights.level], message.merge)
 
@@ -204,7 +205,8 @@ class Scheduler(Role):
 
     def _conduct_merge(self, merge: Merge, now: float) -> None:
         before = merge.phase
-        merge.start_drives([{name for index, name in self._offered[level] if index == merge.index} for level in Level])
+        offers = self._offered.values()
+        merge.start_drives([{name for name, index in names.items() if index == merge.index} for names in offers])
         if merge.phase is Phase.PROMOTE and all(index >= merge.index for index in self._merged.values()):
             merge.finish()
         if merge.phase is not before:
@@ -300,10 +302,8 @@ class Scheduler(Role):
             "learner": {
                 # Not while candidates are compared, nor after the last comparison.
                 "learning": self.stage is Stage.TRAIN,
-                "merge": merge.index if merge else 0,
-                "phase": merge.phase.value if merge else "",
-                "candidates": list(merge.candidates) if merge else [],
-                "chosen": (merge.chosen or "") if merge else "",
+                "finished": self.finished_episodes,
+                **(merge.orders() if merge else NO_MERGE),
                 "stop": done,
             },
         }

@@ -268,3 +268,11 @@ def test_two_shards_store_and_acknowledge_the_transitions_of_their_own_actors_on
     received = [codec.decode(message.payload, expect=Ack) for message in acks.drain()]
     for index in (0, 1):
         assert {ack.actor for ack in received if ack.sender_epoch == index} == set(shards[index].shard.actors)
+
+
+def test_an_actor_is_told_why_its_frame_cannot_be_read(bench):
+    bench.others.publish(keys.push(RUN, Level.LOW, "a", 7), b"rubbish" * 9)
+    bench.step()
+    assert "magic" in [ack.refused for ack in bench.step() + bench.step() + bench.step()][-1]
+    bench.push(2, 9, trajectory(30, 1))
+    assert [ack.refused for ack in bench.step() + bench.step()][-1] == ""

@@ -5,7 +5,7 @@ from zsdist.roles.base import HEARTBEAT_S, Context
 from zsdist.roles.scheduler.role import Scheduler, Stage
 from zsdist.transport.base import Mailbox
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
-from zsdist.types import Level, Weights
+from zsdist.types import Ack, Level, Weights
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import EPISODES, EVALUATION, Candidate, Jobs, Orders, Records, State, WeightsMessage
 
@@ -106,6 +106,10 @@ class Bench:
             self._push(stream, actor, None)
         self.step()
 
+    def report(self, about):
+        """Send a record of an episode as it is."""
+        self._push(EPISODES, ACTOR, about)
+
     def _push(self, stream, actor, about):
         sequence, produced = self._frames.get((stream, actor), (0, 0))
         records = () if about is None else (DRIVE | {"actor": actor} | about,)
@@ -119,7 +123,7 @@ class Bench:
         for level in Level:
             for name in names:
                 message = Candidate(2, level, merge, name, WEIGHTS)
-                self.others.publish(keys.candidate(RUN, level, f"{merge}-{name}"), codec.encode(message))
+                self.others.publish(keys.candidate(RUN, level, name), codec.encode(message))
         self.step()
 
     def promote(self, merge=1):
@@ -307,3 +311,14 @@ def test_the_episodes_of_a_replaced_actor_are_leased_to_its_successor():
     bench.supervise()
     orders = bench.orders()["actor"]
     assert orders["epochs"] == {ACTOR: EPOCH + 1} and orders["leases"] == {ACTOR: [2, 3]}
+
+
+def test_an_actor_is_told_why_its_record_is_refused():
+    bench, acks = Bench(NO_MERGES), Mailbox(2**20)
+    bench.others.subscribe(keys.ack(RUN, ACTOR), acks)
+    bench.report({"episode": 1, "return": 1e38})
+    for _ in range(10):
+        bench.step()
+    found = [codec.decode(message.payload, expect=Ack) for message in acks.drain()]
+    assert any("return is 1e+38" in ack.refused for ack in found if ack.stream == EPISODES)
+    assert not any(ack.refused for ack in found if ack.stream == EVALUATION)
