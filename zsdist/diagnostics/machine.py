@@ -1,7 +1,6 @@
 """Checks of the interpreter, the installed packages, and the machine's cores, memory and disk."""
 
 import importlib.metadata
-import os
 import shutil
 import sys
 from collections.abc import Iterator
@@ -10,6 +9,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
+from zsdist.common.allowed_resources import allowed_cores, allowed_memory_bytes
 from zsdist.diagnostics.result import CheckResult, CheckStatus
 
 CORES, MEMORY_GIB, DISK_GIB = 2, 4.0, 2.0  # with less, the default run is slow or fails
@@ -54,11 +54,9 @@ def check_packages(requirements: list[str] | None = None) -> Iterator[CheckResul
 
 
 def check_resources() -> Iterator[CheckResult]:
-    """Compare cores, memory and free disk space with what the default run needs."""
-    cores = os.cpu_count() or 1
-    yield compare_amount("cores", cores, CORES, "", "Expect the default run to take longer.")
-    memory_gib = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    yield compare_amount("memory", memory_gib, MEMORY_GIB, " GiB", "Use fewer actors: --actors 1.")
+    """Compare allowed cores, allowed memory and free disk space with what the default run needs."""
+    yield compare_amount("cores", allowed_cores(), CORES, "", "Expect the default run to take longer.")
+    yield compare_amount("memory", allowed_memory_bytes() / 2**30, MEMORY_GIB, " GiB", "Use fewer actors: --actors 1.")
     free_gib = shutil.disk_usage(Path.cwd()).free / 2**30
     yield compare_amount("disk", free_gib, DISK_GIB, " GiB free here", "Make room, or set --run-dir to another disk.")
 
