@@ -9,7 +9,7 @@ import stat
 import tempfile
 from pathlib import Path
 
-from zsdist.errors import ConfigError, RunError
+from zsdist.errors import CacheError
 
 VARIABLE = "ZSDIST_CACHE"
 NUMBA_VARIABLE, MATPLOTLIB_VARIABLE = "NUMBA_CACHE_DIR", "MPLCONFIGDIR"
@@ -20,14 +20,14 @@ def cache_folder() -> Path:
     """Return the folder of caches, an absolute path. That of the variable may not exist and may not be writable.
 
     Raises:
-        ConfigError: the variable names the home folder of a user who has none.
-        RunError: the variable is not set, and neither the home folder nor that for temporary files can be written.
+        CacheError: the variable names a home folder that is not known; or it is not set, and neither the home folder
+            nor that for temporary files can be written.
     """
     if stated := os.environ.get(VARIABLE):
         try:
             return Path(stated).expanduser().absolute()
         except RuntimeError as error:
-            raise ConfigError(
+            raise CacheError(
                 f"the environment variable {VARIABLE} is {stated!r}, and that home folder is not known; "
                 "allowed is the path of a folder"
             ) from error
@@ -35,14 +35,11 @@ def cache_folder() -> Path:
     tried = [] if home is None else [home / ".cache" / "zsdist"]
     if tried and is_writable(tried[0]):
         return tried[0]
-    try:
-        temporary = Path(tempfile.gettempdir()).absolute() / f"zsdist-cache-{os.getuid()}"
-    except FileNotFoundError:  # no folder for temporary files can be written
-        temporary = None
+    temporary = _temporary()
     if temporary is not None and _is_own(temporary) and is_writable(temporary):
         return temporary
     places = " nor ".join(map(str, [*tried, temporary or "a folder for temporary files"]))
-    raise RunError(
+    raise CacheError(
         f"no cache can be written: neither {places}; set the environment variable {VARIABLE} to a folder that you can "
         "write"
     )
@@ -53,7 +50,7 @@ def compiled_code_folder() -> Path | None:
     try:
         stated = os.environ.get(NUMBA_VARIABLE)
         folder = Path(stated).absolute() if stated else cache_folder() / f"numba-{os.getuid()}"
-    except (ConfigError, RunError):
+    except CacheError:
         return None
     return folder if is_writable(folder) else None
 
@@ -65,10 +62,15 @@ def prepare_matplotlib() -> None:
         return
     try:
         folder = cache_folder() / "matplotlib"
-    except (ConfigError, RunError):
+    except CacheError:
         return  # matplotlib then says so itself
     if is_writable(folder):
         os.environ[MATPLOTLIB_VARIABLE] = str(folder)
+
+
+def is_temporary(folder: Path) -> bool:
+    """Return whether a folder is the last choice, in the folder for temporary files."""
+    return folder == _temporary()
 
 
 def is_writable(folder: Path) -> bool:
@@ -85,6 +87,13 @@ def _home() -> Path | None:
     try:
         return Path.home()
     except RuntimeError:  # no variable HOME, and a user without an entry in the machine's list
+        return None
+
+
+def _temporary() -> Path | None:
+    try:
+        return Path(tempfile.gettempdir()).absolute() / f"zsdist-cache-{os.getuid()}"
+    except FileNotFoundError:  # no folder for temporary files can be written
         return None
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import onnxruntime
 
 from zsdist.common.cache_folder import VARIABLE, cache_folder
-from zsdist.errors import WeightsError
+from zsdist.errors import CacheError, WeightsError
 
 if TYPE_CHECKING:
     import torch
@@ -42,8 +42,8 @@ def cached_session(name: str, build: Callable[[Path], None]) -> onnxruntime.Infe
     Several processes may build at once: each writes its own file and renames it, so no process reads a partial file.
 
     Raises:
-        WeightsError: the cache cannot be written, or the cached file is damaged or cannot be read.
-        ConfigError, RunError: as `cache_folder` raises them.
+        CacheError: the cache cannot be written or read.
+        WeightsError: the cached file is damaged.
     """
     path = cache_folder() / f"{name}.onnx"
     advice = f"set the environment variable {VARIABLE} to a folder that you can write"
@@ -54,12 +54,8 @@ def cached_session(name: str, build: Callable[[Path], None]) -> onnxruntime.Infe
                 build(Path(folder) / path.name)
                 os.replace(Path(folder) / path.name, path)
         path.open("rb").close()
-    except PermissionError as error:
-        raise WeightsError(f"cache folder {path.parent} cannot be used: {error.strerror}; {advice}") from error
     except OSError as error:
-        raise WeightsError(
-            f"cache folder {path.parent} cannot be written: {error.strerror or error}; {advice}"
-        ) from error
+        raise CacheError(f"cache {path.parent} cannot be used: {error.strerror or error}; {advice}") from error
     return open_session(path)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from zsdist.common.cache_folder import cache_folder, compiled_code_folder, prepare_matplotlib
-from zsdist.errors import ConfigError, RunError
+from zsdist.errors import CacheError
 
 USED = ("ZSDIST_CACHE", "NUMBA_CACHE_DIR", "MPLCONFIGDIR")
 
@@ -46,7 +46,7 @@ def test_a_stated_folder_may_be_relative_or_in_the_home_folder(tmp_path, home, m
 
 def test_a_stated_home_folder_that_is_not_known_is_refused_in_one_line(monkeypatch):
     monkeypatch.setenv("ZSDIST_CACHE", "~nobody-here/cache")
-    with pytest.raises(ConfigError, match=r"ZSDIST_CACHE is '~nobody-here/cache'.*path of a folder"):
+    with pytest.raises(CacheError, match=r"ZSDIST_CACHE is '~nobody-here/cache'.*path of a folder"):
         cache_folder()
     assert compiled_code_folder() is None
 
@@ -64,18 +64,18 @@ def test_a_temporary_folder_that_others_may_write_or_that_is_a_link_is_not_trust
     folder = tmp_path / "tmp" / f"zsdist-cache-{os.getuid()}"
     folder.mkdir()
     folder.chmod(0o777)
-    with pytest.raises(RunError, match=r"no cache can be written.*ZSDIST_CACHE"):
+    with pytest.raises(CacheError, match=r"no cache can be written.*ZSDIST_CACHE"):
         cache_folder()
     folder.rmdir()
     (tmp_path / "elsewhere").mkdir(mode=0o700)
     folder.symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(RunError):
+    with pytest.raises(CacheError):
         cache_folder()
 
 
 def test_nothing_that_can_be_written_is_one_line_with_all_that_was_tried(tmp_path, home, without_home, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(home))
-    with pytest.raises(RunError) as refusal:
+    with pytest.raises(CacheError) as refusal:
         cache_folder()
     text = str(refusal.value)
     assert "\n" not in text and str(home / ".cache" / "zsdist") in text and "ZSDIST_CACHE" in text
