@@ -9,6 +9,7 @@ from zsdist.common.cache_folder import compiled_code_folder
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 _FOLDER = compiled_code_folder()
+_SETTINGS: Any = numba.config  # sets its attributes at run time, unseen by type checkers
 
 
 def compiled(**options: Any) -> Callable[[Function], Function]:
@@ -23,11 +24,11 @@ def compiled(**options: Any) -> Callable[[Function], Function]:
     def decorate(function: Function) -> Function:
         if _FOLDER is None:
             return cast(Function, numba.njit(**options)(function))
-        before = numba.config.CACHE_DIR  # of this process: the caller's own functions keep their place
-        numba.config.CACHE_DIR = str(_FOLDER)
+        before = _SETTINGS.CACHE_DIR  # of this process: the caller's own functions keep their place
+        _SETTINGS.CACHE_DIR = str(_FOLDER)
         try:
             return cast(Function, numba.njit(cache=True, **options)(function))
         finally:
-            numba.config.CACHE_DIR = before
+            _SETTINGS.CACHE_DIR = before
 
     return decorate
