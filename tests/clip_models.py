@@ -37,7 +37,39 @@ def randomised(model):
 
 
 def hugging_face(folder, **changes):
-    """Write a model in the layout of Hugging Face and return it."""
+    """Write a model in the layout of Hugging Face, as transformers 4 did, and return it."""
+    model = made(**changes)
+    model.save_pretrained(folder)
+    about = {"image_mean": MEAN, "image_std": STD, "crop_size": {"height": PX, "width": PX}}
+    (folder / "preprocessor_config.json").write_text(json.dumps(about))
+    tokenizer().save_pretrained(folder)
+    return model
+
+
+def transformers_5(folder, max_shard_size="1GB"):
+    """Write a model as `CLIPModel` and `CLIPProcessor` of transformers 5 save themselves, and return it."""
+    model = made()
+    model.save_pretrained(folder, max_shard_size=max_shard_size)
+    crop, shortest = {"height": PX, "width": PX}, {"shortest_edge": PX}
+    processor = transformers.CLIPImageProcessor(image_mean=MEAN, image_std=STD, crop_size=crop, size=shortest)
+    transformers.CLIPProcessor(processor, tokenizer()).save_pretrained(folder)
+    return model
+
+
+def tower_alone(folder, name):
+    """Write one tower with its projection, of the class `name` of transformers."""
+    model = made()
+    tower = getattr(transformers, name)
+    tower(model.config.vision_config if "Vision" in name else model.config.text_config).save_pretrained(folder)
+
+
+def default_configuration():
+    """Return the configuration of a model of which nothing is stated."""
+    return transformers.CLIPConfig()
+
+
+def made(**changes):
+    """Return a tiny model of transformers; `changes` are those of the image tower."""
     tower = {"num_hidden_layers": 2, "num_attention_heads": 4, "intermediate_size": 40, "projection_dim": DIMENSIONS}
     words = vocabulary()
     config = transformers.CLIPConfig(
@@ -47,12 +79,7 @@ def hugging_face(folder, **changes):
         | {"bos_token_id": words[BEGIN], "eos_token_id": words[END], "pad_token_id": words[END]},
         projection_dim=DIMENSIONS,
     )
-    model = randomised(transformers.CLIPModel(config))
-    model.save_pretrained(folder)
-    about = {"image_mean": MEAN, "image_std": STD, "crop_size": {"height": PX, "width": PX}}
-    (folder / "preprocessor_config.json").write_text(json.dumps(about))
-    tokenizer().save_pretrained(folder)
-    return model
+    return randomised(transformers.CLIPModel(config))
 
 
 def of_open_clip(folder, *, separate=False, standard_tokenizer=False, quick_gelu=False, **changes):

@@ -41,6 +41,10 @@ class WeightsError(ZsdistError):
     """Weights that are missing, damaged, or belong to another network or encoder."""
 
 
+class CacheError(WeightsError):
+    """Folder of caches that is not known, or cannot be written or read."""
+
+
 class RunError(ZsdistError):
     """Run or stored result that cannot be started, resumed, read or written, or whose counts do not agree."""
 

@@ -5,7 +5,6 @@ Several policies are taken as training seeds of one method: each is evaluated, t
 """
 
 import argparse
-import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +14,7 @@ from rich.console import Console
 
 from zsdist import config
 from zsdist.common import cli, output_files
+from zsdist.common.allowed_resources import allowed_cores
 from zsdist.errors import RunError
 from zsdist.evaluation.baselines import BASELINES
 from zsdist.evaluation.comparison import compare
@@ -46,7 +46,12 @@ def make_parser() -> argparse.ArgumentParser:
     add("--video", type=Path, metavar="DIR", help="film the first episodes into DIR, an MP4 and a still of each")
     add("--video-episodes", type=cli.count, default=3, metavar="N", help="number of episodes to film (default: 3)")
     add("--config", type=Path, metavar="FILE", help="configuration of a baseline's world; a run has its own")
-    add("--workers", type=cli.count, default=os.cpu_count() or 1, help="processes (default: one per core)")
+    add(
+        "--workers",
+        type=cli.count,
+        default=allowed_cores(),
+        help="processes (default: one per core that this process may use)",
+    )
     return parser
 
 

@@ -9,13 +9,13 @@ less or more.
 import argparse
 import json
 import math
-import os
 import shlex
 import sys
 from pathlib import Path
 
 from zsdist import config as configuration
 from zsdist.common import cli
+from zsdist.common.allowed_resources import allowed_cores
 from zsdist.config import Config
 from zsdist.errors import ConfigError
 from zsdist.pretraining import job as jobs
@@ -53,7 +53,13 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="NAME|DIR",
         help="vision.encoder: efficientnet-lite0, or a folder with a CLIP model",
     )
-    add("--workers", type=cli.count, default=os.cpu_count() or 1, metavar="N", help="processes (default: one per core)")
+    add(
+        "--workers",
+        type=cli.count,
+        default=allowed_cores(),
+        metavar="N",
+        help="processes (default: one per core that this process may use)",
+    )
     add("--keep-pictures", action="store_true", help="keep the pictures when training has ended")
     add("--check", action="store_true", help="check trained weights instead of training")
     add("--json", type=Path, metavar="FILE", help="write the figures of the check to FILE")

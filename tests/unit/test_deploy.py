@@ -3,7 +3,9 @@ import re
 from pathlib import Path
 
 import pytest
+import ray
 import yaml
+from ray._private import ray_constants
 from ray.autoscaler._private.util import prepare_config, validate_config
 
 import zsdist
@@ -57,6 +59,30 @@ def test_kuberay_pods_do_not_run_as_root_and_have_memory_limits():
         assert not container["securityContext"]["allowPrivilegeEscalation"]
 
 
+@pytest.mark.parametrize("container", containers(), ids=lambda container: container["name"])
+@pytest.mark.parametrize("probe", ["livenessProbe", "readinessProbe"])
+def test_probes_need_no_program_in_the_image_and_ask_what_this_ray_answers(container, probe):
+    stated = container[probe]
+    assert not {"exec", "grpc", "tcpSocket"} & stated.keys()  # without any, older operators run wget
+    assert stated["httpGet"]["port"] == ray_constants.DEFAULT_DASHBOARD_AGENT_LISTEN_PORT
+    routes = "".join(path.read_text() for path in Path(ray.__file__).parent.glob("dashboard/modules/**/*agent.py"))
+    assert f'@routes.get("{stated["httpGet"]["path"]}")' in routes
+
+
+def test_the_versions_of_the_operator_are_named_in_both_places():
+    (versions,) = re.findall(r"# For KubeRay (\S+ or \S+)\. ", (DEPLOY / "kuberay.yaml").read_text())
+    assert f"KubeRay operator, {versions}:" in (DEPLOY / "README.md").read_text()
+
+
+def test_kuberay_pods_are_admitted_by_the_restricted_profile_of_kubernetes():
+    for group in (MANIFEST["spec"]["headGroupSpec"], *MANIFEST["spec"]["workerGroupSpecs"]):
+        assert group["template"]["spec"]["securityContext"]["seccompProfile"] == {"type": "RuntimeDefault"}
+        volumes = group["template"]["spec"]["volumes"]
+        assert {kind for volume in volumes for kind in volume} <= {"name", "secret", "emptyDir"}
+    for container in containers():
+        assert container["securityContext"]["capabilities"] == {"drop": ["ALL"]}
+
+
 def test_network_policy_admits_only_the_cluster():
     assert POLICY["spec"]["podSelector"]["matchLabels"] == {"ray.io/cluster": MANIFEST["metadata"]["name"]}
     assert all("podSelector" in peer for rule in POLICY["spec"]["ingress"] for peer in rule["from"])
@@ -97,8 +123,19 @@ def test_dockerfile_is_python_3_11_and_ends_as_an_unprivileged_user():
     assert instructions[0] == ("FROM", "python:3.11-slim")
     assert {name for name, _ in instructions} <= {"FROM", "ARG", "ENV", "RUN", "WORKDIR", "COPY", "USER", "CMD"}
     users = [argument for name, argument in instructions if name == "USER"]
-    assert users[-1] not in ("root", "0")
+    assert users[-1].isdecimal() and users[-1] != "0"  # runAsNonRoot refuses a name
+    assert {MANIFEST["spec"]["headGroupSpec"]["template"]["spec"]["securityContext"]["runAsUser"]} == {int(users[-1])}
     assert max(i for i, (name, _) in enumerate(instructions) if name == "CMD") > instructions.index(("USER", users[-1]))
+
+
+def test_any_user_of_group_0_may_write_the_home_folder_of_the_image():
+    instructions = dockerfile()
+    home = next(argument for name, argument in reversed(instructions) if name == "WORKDIR")
+    assert any(name == "ENV" and f"HOME={home}" in argument.split() for name, argument in instructions)
+    (shared,) = [i for i, (name, argument) in enumerate(instructions) if name == "RUN" and "chmod -R g=u ." in argument]
+    assert "chown -R 1000:0 ." in instructions[shared][1] and "mkdir -p runs" in instructions[shared][1]
+    assert ("WORKDIR", home) in instructions[:shared]
+    assert not any(name in ("COPY", "WORKDIR") for name, _ in instructions[shared:])
 
 
 def test_dockerfile_copies_only_existing_files():

@@ -16,6 +16,10 @@ TREES = {path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text()) for p
 DOCUMENTED = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 RIDDLE = re.compile(r"(What|How|Who|Whom|Whose|Which|By|Where|Whether|When|Why)\b")
 HEAVY = {"torch", "ray", "pybullet", "scipy"}
+AMOUNTS = re.compile(
+    r"\b(cpu_count|process_cpu_count|virtual_memory|sched_getaffinity|SC_PHYS_PAGES|SC_NPROCESSORS_\w+|meminfo|cpuinfo)\b"
+)
+CACHES = re.compile(r"\b(ZSDIST_CACHE|NUMBA_CACHE_DIR|MPLCONFIGDIR|XDG_CACHE_HOME|getuser|getlogin)\b")
 PUBLIC_ALL_THE_SAME = {"os._exit"}  # documented under this name
 LIGHT_PACKAGES = ("driving", "agent", "planning")
 LIGHT_MODULES = ("zsdist.vision.visual_act", "zsdist.vision.reading_cache", "zsdist.vision.ray_ablation")
@@ -80,6 +84,16 @@ def test_files_and_classes_are_short():
 def test_no_private_member_of_a_library_is_used():
     found = {name: members for name, tree in TREES.items() if (members := private_members_of_libraries(tree))}
     assert found == {}
+
+
+def test_only_one_file_asks_for_the_amounts_of_cores_and_memory():
+    asking = {name for name in TREES if AMOUNTS.search((PACKAGE / name).read_text())}
+    assert asking == {"common/allowed_resources.py"}
+
+
+def test_only_one_file_chooses_the_folders_of_caches():
+    asking = {name for name in TREES if CACHES.search((PACKAGE / name).read_text())}
+    assert asking == {"common/cache_folder.py"}
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """Checks of the interpreter, the installed packages, and the machine's cores, memory and disk."""
 
 import importlib.metadata
-import os
 import shutil
 import sys
 from collections.abc import Iterator
@@ -10,8 +9,18 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
+from zsdist.common.allowed_resources import allowed_cores, allowed_memory_bytes
+from zsdist.common.cache_folder import (
+    NUMBA_VARIABLE,
+    VARIABLE,
+    cache_folder,
+    compiled_code_folder,
+    is_temporary,
+    is_writable,
+)
 from zsdist.diagnostics.result import CheckResult, CheckStatus
 
+INSTALL = "Run make install, or install zsdist again with pip."
 CORES, MEMORY_GIB, DISK_GIB = 2, 4.0, 2.0  # with less, the default run is slow or fails
 
 
@@ -21,7 +30,7 @@ def check_python(version: tuple[int, ...] = sys.version_info[:3]) -> CheckResult
     try:
         required = importlib.metadata.metadata("zsdist")["Requires-Python"]
     except importlib.metadata.PackageNotFoundError:
-        return CheckResult("python", CheckStatus.FAIL, f"{text}; zsdist itself is not installed", "Run make install.")
+        return CheckResult("python", CheckStatus.FAIL, f"{text}; zsdist itself is not installed", INSTALL)
     if not SpecifierSet(required).contains(text):
         return CheckResult("python", CheckStatus.FAIL, f"{text}; allowed is {required}", "Install with Python 3.11.")
     return CheckResult("python", CheckStatus.OK, f"{text} at {sys.executable}")
@@ -48,19 +57,33 @@ def check_packages(requirements: list[str] | None = None) -> Iterator[CheckResul
         if version == "missing" or not requirement.specifier.contains(version):
             all_in_range = False
             found = f"{version}; allowed is {requirement.specifier}"
-            yield CheckResult(f"package {requirement.name}", CheckStatus.FAIL, found, "Run make install.")
+            yield CheckResult(f"package {requirement.name}", CheckStatus.FAIL, found, INSTALL)
     if all_in_range:
         yield CheckResult("packages", CheckStatus.OK, f"{len(needed)} packages within their ranges")
 
 
 def check_resources() -> Iterator[CheckResult]:
-    """Compare cores, memory and free disk space with what the default run needs."""
-    cores = os.cpu_count() or 1
-    yield compare_amount("cores", cores, CORES, "", "Expect the default run to take longer.")
-    memory_gib = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    yield compare_amount("memory", memory_gib, MEMORY_GIB, " GiB", "Use fewer actors: --actors 1.")
+    """Compare allowed cores, allowed memory and free disk space with what the default run needs."""
+    yield compare_amount("cores", allowed_cores(), CORES, "", "Expect the default run to take longer.")
+    yield compare_amount("memory", allowed_memory_bytes() / 2**30, MEMORY_GIB, " GiB", "Use fewer actors: --actors 1.")
     free_gib = shutil.disk_usage(Path.cwd()).free / 2**30
     yield compare_amount("disk", free_gib, DISK_GIB, " GiB free here", "Make room, or set --run-dir to another disk.")
+
+
+def check_cache() -> CheckResult:
+    """Check that exported networks and compiled code can be kept, and outlive the next cleaning."""
+    folder = cache_folder()
+    states = f"Set the environment variable {VARIABLE} to a folder that you can write"
+    if not is_writable(folder):
+        found = f"{folder} cannot be written; compiled code is not kept, so every process takes minutes to start"
+        return CheckResult("cache", CheckStatus.WARN, found, f"{states}.")
+    if compiled_code_folder() is None:
+        found = f"{folder}; compiled code is not kept, since {NUMBA_VARIABLE} cannot be written"
+        return CheckResult("cache", CheckStatus.WARN, found, f"Remove the environment variable {NUMBA_VARIABLE}.")
+    if is_temporary(folder):
+        found = f"{folder}, since the home folder cannot be written"
+        return CheckResult("cache", CheckStatus.WARN, found, f"{states} and that is kept.")
+    return CheckResult("cache", CheckStatus.OK, str(folder))
 
 
 def compare_amount(check: str, found: float, recommended: float, unit: str, advice: str) -> CheckResult:

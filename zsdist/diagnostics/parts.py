@@ -9,7 +9,7 @@ import numpy as np
 
 from zsdist.config import Config
 from zsdist.diagnostics.result import CheckResult, CheckStatus
-from zsdist.errors import WeightsError
+from zsdist.errors import CacheError, WeightsError
 
 if TYPE_CHECKING:
     from zsdist.transport.zenoh import ZenohTransport
@@ -59,8 +59,10 @@ def check_vision() -> CheckResult:
             found.append(f"{model.encoder_name}, weights {model.weights_sha256[:12]}, {taken_ms:.1f} ms")
             if network == "head" and weights_folder.PROJECTION_FILE not in missing:
                 model.observe(image)
+    except CacheError as error:  # `check_cache` gives the advice
+        return CheckResult("vision", CheckStatus.FAIL, str(error))
     except WeightsError as error:
-        advice = "Reinstall the package (make install), or train weights: python -m zsdist.pretrain."
+        advice = "Install zsdist again (make install, or pip), or train weights: python -m zsdist.pretrain."
         return CheckResult("vision", CheckStatus.FAIL, str(error), advice)
     if missing:
         text = "; ".join([*found, f"no {', '.join(missing)}"])

@@ -5,7 +5,10 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from zsdist import __version__
+from zsdist.common.allowed_resources import allowed_cores
 from zsdist.pretraining.job import JOB_FILE, Job
 from zsdist.pretraining.pictures import Pictures, disk_bytes, make_all
 from zsdist.pretraining.progress import PretrainingProgress
@@ -38,6 +41,7 @@ def train(
     Raises:
         ZsdistError: the time is too short for the pictures, or a file cannot be written.
     """
+    torch.set_num_threads(min(torch.get_num_threads(), allowed_cores()))  # torch does not know a container's quota
     budget = Budget(minutes * 60, ["pictures", *job.stages])
     picture_folder = folder / "pictures"
     space = f"{disk_bytes(job, encoder) / 1e9:.2f} GB of disk"

@@ -1,7 +1,6 @@
 """End of a finished run: figures of its training, and a comparison of the trained policy with others."""
 
 import json
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from zsdist.common.allowed_resources import allowed_cores
 from zsdist.config import Config
 from zsdist.evaluation.contenders import FULL, Contender
 from zsdist.evaluation.report import Report, evaluate
@@ -106,7 +106,7 @@ def _drive(trial: Trial, seed: int) -> Report:
         scenes=trial.scenes,
         episodes=trial.episodes,
         seed=seed,
-        workers=os.cpu_count() or 1,
+        workers=allowed_cores(),
     )
 
 

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import secrets
 import sys
 import threading
 import time
@@ -13,6 +14,7 @@ import ray
 from ray.exceptions import RayActorError, RayError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
+from zsdist.common.allowed_resources import allowed_cores
 from zsdist.config import Config
 from zsdist.errors import RunError, ZsdistError
 from zsdist.roles.base import HEARTBEAT_S, Role
@@ -148,8 +150,11 @@ def _connect(spec: RunSpec) -> None:
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # else roles that reserve no GPU cannot see one
     wanted = config.run.cpus_per_role * (program.role_count(config) + 1 + config.run.standby)
     if config.run.address is None:
+        if not {"RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"} & os.environ.keys():
+            # Ray's processes inherit it. Otherwise Ray writes one into the home folder, which may not be writable.
+            os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
         # Logical cores only steer Ray's placement; with enough of them no role ever waits to be placed.
-        cores = max(os.cpu_count() or 1, int(wanted) + 1)
+        cores = max(allowed_cores(), int(wanted) + 1)
         ray.init(
             address="local",  # a cluster of its own, also where RAY_ADDRESS names another
             num_cpus=cores,

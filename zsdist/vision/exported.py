@@ -12,18 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import onnxruntime
 
-from zsdist.errors import WeightsError
+from zsdist.common.cache_folder import VARIABLE, cache_folder
+from zsdist.errors import CacheError, WeightsError
 
 if TYPE_CHECKING:
     import torch
 
 TOLERANCE = 1e-3
 """Largest difference allowed between the exported network and the original, per unit of its largest output."""
-
-
-def cache_folder() -> Path:
-    """Return the folder of exported networks: `$ZSDIST_CACHE`, else `~/.cache/zsdist`."""
-    return Path(os.environ.get("ZSDIST_CACHE") or Path.home() / ".cache" / "zsdist")
 
 
 def file_sha256(path: Path) -> str:
@@ -34,26 +30,32 @@ def file_sha256(path: Path) -> str:
         raise WeightsError(f"weights {path} cannot be read: {error.strerror or error}") from error
 
 
+def files_sha256(paths: Sequence[Path]) -> str:
+    """Return the SHA-256 of one file, or that of the hashes of several in order; raises like `file_sha256`."""
+    digests = [file_sha256(path) for path in paths]
+    return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
+
+
 def cached_session(name: str, build: Callable[[Path], None]) -> onnxruntime.InferenceSession:
     """Return a session of the network `name` from the cache; build it with `build(path)` if it is missing.
 
     Several processes may build at once: each writes its own file and renames it, so no process reads a partial file.
 
     Raises:
-        WeightsError: the cache cannot be written, or the cached file is damaged.
+        CacheError: the cache cannot be written or read.
+        WeightsError: the cached file is damaged.
     """
     path = cache_folder() / f"{name}.onnx"
-    if not path.exists():
-        try:
+    advice = f"set the environment variable {VARIABLE} to a folder that you can write"
+    try:
+        if not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{name}-") as folder:
                 build(Path(folder) / path.name)
                 os.replace(Path(folder) / path.name, path)
-        except OSError as error:
-            raise WeightsError(
-                f"cache folder {path.parent} cannot be written: {error.strerror or error}; "
-                "set the environment variable ZSDIST_CACHE to a folder that you can write"
-            ) from error
+        path.open("rb").close()
+    except OSError as error:
+        raise CacheError(f"cache {path.parent} cannot be used: {error.strerror or error}; {advice}") from error
     return open_session(path)
 
 

@@ -1,3 +1,8 @@
+import os
+import tempfile
+
+import pytest
+
 from zsdist.diagnostics import machine
 from zsdist.diagnostics.result import CheckStatus
 
@@ -20,3 +25,39 @@ def test_a_missing_and_an_outdated_package_are_named():
 def test_too_little_is_a_warning_with_advice():
     result = machine.compare_amount("disk", 0.5, 2.0, " GiB", "Make room.")
     assert (result.status, result.advice) == (CheckStatus.WARN, "Make room.")
+
+
+def test_cores_and_memory_are_those_that_are_allowed(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {3})
+    monkeypatch.setattr(machine, "allowed_memory_bytes", lambda: 2**30)
+    cores, memory, _ = machine.check_resources()
+    assert (cores.status, cores.found.split(";")[0]) == (CheckStatus.WARN, "1")
+    assert (memory.status, memory.found.split(";")[0]) == (CheckStatus.WARN, "1 GiB")
+
+
+@pytest.mark.parametrize(
+    ("home", "variables", "status", "words"),
+    [
+        ("home", {}, CheckStatus.OK, ""),
+        ("file", {}, CheckStatus.WARN, "ZSDIST_CACHE to a folder that you can write and that is kept"),
+        ("file", {"ZSDIST_CACHE": "stated"}, CheckStatus.OK, ""),
+        ("home", {"ZSDIST_CACHE": "file/cache"}, CheckStatus.WARN, "ZSDIST_CACHE to a folder that you can write"),
+        (
+            "home",
+            {"NUMBA_CACHE_DIR": "file/numba"},
+            CheckStatus.WARN,
+            "Remove the environment variable NUMBA_CACHE_DIR",
+        ),
+    ],
+)
+def test_a_cache_that_cannot_be_kept_is_a_warning_with_advice(tmp_path, monkeypatch, home, variables, status, words):
+    (tmp_path / "file").write_text("")  # not even root can write into it
+    (tmp_path / "home").mkdir()
+    monkeypatch.setenv("HOME", str(tmp_path / home))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    for name in ("ZSDIST_CACHE", "NUMBA_CACHE_DIR"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, str(tmp_path / value))
+    result = machine.check_cache()
+    assert result.status is status and words in result.advice and "make install" not in result.advice

@@ -10,7 +10,7 @@ import onnxruntime
 from zsdist.vision.encoders.base import check_images, check_texts, resample, run_text_tower
 from zsdist.vision.encoders.clip_layouts import read_folder
 from zsdist.vision.encoders.clip_tokenizer import read_tokenizer
-from zsdist.vision.exported import cached_session, export, file_sha256
+from zsdist.vision.exported import cached_session, export, files_sha256
 
 VERSION = 1
 """Version of the towers' code: exported towers of another version are not used."""
@@ -32,7 +32,7 @@ class ClipFolder:
         self._clip, self._weights = read_folder(folder)
         self._folder = folder
         self.name = f"clip/{folder.resolve().name}"
-        self.sha256 = self.text_sha256 = file_sha256(self._weights)  # one file holds both towers
+        self.sha256 = self.text_sha256 = files_sha256(self._weights)  # the same files hold both towers
         self.input_px = self._clip.image_px
         self.side = self._clip.image_px // self._clip.patch_px
         self.features = self._clip.vision.width

@@ -1,17 +1,23 @@
 """Reader of the two folder layouts of CLIP models; both give one form of description.
 
 open_clip: `open_clip_config.json`, `open_clip_model.safetensors`; files of a tokenizer unless it is CLIP's own.
-Hugging Face: `config.json`, `model.safetensors`, `preprocessor_config.json`; `tokenizer.json`, or `vocab.json` with
-`merges.txt`, for texts. Nothing is downloaded.
+Hugging Face: `config.json`; `model.safetensors`, or the shards that `model.safetensors.index.json` names;
+`processor_config.json` (written since transformers 5) or `preprocessor_config.json`; for texts `tokenizer.json`, or
+`vocab.json` with `merges.txt`. Nothing is downloaded.
 """
 
 import json
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 from zsdist.errors import WeightsError
+
+Colours = tuple[float, float, float]
 
 
 class Layout(StrEnum):
@@ -23,6 +29,8 @@ class Layout(StrEnum):
 
 CONFIG = {Layout.OPEN_CLIP: "open_clip_config.json", Layout.HUGGING_FACE: "config.json"}
 WEIGHTS = {Layout.OPEN_CLIP: "open_clip_model.safetensors", Layout.HUGGING_FACE: "model.safetensors"}
+INDEX = "model.safetensors.index.json"
+PICKLED = ("pytorch_model.bin", "pytorch_model.bin.index.json", "open_clip_pytorch_model.bin")
 ALLOWED = "allowed are the layouts " + " and ".join(f"{one} ({CONFIG[one]}, {WEIGHTS[one]})" for one in Layout)
 
 # Defaults of settings that a configuration omits, in the library that wrote it.
@@ -83,8 +91,8 @@ class Clip:
     layout: Layout
     image_px: int
     patch_px: int
-    mean: tuple[float, float, float]
-    std: tuple[float, float, float]
+    mean: Colours
+    std: Colours
     vision: TowerShape
     text: TowerShape
     context: int
@@ -93,8 +101,8 @@ class Clip:
     standard_tokenizer: bool
 
 
-def read_folder(folder: Path) -> tuple[Clip, Path]:
-    """Return the description of a folder's model, and the path of its weights file.
+def read_folder(folder: Path) -> tuple[Clip, tuple[Path, ...]]:
+    """Return the description of a folder's model, and the paths of its weights: one file, or several shards.
 
     Raises:
         WeightsError: a file is missing or damaged, or the model is of an unsupported kind.
@@ -102,28 +110,53 @@ def read_folder(folder: Path) -> tuple[Clip, Path]:
     layouts = [layout for layout in Layout if (folder / CONFIG[layout]).is_file()]
     if not layouts:
         raise WeightsError(f"encoder folder {folder} has neither {' nor '.join(CONFIG.values())}; {ALLOWED}")
-    whole = [layout for layout in layouts if (folder / WEIGHTS[layout]).is_file()]
-    if not whole:
-        raise WeightsError(
-            f"encoder folder {folder} lacks {' and '.join(WEIGHTS[layout] for layout in layouts)}; {ALLOWED}"
-        )
-    path = folder / CONFIG[whole[0]]
-    try:
-        clip = (_open_clip if whole[0] is Layout.OPEN_CLIP else _hugging_face)(path)
-    except KeyError as error:
-        raise WeightsError(f"encoder configuration {path} lacks {error}") from error
-    except (AttributeError, TypeError, ValueError) as error:  # a list where an object should be, and the like
-        raise WeightsError(f"encoder configuration {path} is damaged: {error}") from error
+    layout, weights = next(((one, found) for one in layouts if (found := _weights(folder, one))), (layouts[0], ()))
+    path = folder / CONFIG[layout]
+    clip = (_open_clip if layout is Layout.OPEN_CLIP else _hugging_face)(path)
+    if not weights:
+        lacking = " and ".join(WEIGHTS[one] for one in layouts)
+        pickled = [name for name in PICKLED if (folder / name).exists()]
+        note = f"; {pickled[0]} is not read, since it can run code: save the model as safetensors" if pickled else ""
+        raise WeightsError(f"encoder folder {folder} lacks {lacking}{note}; {ALLOWED}")
     if clip.image_px % clip.patch_px or clip.vision.width % clip.vision.heads or clip.text.width % clip.text.heads:
         raise WeightsError(
             f"encoder configuration {path}: image size {clip.image_px} px is no multiple of the patch size "
             f"{clip.patch_px} px, or the width of a tower no multiple of its heads; allowed are multiples"
         )
-    return clip, folder / WEIGHTS[whole[0]]
+    return clip, weights
+
+
+def _weights(folder: Path, layout: Layout) -> tuple[Path, ...]:
+    """Return the files of weights of one layout; none where there are none."""
+    if (whole := folder / WEIGHTS[layout]).is_file():
+        return (whole,)
+    index = folder / INDEX
+    if layout is Layout.OPEN_CLIP or not index.is_file():
+        return ()
+    with _blamed(index):
+        shards = [folder / Path(name).name for name in sorted(set(_read(index)["weight_map"].values()))]
+    if missing := [shard.name for shard in shards if not shard.is_file()]:
+        raise WeightsError(f"encoder folder {folder} lacks {', '.join(missing)}, which {INDEX} names")
+    return tuple(shards)
+
+
+@contextmanager
+def _blamed(path: Path) -> Iterator[None]:
+    """Turn an error in the content of a file into one that names the file."""
+    try:
+        yield
+    except KeyError as error:
+        raise WeightsError(f"encoder configuration {path} lacks {error}") from error
+    except (AttributeError, TypeError, ValueError) as error:  # a list where an object should be, and the like
+        raise WeightsError(f"encoder configuration {path} is damaged: {error}") from error
 
 
 def _open_clip(path: Path) -> Clip:
-    about = _read(path)
+    with _blamed(path):
+        return _open_clip_model(path, _read(path))
+
+
+def _open_clip_model(path: Path, about: dict[str, Any]) -> Clip:
     model, preprocessing = about["model_cfg"], about["preprocess_cfg"]
     activation = "quick_gelu" if model.get("quick_gelu") else "gelu"
     towers = {}
@@ -159,30 +192,36 @@ def _open_clip(path: Path) -> Clip:
 
 
 def _hugging_face(path: Path) -> Clip:
-    about = _read(path)
-    if about.get("model_type") != "clip":
-        raise WeightsError(
-            f"encoder configuration {path}: model_type is {about.get('model_type')!r}; allowed is 'clip'"
+    with _blamed(path):
+        about = _read(path)
+        if about.get("model_type") != "clip":
+            alone = str(about.get("model_type")).startswith("clip_")
+            raise WeightsError(
+                f"encoder configuration {path}: model_type is {about.get('model_type')!r}; allowed is 'clip'"
+                + (", with both towers: save the whole CLIPModel" if alone else "")
+            )
+        vision, text = (
+            defaults | (about.get(name) or {})
+            for name, defaults in (("vision_config", HUGGING_FACE_VISION), ("text_config", HUGGING_FACE_TEXT))
         )
-    if not (preprocessor := path.with_name("preprocessor_config.json")).is_file():
-        raise WeightsError(f"encoder folder {path.parent} lacks {preprocessor.name}, which has the mean of the colours")
-    preprocessing = _read(preprocessor)
-    vision, text = HUGGING_FACE_VISION | about["vision_config"], HUGGING_FACE_TEXT | about["text_config"]
-    names = (
-        "num_hidden_layers", "hidden_size", "num_attention_heads", "intermediate_size", "hidden_act", "layer_norm_eps"
-    )  # fmt: skip
-    vision_shape, text_shape = (TowerShape(*(one[name] for name in names)) for one in (vision, text))
+        names = (
+            "num_hidden_layers", "hidden_size", "num_attention_heads", "intermediate_size", "hidden_act",
+            "layer_norm_eps",
+        )  # fmt: skip
+        vision_shape, text_shape = (TowerShape(*(one[name] for name in names)) for one in (vision, text))
+        sizes = _side(vision["image_size"]), _side(vision["patch_size"])
     for shape in (vision_shape, text_shape):
         if shape.activation not in ("gelu", "quick_gelu"):
             raise WeightsError(
                 f"encoder configuration {path}: hidden_act is {shape.activation!r}; allowed are 'gelu' and 'quick_gelu'"
             )
+    mean, std = _normalisation(path.parent)
     return Clip(
         layout=Layout.HUGGING_FACE,
-        image_px=_side(vision["image_size"]),
-        patch_px=_side(vision["patch_size"]),
-        mean=_colours(preprocessing["image_mean"]),
-        std=_colours(preprocessing["image_std"]),
+        image_px=sizes[0],
+        patch_px=sizes[1],
+        mean=mean,
+        std=std,
         vision=vision_shape,
         text=text_shape,
         context=text["max_position_embeddings"],
@@ -192,11 +231,42 @@ def _hugging_face(path: Path) -> Clip:
     )
 
 
+def _normalisation(folder: Path) -> tuple[Colours, Colours]:
+    """Return mean and standard deviation of the colours, 0 to 1, from the file that transformers would read."""
+    new, old = folder / "processor_config.json", folder / "preprocessor_config.json"
+    about, path = None, new
+    if new.is_file():
+        with _blamed(new):
+            about = _read(new).get("image_processor")  # absent where an older version wrote the file
+    if about is None and old.is_file():
+        about, path = _read(old), old
+    if about is None:
+        raise WeightsError(
+            f"encoder folder {folder} lacks {old.name}, or {new.name} with an image_processor: they have the mean of "
+            "the colours"
+        )
+    with _blamed(path):
+        if not about.get("do_normalize", True):
+            mean, std = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+        else:
+            mean, std = _colours(about["image_mean"]), _colours(about["image_std"])
+        factor = about.get("rescale_factor", 1 / 255) if about.get("do_rescale", True) else 1.0
+        if not math.isclose(factor, 1 / 255, rel_tol=1e-3):
+            raise WeightsError(
+                f"encoder configuration {path}: rescale_factor is {factor:g}; allowed is 1/255, {1 / 255:g}"
+            )
+    return mean, std
+
+
 def _read(path: Path) -> dict[str, Any]:
-    try:
-        return json.loads(path.read_text())
-    except OSError as error:
-        raise WeightsError(f"encoder configuration {path} cannot be read: {error.strerror}") from error
+    with _blamed(path):
+        try:
+            content = json.loads(path.read_text())
+        except OSError as error:
+            raise WeightsError(f"encoder configuration {path} cannot be read: {error.strerror}") from error
+        if not isinstance(content, dict):
+            raise ValueError("it is no object")
+        return content
 
 
 def _side(size: object) -> int:
@@ -208,6 +278,6 @@ def _side(size: object) -> int:
     return side
 
 
-def _colours(values: list[float]) -> tuple[float, float, float]:
+def _colours(values: list[float]) -> Colours:
     red, green, blue = (float(value) for value in values)
     return red, green, blue

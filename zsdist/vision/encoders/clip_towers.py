@@ -1,5 +1,6 @@
 """CLIP's two towers as torch modules for the export; they are plain transformers and load weights of both layouts."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -11,6 +12,8 @@ from zsdist.errors import WeightsError
 from zsdist.vision.encoders.clip_layouts import Clip, Layout, TowerShape
 
 Tower = TypeVar("Tower", bound=nn.Module)
+Weights = Sequence[Path]
+"""Files of a model's weights: one, or several shards."""
 
 LARGEST_BYTES = 2_000_000_000
 """Greatest size of one tower's weights: a file of the export format holds no more."""
@@ -119,7 +122,7 @@ class TextTower(nn.Module):
         return nn.functional.normalize(self.projection(x), dim=-1)
 
 
-def image_tower(clip: Clip, weights: Path) -> ImageTower:
+def image_tower(clip: Clip, weights: Weights) -> ImageTower:
     """Return the image tower with its weights; raise `WeightsError` if they are damaged or do not fit."""
     names = {
         "embeddings.patch_embedding.": "patches.",
@@ -129,7 +132,7 @@ def image_tower(clip: Clip, weights: Path) -> ImageTower:
     return _filled(ImageTower(clip), clip, weights, ("vision_model.", "visual_projection."), names)
 
 
-def text_tower(clip: Clip, weights: Path, end: int) -> TextTower:
+def text_tower(clip: Clip, weights: Weights, end: int) -> TextTower:
     """Return the text tower with its weights, for the tokenizer's end mark `end`; raises like `image_tower`."""
     names = {
         "embeddings.token_embedding.": "words.",
@@ -139,15 +142,15 @@ def text_tower(clip: Clip, weights: Path, end: int) -> TextTower:
     return _filled(TextTower(clip, end), clip, weights, ("text_model.", "text_projection."), names)
 
 
-def projection(clip: Clip, weights: Path) -> torch.Tensor:
+def projection(clip: Clip, weights: Weights) -> torch.Tensor:
     """Return the image tower's map `(D, width)` into text space; raise `WeightsError` if it is missing."""
     try:
         return _read(clip, weights)["visual_projection.weight"]
     except KeyError as error:
-        raise WeightsError(f"encoder weights {weights} lack {error}") from error
+        raise WeightsError(f"encoder weights {weights[0]} lack {error}") from error
 
 
-def _filled(tower: Tower, clip: Clip, weights: Path, prefixes: tuple[str, str], names: dict[str, str]) -> Tower:
+def _filled(tower: Tower, clip: Clip, weights: Weights, prefixes: tuple[str, str], names: dict[str, str]) -> Tower:
     own = {}
     model, mapped = prefixes
     for name, tensor in _read(clip, weights).items():
@@ -159,22 +162,24 @@ def _filled(tower: Tower, clip: Clip, weights: Path, prefixes: tuple[str, str], 
                 name = name.replace(old, new)
             own[name] = tensor
     if sum(tensor.numel() for tensor in own.values()) * 4 > LARGEST_BYTES:
-        raise WeightsError(f"encoder weights {weights} are too large; allowed are {LARGEST_BYTES} bytes a tower")
+        raise WeightsError(f"encoder weights {weights[0]} are too large; allowed are {LARGEST_BYTES} bytes a tower")
     try:
         tower.load_state_dict(own)
     except RuntimeError as error:
         raise WeightsError(
-            f"encoder weights {weights} do not fit their configuration: {' '.join(str(error).split())[:300]}"
+            f"encoder weights {weights[0]} do not fit their configuration: {' '.join(str(error).split())[:300]}"
         ) from error
     return tower
 
 
-def _read(clip: Clip, weights: Path) -> dict[str, torch.Tensor]:
+def _read(clip: Clip, weights: Weights) -> dict[str, torch.Tensor]:
     """Return all weights, float32, under Hugging Face's names."""
-    try:
-        loaded = {name: tensor.float() for name, tensor in load_file(weights).items()}
-    except Exception as error:  # safetensors' errors share no narrower base class
-        raise WeightsError(f"encoder weights {weights} are damaged: {' '.join(str(error).split())[:200]}") from error
+    loaded: dict[str, torch.Tensor] = {}
+    for path in weights:
+        try:
+            loaded |= {name: tensor.float() for name, tensor in load_file(path).items()}
+        except Exception as error:  # safetensors' errors share no narrower base class
+            raise WeightsError(f"encoder weights {path} are damaged: {' '.join(str(error).split())[:200]}") from error
     return _renamed(loaded) if clip.layout is Layout.OPEN_CLIP else loaded
 
 
