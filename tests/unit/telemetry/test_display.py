@@ -2,8 +2,8 @@ import io
 import json
 
 import pytest
-from rich.console import Console
 
+from zsdist.common.console import PlainConsole
 from zsdist.telemetry import display as displays
 from zsdist.telemetry.display import Display
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
@@ -21,7 +21,7 @@ class Watched:
         broker = MemoryBroker()
         self.publisher, self.subscriber = MemoryTransport(broker), MemoryTransport(broker)
         self.output = io.StringIO()
-        self.display = Display(RUN, Console(file=self.output, width=120, **options))
+        self.display = Display(RUN, PlainConsole(file=self.output, width=120, **options))
         self.display.update(self.subscriber)
 
     def publish(self, role, identifier, **fields):
@@ -90,4 +90,4 @@ def test_a_terminal_gets_a_live_table_and_no_lines(monkeypatch):
     with watched.display:
         watched.publish("scheduler", "0", stage="train", episodes=12)
         text = watched.refresh()
-    assert "zsdist run test" in text and "12/?" in text and "episodes 12/?" not in text
+    assert "12/?" in text and "episodes 12/?" not in text
