@@ -91,3 +91,34 @@ def test_a_terminal_gets_a_live_table_and_no_lines(monkeypatch):
         watched.publish("scheduler", "0", stage="train", episodes=12)
         text = watched.refresh()
     assert "12/?" in text and "episodes 12/?" not in text
+
+
+def test_rates_of_the_past_are_not_shown_and_the_silence_is(watched):
+    for second in range(3):
+        watched.now_s = 100.0 + second
+        watched.publish("actor", "0", env_steps=40 * second)
+        watched.publish("learner", "low", learner_updates=30 * second, waiting_data_s=0.9 * second)
+        watched.display.update(watched.subscriber)
+    shown = watched.display.figures()
+    assert shown["env steps"] == "0 (40/s)" and "low 30" in shown["updates/s"] and "learner low" in shown["waiting"]
+    watched.now_s += 25.0
+    shown = watched.display.figures()
+    assert shown["env steps"] == "0" and shown["updates/s"] == shown["roles alive"] == "-"
+    assert "25 s ago" in shown["waiting"] and "learner" not in shown["waiting"]
+    assert watched.display.line().startswith("[   2.0 s]")
+
+
+def test_after_the_end_nothing_is_waited_for_and_the_clock_stands(watched):
+    watched.publish("scheduler", "0", stage="done", episodes=9)
+    watched.publish("learner", "low", learner_updates=30, waiting_data_s=0.0)
+    watched.now_s += 1.0
+    watched.publish("learner", "low", learner_updates=30, waiting_data_s=1.0)
+    watched.display.update(watched.subscriber)
+    watched.now_s += 60.0
+    assert watched.display.done and watched.display.figures()["waiting"] == "nothing: the run has ended"
+    assert watched.display.line().startswith("[   1.0 s]")
+
+
+def test_the_clock_counts_from_the_start_of_the_run_where_that_is_known(monkeypatch):
+    monkeypatch.setattr(displays.time, "time", lambda: 1000.0)
+    assert Display(RUN, PlainConsole(file=io.StringIO()), started_s=940.0).line().startswith("[  60.")
