@@ -182,12 +182,11 @@ def test_a_run_that_is_starting_is_waited_for_and_then_shown_until_its_end(capsy
 
 def test_a_run_whose_hub_is_gone_is_left_after_a_while_with_the_time_of_its_last_word(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(watching, "GONE_AFTER_S", 1.5)
-    with ZenohHub("tcp/127.0.0.1:17970") as hub:
-        with speaking(ZenohTransport(hub.endpoint)):
-            end = threading.Timer(1.0, hub.close)
-            end.start()
-            status, printed = run(capsys, "--connect", hub.endpoint)
-            end.join()
+    with ZenohHub("tcp/127.0.0.1:17970") as hub, speaking(ZenohTransport(hub.endpoint)):
+        end = threading.Timer(1.0, hub.close)
+        end.start()
+        status, printed = run(capsys, "--connect", hub.endpoint)
+        end.join()
     assert status == monitor.LOST and "run demo was last seen at 2" in printed.err
     assert "roles alive 1" in printed.out
 

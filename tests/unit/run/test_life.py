@@ -60,7 +60,7 @@ def test_a_run_is_found_by_its_name_on_the_key_space_its_folder_or_its_path(tmp_
     make_run(tmp_path / "other")
     for name in ("a run[1]", "a-run-1-", str(folder)):
         assert lives.find(tmp_path, name).folder == folder
-    with pytest.raises(RunError, match="'third'; allowed are .*other"):
+    with pytest.raises(RunError, match=r"'third'; allowed are .*other"):
         lives.find(tmp_path, "third")
 
 
@@ -76,5 +76,5 @@ def test_where_there_is_no_run_the_folder_is_named(tmp_path):
 def test_a_damaged_summary_is_named(tmp_path, text):
     folder = make_run(tmp_path / "run")
     (folder / "summary.json").write_text(text)
-    with pytest.raises(RunError, match="summary.json"):
+    with pytest.raises(RunError, match=r"summary\.json"):
         lives.read(folder)
