@@ -59,7 +59,13 @@ def test_every_message_in_the_list_exists_in_the_code():
     known = texts()
     listed = [message for section in sections() for message in section]
     assert len(listed) > 100
-    assert [message for message in listed if not any(pattern(message).search(text) for text in known)] == []
+    stale = []
+    for message in listed:
+        parts, whole = message.split("..."), pattern(message)
+        likely = (text for text in known if all(part in text for part in parts))
+        if not any(whole.search(text) for text in likely):
+            stale.append(message)
+    assert stale == []
 
 
 def test_every_error_of_a_user_is_in_the_list():
