@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from zsdist import config
-from zsdist.common import cli, output_files
+from zsdist.common import cli, commands, output_files
 from zsdist.common.console import PlainConsole, say
 from zsdist.errors import RunError
 from zsdist.evaluation.baselines import BASELINES
@@ -62,7 +62,16 @@ def main(options: argparse.Namespace) -> int:
         _write(options.json, comparison.result)
         comparison.show(console)
         return 0
-    reports = _evaluate_all(options, console)
+    try:
+        reports = _evaluate_all(options, console)
+    except KeyboardInterrupt:
+        if options.out is not None and options.out.exists():
+            others = ("policy", "list", "compare", "resume", "debug")
+            given = [name.replace("_", "-") for name in vars(options) if name not in others]
+            again = commands.repeated(make_parser(), options, given)
+            say("finished episodes are kept. Resume with", error=True)
+            say(f"  {commands.module('zsdist.evaluate', *options.policy, '--resume', *again)}", error=True)
+        raise
     if len(reports) == 1:
         _write(options.json, reports[0].result)
         return 0

@@ -80,7 +80,7 @@ def _watch_folder(options: argparse.Namespace, life: RunLife) -> int:
             silent_from_s = time.monotonic()
             if not options.once:
                 what = "is starting" if life.endpoint is None else f"does not answer at {life.endpoint}"
-                say(f"run {life.name} {what}; waiting for its hub", error=options.json)
+                say(f"run {life.title} {what}; waiting for its hub", error=options.json)
         _check_patience(options, life, time.monotonic() - silent_from_s)
         if time.time() - life.seen_s > (STARTS_WITHIN_S if life.endpoint is None else watching.GONE_AFTER_S):
             return _say_lost(life)
@@ -98,9 +98,11 @@ def _check_patience(options: argparse.Namespace, life: RunLife, silent_s: float)
     if not life.runs:
         return
     if life.endpoint is not None and (options.once or silent_s > watching.GONE_AFTER_S):
-        raise TransportError(f"run {life.name} runs, but no hub answers at {life.endpoint}, or it refuses this monitor")
+        raise TransportError(
+            f"run {life.title} runs, but no hub answers at {life.endpoint}, or it refuses this monitor"
+        )
     if options.once:
-        raise RunError(f"run {life.name} is starting and has no hub yet; try again in some seconds")
+        raise RunError(f"run {life.title} is starting and has no hub yet; try again in some seconds")
 
 
 def _reach(options: argparse.Namespace, life: RunLife) -> ZenohTransport | None:
@@ -113,7 +115,7 @@ def _reach(options: argparse.Namespace, life: RunLife) -> ZenohTransport | None:
     settings = life.settings().transport
     if settings.kind == "memory":
         raise RunError(
-            f"run {life.name} in {life.folder} runs in one process without a hub and cannot be watched; its figures "
+            f"run {life.title} in {life.folder} runs in one process without a hub and cannot be watched; its figures "
             "are in metrics.jsonl"
         )
     if life.endpoint is None:

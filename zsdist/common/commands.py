@@ -50,7 +50,8 @@ def repeated(parser: argparse.ArgumentParser, options: argparse.Namespace, names
         if value is True:
             words.append(f"--{name}")
         elif value is not None and value != default:
-            words.append(f"--{name}={value.absolute() if isinstance(value, Path) else value}")
+            values = value if isinstance(value, list) else [value]
+            words += [f"--{name}={one.absolute() if isinstance(one, Path) else one}" for one in values]
     return words
 
 

@@ -37,6 +37,11 @@ class RunLife:
     summary: dict[str, Any] | None
 
     @property
+    def title(self) -> str:
+        """Name of the run for people: that of its folder, whatever characters it has."""
+        return self.folder.resolve().name
+
+    @property
     def ended(self) -> bool:
         """Whether it has ended and saved everything."""
         return self.summary is not None
@@ -52,14 +57,14 @@ class RunLife:
         how, episodes = self.summary.get("ended", "ended"), self.summary.get("episodes", "?")
         ended_s = _written_s(self.folder / "summary.json") or self.seen_s
         return (
-            f"run {self.name} ended at {clock(ended_s)}: {how} after {episodes} episodes; "
+            f"run {self.title} ended at {clock(ended_s)}: {how} after {episodes} episodes; "
             f"last seen at {clock(self.seen_s)}"
         )
 
     def loss(self) -> str:
         """Return one line about a run that is gone and has not ended, with the command that resumes it."""
         line = (
-            f"run {self.name} was last seen at {clock(self.seen_s)} and has not ended: it was killed, or it cannot be "
+            f"run {self.title} was last seen at {clock(self.seen_s)} and has not ended: it was killed, or it cannot be "
             "reached from here"
         )
         if not any(self.folder.glob("checkpoints/*/manifest.json")):
@@ -133,7 +138,7 @@ def find(runs: Path, name: str | None = None) -> RunLife:
 
 def _names(found: Sequence[RunLife]) -> str:
     newest = sorted(found, key=lambda life: -life.started_s)
-    return ", ".join(life.name for life in newest[:10]) + (", ..." if len(newest) > 10 else "")
+    return ", ".join(life.title for life in newest[:10]) + (", ..." if len(newest) > 10 else "")
 
 
 def _written_s(path: Path) -> float | None:

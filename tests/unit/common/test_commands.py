@@ -54,10 +54,11 @@ def test_options_are_repeated_where_they_differ_from_their_defaults(tmp_path, mo
     parser.add_argument("--keep-pictures", action="store_true")
     parser.add_argument("--minutes", type=float, default=9.0)
     parser.add_argument("--json", type=Path)
-    names = ("plain", "keep-pictures", "minutes", "json")
-    given = parser.parse_args(["--keep-pictures", "--minutes=2.5", "--json", "my file"])
+    parser.add_argument("--set", action="append", default=[])
+    names = ("plain", "keep-pictures", "minutes", "json", "set")
+    given = parser.parse_args(["--keep-pictures", "--minutes=2.5", "--json", "my file", "--set=a=b c", "--set", "d=-1"])
     again = commands.repeated(parser, given, names)
     assert parser.parse_args(shlex.split(commands.quoted(*again))) == argparse.Namespace(
-        plain=False, keep_pictures=True, minutes=2.5, json=tmp_path / "my file"
+        plain=False, keep_pictures=True, minutes=2.5, json=tmp_path / "my file", set=["a=b c", "d=-1"]
     )
     assert commands.repeated(parser, parser.parse_args([]), names) == []

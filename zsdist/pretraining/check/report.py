@@ -68,7 +68,8 @@ def _write(model: VisualAct, config: Config, images: int, seed: int, out: Path) 
         "# Vision",
         "",
         f"Weights {model.weights_sha256[:16]} ({config.vision.network}, encoder {escaped(model.encoder_name)}), "
-        f"{images} pictures a set, seed {seed}, distances at the {quantile:.0%} quantile. No picture was used for any choice.",
+        f"{images} pictures a set, seed {seed}, distances at the {quantile:.0%} quantile. No picture was used for any "
+        "choice.",
         "",
         *_losses(config, out),
         *_actions(wild),
