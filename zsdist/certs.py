@@ -4,7 +4,8 @@ import argparse
 import socket
 from pathlib import Path
 
-from zsdist.common import cli
+from zsdist.common import cli, commands
+from zsdist.common.console import say
 from zsdist.roles import permissions
 from zsdist.transport import certificates
 
@@ -28,20 +29,19 @@ def main(options: argparse.Namespace) -> int:
     hosts = dict.fromkeys([*LOCAL_HOSTS, socket.gethostname(), *options.host])
     clients = permissions.client_names(options.actors)
     made = certificates.make(options.folder, permissions.HUB, clients, list(hosts), options.days)
-    print(f"made {', '.join(made)}" if made else "nothing was missing", f"in {options.folder}")
+    joined = ", ".join(made)
+    say(f"{f'made {joined}' if made else 'nothing was missing'} in {options.folder}")
     if permissions.HUB in made:
-        print(f"the hub's certificate is for {', '.join(hosts)}")
+        say(f"the hub's certificate is for {', '.join(hosts)}")
     elif options.host:
-        print("the hub's certificate existed and was not changed; for another --host delete hub.pem and hub.key first")
+        say("the hub's certificate existed and was not changed; for another --host delete hub.pem and hub.key first")
     authority = certificates.AUTHORITY
-    print(
-        f"keep {authority}.key away from every machine of the run. Copy these files, then launch with\n"
-        f"--set transport.tls={options.folder}:\n"
-        f"  every machine                       {authority}.pem\n"
-        f"  the machine that launches the run   {permissions.HUB}.* and {permissions.TRUSTED}.*\n"
-        f"  machines that run actors            actor-N.*\n"
-        f"  machines that watch the run         {permissions.MONITOR}.*"
-    )
+    say(f"keep {authority}.key away from every machine of the run. Launch with this option, after copying these files:")
+    say(f"  {commands.quoted('--set', f'transport.tls={options.folder.absolute()}')}")
+    say(f"  every machine                       {authority}.pem")
+    say(f"  the machine that launches the run   {permissions.HUB}.* and {permissions.TRUSTED}.*")
+    say("  machines that run actors            actor-N.*")
+    say(f"  machines that watch the run         {permissions.MONITOR}.*")
     return 0
 
 

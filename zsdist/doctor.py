@@ -4,9 +4,8 @@ import argparse
 import json
 from pathlib import Path
 
-from rich.console import Console
-
 from zsdist.common import cli
+from zsdist.common.console import PlainConsole
 from zsdist.diagnostics import suite
 from zsdist.diagnostics.result import CheckResult, CheckStatus
 
@@ -25,7 +24,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 def main(options: argparse.Namespace) -> int:
     """Run all checks and print their results; return 1 where one of them failed."""
-    results, console = [], Console()
+    results, console = [], PlainConsole()
     for result in suite.run_checks(options.address, options.endpoint, options.tls):
         results.append(result)
         if not options.json:
@@ -36,12 +35,10 @@ def main(options: argparse.Namespace) -> int:
     return 1 if failed else 0
 
 
-def _print(result: CheckResult, console: Console) -> None:
-    colour = COLOURS[result.status]
-    line = f"[{colour}]{result.status:4}[/{colour}] {result.check}: {result.found}"
-    console.print(line, highlight=False, soft_wrap=True)
+def _print(result: CheckResult, console: PlainConsole) -> None:
+    console.say((f"{result.status:4}", COLOURS[result.status]), f" {result.check}: {result.found}")
     if result.advice:
-        console.print(f"     {result.advice}", highlight=False, soft_wrap=True)
+        console.say(f"     {result.advice}")
 
 
 if __name__ == "__main__":

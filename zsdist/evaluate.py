@@ -5,16 +5,14 @@ Several policies are taken as training seeds of one method: each is evaluated, t
 """
 
 import argparse
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from zsdist import config
-from zsdist.common import cli, output_files
+from zsdist.common import cli, commands, output_files
 from zsdist.common.allowed_resources import allowed_cores
+from zsdist.common.console import PlainConsole, say
 from zsdist.errors import RunError
 from zsdist.evaluation.baselines import BASELINES
 from zsdist.evaluation.comparison import compare
@@ -57,7 +55,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 def main(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    console = Console()
+    console = PlainConsole()
     if options.list:
         _list_policies()
         return 0
@@ -69,7 +67,16 @@ def main(options: argparse.Namespace) -> int:
         _write(options.json, comparison.result)
         comparison.show(console)
         return 0
-    reports = _evaluate_all(options, console)
+    try:
+        reports = _evaluate_all(options, console)
+    except KeyboardInterrupt:
+        if options.out is not None and options.out.exists():
+            others = ("policy", "list", "compare", "resume", "debug")
+            given = [name.replace("_", "-") for name in vars(options) if name not in others]
+            again = commands.repeated(make_parser(), options, given)
+            say("finished episodes are kept. Resume with", error=True)
+            say(f"  {commands.module('zsdist.evaluate', *options.policy, '--resume', *again)}", error=True)
+        raise
     if len(reports) == 1:
         _write(options.json, reports[0].result)
         return 0
@@ -108,15 +115,15 @@ def find_policy(name: str, config_file: Path | None = None, variant: str = FULL)
 
 def _list_policies() -> None:
     for name in SHIPPED:
-        print(f"{name:24} learned policy shipped with the package (observes {Observability.CAMERA})")
+        say(f"{name:24} learned policy shipped with the package (observes {Observability.CAMERA})")
     for name, baseline in BASELINES.items():
-        print(f"{name:24} {baseline.line} (observes {baseline.observability})")
-    print("variants of a learned policy, --variant NAME:")
+        say(f"{name:24} {baseline.line} (observes {baseline.observability})")
+    say("variants of a learned policy, --variant NAME:")
     for name, variant in VARIANTS.items():
-        print(f"{name:24} {variant.line}")
+        say(f"{name:24} {variant.line}")
 
 
-def _evaluate_all(options: argparse.Namespace, console: Console) -> list[Report]:
+def _evaluate_all(options: argparse.Namespace, console: PlainConsole) -> list[Report]:
     """Evaluate and show each policy, one after another."""
     if not options.policy:
         raise RunError(f"no policy was named; allowed are a run directory, a checkpoint and {', '.join(BASELINES)}")
@@ -127,7 +134,7 @@ def _evaluate_all(options: argparse.Namespace, console: Console) -> list[Report]
     for name in options.policy:
         policies.append(find_policy(name, options.config, options.variant))
         if policies[-1].note:
-            print(policies[-1].note, file=sys.stderr)
+            say(policies[-1].note, error=True)
     check_together(policies, options.no_shield)
     reports = []
     for policy in policies:
@@ -165,7 +172,7 @@ def _film(options: argparse.Namespace, contender: Contender, folder: Path) -> No
     from zsdist.reporting.film import film  # imports matplotlib, which an evaluation does not need
 
     scenes = select(options.scenes, contender.config, options.episodes, options.seed)[: options.video_episodes]
-    film(contender, scenes, options.seed, folder, lambda file: print(f"film: {file}", flush=True))
+    film(contender, scenes, options.seed, folder, lambda file: say(f"film: {file}"))
 
 
 def _check_out(out: Path | None, resume: bool) -> None:

@@ -4,10 +4,9 @@ import argparse
 import json
 from pathlib import Path
 
-from rich.console import Console
-
 from zsdist import config
-from zsdist.common import cli
+from zsdist.common import cli, commands
+from zsdist.common.console import PlainConsole
 from zsdist.errors import ConfigError
 from zsdist.reporting import final_evaluation
 from zsdist.run import opening, training
@@ -35,46 +34,38 @@ def make_parser() -> argparse.ArgumentParser:
 
 def main(options: argparse.Namespace) -> int:
     """Train as the options say; return 0 when the work is done, 130 where it was interrupted."""
-    console = Console()
+    console = PlainConsole()
     spec = _open(options, console)
-    console.print(f"zsdist run [bold]{spec.folder}[/bold] (seed {spec.config.seed})", highlight=False, soft_wrap=True)
+    console.say("zsdist run ", (str(spec.folder), "bold"), f" (seed {spec.config.seed})")
     summary = _train(spec, console, prefer_lines=options.plain)
     training.check_accounts(summary)
     for line in training.describe_untrained_levels(summary, spec.config):
-        _print(console, line)
+        console.say(line)
     final_evaluation.draw_training(spec.folder)
     if summary["ended"] == "interrupted":
-        _print(
-            console,
-            f"interrupted after {summary['episodes']} episodes; everything is saved. Resume with\n"
-            f"  python -m zsdist.launch --resume {spec.folder}",
-        )
+        console.say(f"interrupted after {summary['episodes']} episodes; everything is saved. Resume with")
+        shown = commands.repeated(make_parser(), options, ("plain",))
+        console.say(f"  {commands.module('zsdist.launch', '--resume', spec.folder, *shown)}")
         return cli.INTERRUPTED
     try:
         final_evaluation.compare(spec.folder, spec.config, console)
     except KeyboardInterrupt:
-        _print(
-            console,
-            "the training is complete and saved; only its evaluation was interrupted. Evaluate it with\n"
-            f"  python -m zsdist.evaluate {spec.folder}",
-        )
+        console.say("the training is complete and saved; only its evaluation was interrupted. Evaluate it with")
+        console.say(f"  {commands.module('zsdist.evaluate', spec.folder)}")
         return cli.INTERRUPTED
     return 0
 
 
-def _open(options: argparse.Namespace, console: Console) -> RunSpec:
-    def notify(line: str) -> None:
-        _print(console, line)
-
+def _open(options: argparse.Namespace, console: PlainConsole) -> RunSpec:
     overrides = _overrides(options)
     if options.resume is None:
-        return opening.open_new(config.load(options.config, overrides), options.run_dir, notify)
+        return opening.open_new(config.load(options.config, overrides), options.run_dir, console.say)
     for name in ("config", "seed", "run_dir"):
         if getattr(options, name) is not None:
             raise ConfigError(
                 f"--{name.replace('_', '-')} cannot be combined with --resume: the run in {options.resume} has its own"
             )
-    return opening.open_resumed(options.resume, overrides, notify)
+    return opening.open_resumed(options.resume, overrides, console.say)
 
 
 def _overrides(options: argparse.Namespace) -> tuple[str, ...]:
@@ -90,13 +81,9 @@ def _overrides(options: argparse.Namespace) -> tuple[str, ...]:
     return tuple(overrides)
 
 
-def _train(spec: RunSpec, console: Console, *, prefer_lines: bool) -> training.Summary:
+def _train(spec: RunSpec, console: PlainConsole, *, prefer_lines: bool) -> training.Summary:
     with interruptible() as interruption, Display(spec.run, console, prefer_lines=prefer_lines) as display:
         return training.train(spec, interruption, display.refresh)
-
-
-def _print(console: Console, line: str) -> None:
-    console.print(line, highlight=False, soft_wrap=True)
 
 
 if __name__ == "__main__":

@@ -3,21 +3,25 @@
 import argparse
 import json
 import time
+from contextlib import closing
 from pathlib import Path
-from typing import NoReturn
 
-from rich.console import Console
-
-from zsdist import config
 from zsdist.common import cli
-from zsdist.errors import RunError
+from zsdist.common.console import PlainConsole, say
+from zsdist.errors import RunError, TransportError
 from zsdist.roles import permissions
-from zsdist.run import directory
+from zsdist.run import life as lives
+from zsdist.run.life import RunLife
 from zsdist.telemetry import watching
 from zsdist.telemetry.display import Display
+from zsdist.telemetry.watching import Sight
 from zsdist.transport.base import Transport
 from zsdist.transport.certificates import Identity
 from zsdist.transport.zenoh import ZenohTransport
+
+LOST = 1  # exit status: the run is gone without having ended
+STARTS_WITHIN_S = 180.0  # time from the folder of a run to its hub
+LOOK_EVERY_S = 0.5
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -25,8 +29,10 @@ def make_parser() -> argparse.ArgumentParser:
     parser = cli.Parser(prog="zsdist.monitor", description="Watch a run as a zenoh subscriber.")
     add = parser.add_argument
     add("--connect", metavar="ENDPOINT", help="endpoint of the run's hub, such as tcp/127.0.0.1:7447")
-    add("--run", metavar="NAME", help="name of the run, which is that of its folder (default: the hub's only run)")
-    add("--runs", type=Path, default=Path("runs"), help="folder in which the newest run is watched (default: runs)")
+    add(
+        "--run", metavar="NAME", help="name of the run, which is that of its folder (default: the newest, or the hub's)"
+    )
+    add("--runs", type=Path, default=Path("runs"), help="folder in which the run is looked for (default: runs)")
     tls = "folder with ca.pem, monitor.pem and monitor.key, for a hub that asks for certificates"
     add("--tls", metavar="DIR", help=tls)
     add("--once", action="store_true", help="print one snapshot, then exit")
@@ -36,46 +42,137 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def main(options: argparse.Namespace) -> int:
-    """Show a run until Ctrl-C, or once."""
-    endpoint, run, tls = options.connect, options.run, options.tls
-    if endpoint is None:
-        folder = _newest_run(options.runs)
-        endpoint, run = (folder / "endpoint").read_text(), run or directory.key_name(folder)
-        if tls is None and endpoint.startswith("tls/"):
-            tls = config.load(folder / "config.yaml").transport.tls
+    """Show a run until it ends or until Ctrl-C, or once; return 1 where it is gone without having ended."""
+    if options.connect is None:
+        return _watch_folder(options, lives.find(options.runs, options.run))
+    with closing(_connect(options.connect, options.tls)) as transport:
+        run = options.run or watching.only_run(transport, options.connect)
+        display = Display(run, PlainConsole(stderr=options.json), prefer_lines=options.once or options.plain)
+        sight = _watch(options, display, transport)
+    seen = "was not seen" if display.heard_s is None else f"was last seen at {lives.clock(display.heard_s)}"
+    if sight is Sight.GONE:
+        say(f"run {run} {seen}: it ended or was killed, or it cannot be reached from here", error=True)
+        return LOST
+    if sight is Sight.ENDED:
+        say(f"run {run} ended; it {seen}", error=options.json)
+    return 0
+
+
+def _watch_folder(options: argparse.Namespace, life: RunLife) -> int:
+    """Show the run in a folder until its end, wherever its hub moves."""
+    silent_from_s = None  # monotonic time from which on no hub was reached
+    while not life.ended:
+        transport = _reach(options, life)
+        if transport is not None:
+            silent_from_s = None
+            console = PlainConsole(stderr=options.json)
+            lines = options.once or options.plain
+            display = Display(life.name, console, prefer_lines=lines, started_s=life.started_s)
+            with closing(transport):
+                sight = _watch(options, display, transport, life)
+            if sight is Sight.ONCE:
+                return 0
+            life = lives.read(life.folder)
+            if sight is Sight.GONE and not life.ended:
+                return _say_lost(life)
+            continue
+        if silent_from_s is None:
+            silent_from_s = time.monotonic()
+            if not options.once:
+                what = "is starting" if life.endpoint is None else f"does not answer at {life.endpoint}"
+                say(f"run {life.title} {what}; waiting for its hub", error=options.json)
+        _check_patience(options, life, time.monotonic() - silent_from_s)
+        if time.time() - life.seen_s > (STARTS_WITHIN_S if life.endpoint is None else watching.GONE_AFTER_S):
+            return _say_lost(life)
+        time.sleep(LOOK_EVERY_S)
+        life = lives.read(life.folder)
+    if options.once and options.json:
+        print(json.dumps(_ended_fields(life), indent=1))
+    else:
+        say(life.farewell(), error=options.json)
+    return 0
+
+
+def _check_patience(options: argparse.Namespace, life: RunLife, silent_s: float) -> None:
+    """Raise an error where a run that is alive is not waited for: with `--once`, or after a while."""
+    if not life.runs:
+        return
+    if life.endpoint is not None and (options.once or silent_s > watching.GONE_AFTER_S):
+        raise TransportError(
+            f"run {life.title} runs, but no hub answers at {life.endpoint}, or it refuses this monitor"
+        )
+    if options.once:
+        raise RunError(f"run {life.title} is starting and has no hub yet; try again in some seconds")
+
+
+def _reach(options: argparse.Namespace, life: RunLife) -> ZenohTransport | None:
+    """Return a connection to the hub of a run; None where there is no hub yet, or where it does not answer.
+
+    Raises:
+        RunError: the run has no hub.
+        TransportError: the monitor's certificate cannot be used.
+    """
+    settings = life.settings().transport
+    if settings.kind == "memory":
+        raise RunError(
+            f"run {life.title} in {life.folder} runs in one process without a hub and cannot be watched; its figures "
+            "are in metrics.jsonl"
+        )
+    if life.endpoint is None:
+        return None
+    identity = _identity(life.endpoint, options.tls or settings.tls)
+    try:
+        return ZenohTransport(life.endpoint, identity)
+    except TransportError:
+        return None
+
+
+def _connect(endpoint: str, tls: str | None) -> ZenohTransport:
+    return ZenohTransport(endpoint, _identity(endpoint, tls))
+
+
+def _identity(endpoint: str, tls: str | None) -> Identity | None:
     if tls is None and endpoint.startswith("tls/"):
         raise RunError(f"--tls is needed: the hub at {endpoint} asks for a monitor's certificate")
-    transport = ZenohTransport(endpoint, Identity.load(tls, permissions.MONITOR) if tls else None)
-    try:
-        run = run or watching.only_run(transport, endpoint)
-        with Display(run, Console(stderr=options.json), prefer_lines=options.once or options.plain) as display:
-            if not options.once:
-                _show_live(display, transport)
-            _show_once(display, transport, as_json=options.json)
-            return 0
-    finally:
-        transport.close()
+    return Identity.load(tls, permissions.MONITOR) if tls else None
 
 
-def _newest_run(runs: Path) -> Path:
-    found = sorted(runs.glob("*/endpoint"), key=lambda path: path.stat().st_mtime)
-    if not found:
-        raise RunError(f"no run with a hub was found in {runs}; start one, or name --connect ENDPOINT and --run NAME")
-    return found[-1].parent
+def _watch(options: argparse.Namespace, display: Display, transport: Transport, life: RunLife | None = None) -> Sight:
+    """Show a run once, or until it is out of sight."""
+    with display:
+        if options.once:
+            snapshot = watching.wait_for_reports(display, transport)
+            if options.json:
+                print(json.dumps(watching.snapshot_fields(display.run, snapshot), indent=1))
+            else:
+                display.console.print(display.table())
+            return Sight.ONCE
+        return watching.follow(display, transport, lambda: _moved(life))
 
 
-def _show_live(display: Display, transport: Transport) -> NoReturn:
-    while True:
-        display.refresh(transport, time.time())
-        time.sleep(0.1)
+def _moved(life: RunLife | None) -> bool:
+    """Return whether a run's folder shows that it has ended or has another hub since it was read."""
+    if life is None:
+        return False
+    now = lives.read(life.folder)
+    return now.ended or now.endpoint != life.endpoint
 
 
-def _show_once(display: Display, transport: Transport, *, as_json: bool) -> None:
-    snapshot = watching.wait_for_reports(display, transport)
-    if as_json:
-        print(json.dumps(watching.snapshot_fields(display.run, snapshot), indent=1))
-    else:
-        display.console.print(display.table())
+def _say_lost(life: RunLife) -> int:
+    say(life.loss(), error=True)
+    return LOST
+
+
+def _ended_fields(life: RunLife) -> dict[str, object]:
+    """Return the fields of `--once --json` for a run that has ended."""
+    return {
+        "run": life.name,
+        "ended": life.summary,
+        "last_seen": lives.clock(life.seen_s),
+        "alive": [],
+        "figures": {},
+        "roles": {},
+    }
 
 
 if __name__ == "__main__":

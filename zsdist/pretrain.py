@@ -9,13 +9,13 @@ less or more.
 import argparse
 import json
 import math
-import shlex
 import sys
 from pathlib import Path
 
 from zsdist import config as configuration
-from zsdist.common import cli
+from zsdist.common import cli, commands
 from zsdist.common.allowed_resources import allowed_cores
+from zsdist.common.console import say
 from zsdist.config import Config
 from zsdist.errors import ConfigError
 from zsdist.pretraining import job as jobs
@@ -27,6 +27,7 @@ from zsdist.vision.encoders import open_encoder
 
 IMAGES = 30_000
 CHECK_IMAGES = 300
+NOT_KEPT = ("minutes", "workers", "keep-pictures", "json", "plain")  # options that a pretraining's folder lacks
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -118,12 +119,15 @@ def pretrain(options: argparse.Namespace) -> int:
         with PretrainingProgress(prefer_lines=options.plain) as watch:
             train(job, folder, encoder, options.minutes, options.workers, options.keep_pictures, watch)
     except KeyboardInterrupt:
-        print(f"interrupted; finished parts are kept. Resume with\n  python -m zsdist.pretrain --resume {folder}")
+        say("interrupted; finished parts are kept. Resume with")
+        again = commands.repeated(make_parser(), options, NOT_KEPT)
+        say(f"  {commands.module('zsdist.pretrain', '--resume', folder, *again)}")
         return cli.INTERRUPTED
     if "head" in job.stages:
         vision = job.config.vision.model_copy(update={"weights": str(folder)})
         check(job.config.model_copy(update={"vision": vision}), CHECK_IMAGES, job.seed, options.json, object_count=0)
-    print(f"weights are in {folder}; use them with --set vision.weights={folder.resolve()}")
+    use = commands.quoted("--set", f"vision.weights={folder.resolve()}")
+    say(f"weights are in {folder}; use them with {use}")
     return 0
 
 
@@ -142,7 +146,7 @@ def _new(options: argparse.Namespace) -> Job:
         cityscapes=str(options.cityscapes or ""),
         stages=tuple(stage for stage in STAGES if stage in stages),
         config=_config(options),
-        command=shlex.join(["python", "-m", "zsdist.pretrain", *sys.argv[1:]]),
+        command=commands.quoted("python", "-m", "zsdist.pretrain", *sys.argv[1:]),
     )
 
 

@@ -3,10 +3,9 @@
 import argparse
 from pathlib import Path
 
-from rich.console import Console
-
 from zsdist import config as configuration
 from zsdist.common import cli
+from zsdist.common.console import PlainConsole, say
 from zsdist.errors import RunError
 
 
@@ -38,18 +37,18 @@ def main(options: argparse.Namespace) -> int:
     if bool(options.runs) == options.vision:
         raise RunError("name either run directories or --vision, not both and not neither")
     page = _write_vision(options) if options.vision else _write_runs(options)
-    print(f"page: {page}")
+    say(f"page: {page}")
     return 0
 
 
 def _write_runs(options: argparse.Namespace) -> Path:
     from zsdist.reporting import page, runs  # imports matplotlib and the simulator, which --help does not need
 
-    material, console = runs.read(options.runs), Console(stderr=True)
+    material, console = runs.read(options.runs), PlainConsole(stderr=True)
     if not console.is_terminal:
-        return page.write(material, options.out, lambda step: console.print(f"report: {step}", highlight=False))
-    with console.status("report") as status:
-        return page.write(material, options.out, lambda step: status.update(f"report: {step}"))
+        return page.write(material, options.out, lambda step: console.say(f"report: {step}"))
+    with console.working("report") as show:
+        return page.write(material, options.out, lambda step: show(f"report: {step}"))
 
 
 def _write_vision(options: argparse.Namespace) -> Path:

@@ -1,3 +1,5 @@
+import shlex
+
 import pytest
 
 from zsdist import certs
@@ -28,6 +30,14 @@ def test_a_second_call_adds_actors_and_reports_that_the_hubs_certificate_stays(c
     status, printed = run(capsys, tmp_path, "--actors", "2", "--host", "10.1.2.3")
     assert status == 0
     assert "made actor-1 " in printed.out and "delete hub.pem" in printed.out
+
+
+@pytest.mark.parametrize("name", ["my keys", "a#b", "tls[/x]", "it's", "-k"])
+def test_the_option_that_uses_the_certificates_is_read_back_by_the_shell(capsys, tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    _, printed = run(capsys, *(["--", name] if name.startswith("-") else [name]))
+    (line,) = [line for line in printed.out.splitlines() if "--set" in line]
+    assert shlex.split(line) == ["--set", f"transport.tls={tmp_path / name}"]
 
 
 @pytest.mark.parametrize(("option", "value"), [("--actors", "0"), ("--days", "9999999")])

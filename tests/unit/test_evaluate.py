@@ -1,4 +1,5 @@
 import json
+import shlex
 import time
 
 import numpy as np
@@ -192,3 +193,19 @@ def test_films_are_of_the_first_episodes_and_say_how_they_ended(folder, tmp_path
     assert [film.stem.rpartition("-")[2] for film in films] == ["timeout"] * 2
     printed = capsys.readouterr().out
     assert all(f"film: {film}" in printed for film in films)
+
+
+def test_ctrl_c_prints_the_command_that_resumes_with_all_that_was_given(tmp_path, monkeypatch, capsys):
+    def interrupted(contender, *, out, **others):
+        out.write_text("")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(evaluate, "evaluate", interrupted)
+    monkeypatch.chdir(tmp_path)
+    given = ["random", "--scenes", "my scenes", "--episodes", "7", "--seed", "3", "--out", "it's.jsonl", "--workers=1"]
+    with pytest.raises(KeyboardInterrupt):
+        evaluate.main(evaluate.make_parser().parse_args(given))
+    words = shlex.split(capsys.readouterr().err.splitlines()[-1])
+    again = vars(evaluate.make_parser().parse_args(words[3:]))
+    wanted = vars(evaluate.make_parser().parse_args(given))
+    assert again == wanted | {"resume": True, "out": tmp_path / "it's.jsonl"}

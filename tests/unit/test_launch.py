@@ -1,6 +1,9 @@
-import pytest
+import shlex
 
-from zsdist import config, launch
+import pytest
+from hostile import NAMES
+
+from zsdist import config, evaluate, launch
 from zsdist.common import cli
 from zsdist.errors import RunError
 from zsdist.run import directory, opening, training
@@ -77,6 +80,33 @@ def test_a_run_without_a_checkpoint_cannot_be_resumed(capsys, tmp_path):
     before = (folder / "config.yaml").read_bytes()
     assert "no checkpoint" in refusal(capsys, "--resume", folder)
     assert (folder / "config.yaml").read_bytes() == before
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name.isprintable() and "/" not in name and len(name) < 200])
+@pytest.mark.parametrize(("ended", "module"), [("interrupted", launch), ("complete", evaluate)])
+def test_the_command_that_goes_on_is_read_back_by_the_shell_and_by_its_own_parser(
+    capsys, tmp_path, monkeypatch, name, ended, module
+):
+    def interrupted(folder, settings, console):
+        raise KeyboardInterrupt
+
+    folder = tmp_path / name
+    spec = RunSpec(config.Config(), "run", folder, {}, None)
+    summary = {"ended": ended, "episodes": 3, "transitions": {}, "learner_updates": {}}
+    monkeypatch.setattr(opening, "open_new", lambda settings, folder, notify: spec)
+    monkeypatch.setattr(training, "train", lambda spec, interrupted, watch: summary)
+    monkeypatch.setattr(launch.final_evaluation, "draw_training", lambda folder: None)
+    monkeypatch.setattr(launch.final_evaluation, "compare", interrupted)
+    assert launch.main(launch.make_parser().parse_args(["--plain"])) == cli.INTERRUPTED
+    first, *_, command = capsys.readouterr().out.splitlines()
+    assert first == f"zsdist run {folder} (seed 0)"
+    _, option, run_as, *words = shlex.split(command)
+    assert (option, run_as) == ("-m", module.__name__)
+    options = module.make_parser().parse_args(words)
+    if module is launch:
+        assert options.resume == folder and options.plain
+    else:
+        assert options.policy == [str(folder)]
 
 
 def test_ctrl_c_in_the_evaluation_reports_that_the_training_is_saved_and_how_to_evaluate_it(

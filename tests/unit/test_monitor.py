@@ -5,6 +5,7 @@ import time
 from contextlib import contextmanager
 
 import pytest
+from made_runs import make_run
 from rehearsal import SEEN
 from sockets import free_endpoint
 
@@ -12,6 +13,7 @@ from zsdist import config, monitor
 from zsdist.common import cli
 from zsdist.roles import permissions
 from zsdist.run.program import RoleSpec, RunSpec
+from zsdist.telemetry import display as displays
 from zsdist.telemetry import watching
 from zsdist.transport import certificates
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport
@@ -50,6 +52,12 @@ def speaker(hub):
         yield
 
 
+def date_back(folder, seconds):
+    then = time.time() - seconds
+    for file in folder.iterdir():
+        os.utime(file, (then, then))
+
+
 def run(capsys, *arguments):
     with pytest.raises(SystemExit) as ended:
         cli.execute(monitor.main, monitor.make_parser(), list(map(str, arguments)))
@@ -68,10 +76,8 @@ def test_one_snapshot_is_json_that_names_the_living_roles_and_their_statistics(c
 
 def test_the_newest_run_is_found_by_its_endpoint_file(capsys, tmp_path, hub, speaker):
     for name, endpoint in (("old", "tcp/127.0.0.1:1"), ("demo", hub.endpoint)):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "endpoint").write_text(endpoint)
-    now = time.time()
-    os.utime(tmp_path / "old" / "endpoint", (now - 60, now - 60))
+        (make_run(tmp_path / name) / "endpoint").write_text(endpoint)
+    date_back(tmp_path / "old", 3600)
     status, printed = run(capsys, "--runs", tmp_path, "--once")
     assert status == 0
     assert "env steps" in printed.out
@@ -116,3 +122,111 @@ def test_a_monitor_finds_its_certificate_in_the_runs_configuration_or_where_an_o
                 assert json.loads(printed.out)["roles"]["actor/0"] == STATISTICS
             status, printed = run(capsys, "--connect", hub.endpoint, "--once")
             assert status == cli.REFUSED and "--tls" in printed.err
+
+
+ENDED = {"ended": "complete", "episodes": 12}
+
+
+@pytest.mark.parametrize("option", [["--once"], ["--plain"], []])
+@pytest.mark.parametrize("endpoint", [None, "tcp/127.0.0.1:1"])
+def test_a_run_that_has_ended_is_told_and_the_status_is_0(capsys, tmp_path, option, endpoint):
+    folder = make_run(tmp_path / "demo", summary=ENDED)
+    if endpoint is not None:
+        (folder / "endpoint").write_text(endpoint)
+    status, printed = run(capsys, "--runs", tmp_path, *option)
+    assert status == 0 and printed.err == ""
+    assert "run demo ended at 2" in printed.out and "last seen at 2" in printed.out and printed.out.count("\n") == 1
+
+
+def test_a_run_that_has_ended_is_told_as_json(capsys, tmp_path):
+    make_run(tmp_path / "demo", summary=ENDED)
+    status, printed = run(capsys, "--runs", tmp_path, "--once", "--json")
+    told = json.loads(printed.out)
+    assert status == 0 and told["run"] == "demo" and told["alive"] == [] and told["ended"]["episodes"] == 12
+
+
+@pytest.mark.parametrize("option", [["--once"], []])
+@pytest.mark.parametrize("endpoint", [None, "tcp/127.0.0.1:1"])
+def test_a_run_that_was_killed_is_told_and_the_status_is_1(capsys, tmp_path, option, endpoint):
+    folder = make_run(tmp_path / "demo")
+    if endpoint is not None:
+        (folder / "endpoint").write_text(endpoint)
+    date_back(folder, 3600)
+    status, printed = run(capsys, "--runs", tmp_path, *option)
+    assert status == monitor.LOST
+    assert "has not ended" in printed.err and "last seen at 2" in printed.err and printed.err.count("\n") == 1
+
+
+def test_a_run_that_is_starting_is_waited_for_and_then_shown_until_its_end(capsys, tmp_path, hub):
+    folder = make_run(tmp_path / "demo")
+    transport = ZenohTransport(hub.endpoint)
+
+    def live():
+        (folder / "endpoint").write_text(hub.endpoint)
+        scheduler = {"time_s": 1.0, "role": "scheduler", "id": "0", "stage": "train", "episodes": 11}
+        for stage in ("train", "train", "done"):
+            over.wait(0.7)
+            fields = scheduler | {"stage": stage}
+            transport.publish(keys.stats("demo", "scheduler", "0"), json.dumps(fields).encode(), json=True)
+        (folder / "summary.json").write_text(json.dumps(ENDED))
+
+    over, starts = threading.Event(), threading.Timer(0.7, live)
+    starts.start()
+    status, printed = run(capsys, "--runs", tmp_path)
+    starts.join()
+    transport.close()
+    first, *shown, last = printed.out.splitlines()
+    assert status == 0 and "run demo is starting" in first and "run demo ended at" in last
+    assert any("episodes 11" in line for line in shown)
+
+
+def test_a_run_whose_hub_is_gone_is_left_after_a_while_with_the_time_of_its_last_word(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(watching, "GONE_AFTER_S", 1.5)
+    with ZenohHub("tcp/127.0.0.1:17970") as hub, speaking(ZenohTransport(hub.endpoint)):
+        end = threading.Timer(1.0, hub.close)
+        end.start()
+        status, printed = run(capsys, "--connect", hub.endpoint)
+        end.join()
+    assert status == monitor.LOST and "run demo was last seen at 2" in printed.err
+    assert "roles alive 1" in printed.out
+
+
+def test_a_run_is_followed_to_a_hub_elsewhere(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(displays, "QUIET_AFTER_S", 0.5)
+    monkeypatch.setattr(watching, "LOOK_EVERY_S", 0.1)
+    folder = make_run(tmp_path / "demo")
+    with ZenohHub("tcp/127.0.0.1:17980") as first, ZenohHub("tcp/127.0.0.1:17985") as second:
+        (folder / "endpoint").write_text(first.endpoint)
+        transport = ZenohTransport(second.endpoint)
+
+        def move():
+            (folder / "endpoint").write_text(second.endpoint)
+            fields = {"time_s": 1.0, "role": "scheduler", "id": "0", "stage": "done", "episodes": 11}
+            while not over.wait(0.2):
+                transport.publish(keys.stats("demo", "scheduler", "0"), json.dumps(fields).encode(), json=True)
+
+        over, moves = threading.Event(), threading.Timer(0.5, move)
+        moves.start()
+        summary = threading.Timer(3.0, lambda: (folder / "summary.json").write_text(json.dumps(ENDED)))
+        summary.start()
+        status, printed = run(capsys, "--runs", tmp_path)
+        over.set()
+        moves.join()
+        summary.join()
+        transport.close()
+    assert status == 0 and "run demo ended at" in printed.out
+
+
+def test_a_run_in_one_process_is_refused_with_the_reason(capsys, tmp_path):
+    make_run(tmp_path / "demo", "placement=inline", "transport.kind=memory")
+    status, printed = run(capsys, "--runs", tmp_path)
+    assert status == cli.REFUSED and "one process" in printed.err and "metrics.jsonl" in printed.err
+
+
+def test_a_run_is_chosen_by_its_name(capsys, tmp_path):
+    make_run(tmp_path / "first", summary=ENDED)
+    make_run(tmp_path / "second", summary=ENDED)
+    for name in ("first", "second"):
+        assert f"run {name} ended" in run(capsys, "--runs", tmp_path, "--run", name)[1].out
+    status, printed = run(capsys, "--runs", tmp_path, "--run", "third")
+    assert status == cli.REFUSED and "'third'" in printed.err and "first" in printed.err

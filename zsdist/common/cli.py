@@ -2,16 +2,19 @@
 
 import argparse
 import errno
+import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import NoReturn
 
+from zsdist.common.console import plain, say
 from zsdist.errors import ZsdistError
 
 REFUSED = 2
 INTERRUPTED = 130
+_LINE_END = re.compile(r"\s*\n\s*")  # a message of several lines is shown in one
 
 
 class Parser(argparse.ArgumentParser):
@@ -19,7 +22,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print the error and exit with status 2."""
-        self.exit(REFUSED, f"{self.prog}: error: {message} (--help lists what is allowed)\n")
+        self.exit(REFUSED, f"{self.prog}: error: {plain(message)} (--help lists what is allowed)\n")
 
 
 def execute(
@@ -46,15 +49,15 @@ def execute(
     except ZsdistError as error:
         if options.debug:
             raise
-        print(f"{parser.prog}: error: {' '.join(str(error).split())}", file=sys.stderr)
+        say(f"{parser.prog}: error: {_LINE_END.sub(' ', str(error)).strip()}", error=True)
         status = REFUSED
     except OSError as error:
         if options.debug or error.errno != errno.ENAMETOOLONG:  # only a user can have given such a name
             raise
-        print(f"{parser.prog}: error: {error.filename}: {error.strerror}", file=sys.stderr)
+        say(f"{parser.prog}: error: {error.filename}: {error.strerror}", error=True)
         status = REFUSED
     except KeyboardInterrupt:
-        print(f"{parser.prog}: interrupted", file=sys.stderr)
+        say(f"{parser.prog}: interrupted", error=True)
         status = INTERRUPTED
     finally:
         signal.signal(signal.SIGTERM, before)

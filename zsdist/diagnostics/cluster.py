@@ -20,7 +20,7 @@ def check_address(address: str) -> CheckResult:
     check = f"cluster {address}"
     target = _current_cluster() if address == "auto" else address
     if target is None:
-        advice = "Start one: ray start --head."
+        advice = "Start one: ray start --head"
         return CheckResult(check, CheckStatus.FAIL, "no Ray cluster runs on this machine", advice)
     port = RAY_CLIENT_PORT if target.startswith("ray://") else RAY_PORT
     host, _, digits = target.removeprefix("ray://").rpartition(":")

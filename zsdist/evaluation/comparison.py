@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from zsdist.common import random_streams
+from zsdist.common.console import PlainConsole, table
 from zsdist.errors import RunError
 from zsdist.evaluation import episode_store
 from zsdist.evaluation.episode_store import Line
@@ -36,23 +35,21 @@ class Comparison:
     result: dict[str, Any]
     notes: Sequence[str]
 
-    def show(self, console: Console) -> None:
+    def show(self, console: PlainConsole) -> None:
         """Print the differences, with the means of both files."""
-        result = self.result
-        table = Table(title=f"{result['a']} against {result['b']}", title_justify="left")
-        for heading in ("figure", "n", "first", "second", "difference", "95%"):
-            table.add_column(heading, justify="left" if heading == "figure" else "right")
+        result, rows = self.result, []
         for name, label in LABELS.items():
             figure = result["figures"].get(name)
             if figure:
                 low, high = figure["confidence_95"]
                 means = (f"{figure[key]:.3f}" for key in ("a", "b"))
-                table.add_row(
-                    label, str(figure["pairs"]), *means, f"{figure['difference']:+.3f}", f"{low:+.3f} to {high:+.3f}"
+                rows.append(
+                    [label, str(figure["pairs"]), *means, f"{figure['difference']:+.3f}", f"{low:+.3f} to {high:+.3f}"]
                 )
-        console.print(table)
+        console.say(f"{result['a']} against {result['b']}")
+        console.print(table(("figure", "n", "first", "second", "difference", "95%"), rows))
         for note in self.notes:
-            console.print(note, highlight=False, soft_wrap=True)
+            console.say(note)
 
 
 def compare(first: Path, second: Path, seed: int = 0) -> Comparison:
@@ -60,7 +57,8 @@ def compare(first: Path, second: Path, seed: int = 0) -> Comparison:
 
     Where a file has several policies (training seeds of one method), a scene counts with their mean. Lines of older
     code, weights or settings do not count. Lines without the shield do not count where the file has others under it.
-    The intervals are bootstraps over the pairs. SPL covers the scenes in which nothing moves.
+    The intervals are bootstraps over the pairs. SPL covers the scenes in which nothing moves and
+    the planner knows a path.
 
     Args:
         first: file of episodes.
@@ -147,5 +145,6 @@ def _drive(line: Line) -> _Drive:
 
 def _mean(records: Sequence[EpisodeRecord], name: str) -> float | None:
     if name == "spl":
-        return float(np.mean([spl(record) for record in records])) if records[0].static else None
+        values = [value for record in records if record.static and (value := spl(record)) is not None]
+        return float(np.mean(values)) if values else None
     return float(np.mean([record.outcome is Outcome(name) for record in records]))

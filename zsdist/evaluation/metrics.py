@@ -9,18 +9,23 @@ from zsdist.evaluation.statistics import bootstrap_95, wilson_95
 from zsdist.types import Outcome
 
 
-def spl(record: EpisodeRecord) -> float:
-    """Return success weighted by path length: 1 for the shortest path, 0 for a failure."""
-    return _detour(record) if record.outcome is Outcome.SUCCESS else 0.0
+def spl(record: EpisodeRecord) -> float | None:
+    """Return success weighted by path length: 1 for the shortest path, 0 for a failure.
+
+    It is None where the planner knows no path, since nothing tells how long the shortest one is.
+    """
+    detour = _detour(record)
+    return detour if detour is None or record.outcome is Outcome.SUCCESS else 0.0
 
 
-def soft_spl(record: EpisodeRecord) -> float:
+def soft_spl(record: EpisodeRecord) -> float | None:
     """Return `spl` with progress in place of success: the share by which the remaining path became shorter."""
-    if record.outcome is Outcome.SUCCESS:
-        return _detour(record)
+    detour = _detour(record)
+    if detour is None or record.outcome is Outcome.SUCCESS:
+        return detour
     if not record.shortest_m or record.remaining_m is None:
         return 0.0
-    return max(0.0, 1.0 - record.remaining_m / record.shortest_m) * _detour(record)
+    return max(0.0, 1.0 - record.remaining_m / record.shortest_m) * detour
 
 
 def path_efficiency(record: EpisodeRecord) -> float | None:
@@ -28,9 +33,7 @@ def path_efficiency(record: EpisodeRecord) -> float | None:
 
     It is None for a failure, whose path leads nowhere, and where the planner knows no path.
     """
-    if record.outcome is not Outcome.SUCCESS or record.shortest_m is None:
-        return None
-    return _detour(record)
+    return _detour(record) if record.outcome is Outcome.SUCCESS else None
 
 
 def step_efficiency(record: EpisodeRecord) -> float | None:
@@ -38,37 +41,45 @@ def step_efficiency(record: EpisodeRecord) -> float | None:
 
     It is None where `path_efficiency` is.
     """
-    if record.outcome is not Outcome.SUCCESS or record.fewest_steps is None or record.steps == 0:
+    if record.outcome is not Outcome.SUCCESS or record.fewest_steps is None:
         return None
-    return record.fewest_steps / record.steps
+    if record.fewest_steps == 0:
+        return 1.0  # the start lies within the goal's radius: nothing is to be driven
+    return record.fewest_steps / record.steps if record.steps else None
 
 
 def summarise(records: Sequence[EpisodeRecord], rng: np.random.Generator) -> dict[str, object]:
     """Return the figures of an evaluation's JSON, from `success` to `per_scene`.
 
-    SPL and SoftSPL cover the scenes in which nothing moves, the efficiencies the successful episodes. A figure without
-    any such episode is None and has no interval. `shield_changed_share` is a share of all decisions.
+    SPL and SoftSPL cover the scenes in which nothing moves, the efficiencies the successful episodes, and all four only
+    scenes in which the planner knows a path. A figure without any such episode is None and has no interval.
+    `shield_changed_share` is a share of all decisions.
 
     Args:
         records: episodes, at least one.
         rng: generator of the bootstrap.
+
+    Raises:
+        ValueError: there is no episode.
     """
+    if not records:
+        raise ValueError("there are no episodes; a summary needs at least one")
     static = [record for record in records if record.static]
     means = {
-        "spl": [spl(record) for record in static],
-        "soft_spl": [soft_spl(record) for record in static],
+        "spl": [value for record in static if (value := spl(record)) is not None],
+        "soft_spl": [value for record in static if (value := soft_spl(record)) is not None],
         "path_efficiency": [value for record in records if (value := path_efficiency(record)) is not None],
         "step_efficiency": [value for record in records if (value := step_efficiency(record)) is not None],
         "min_clearance_m": [record.min_clearance_m for record in records],
     }
     counts = {outcome.value: sum(record.outcome is outcome for record in records) for outcome in Outcome}
     decisions = np.concatenate([record.decision_ms for record in records])
-    p50, p99 = np.quantile(decisions, (0.5, 0.99)) if len(decisions) else (0.0, 0.0)
+    p50, p99 = np.quantile(decisions, (0.5, 0.99)).tolist() if len(decisions) else (None, None)
     return {
         **{name: count / len(records) for name, count in counts.items()},
         **{name: float(np.mean(values)) if values else None for name, values in means.items()},
         "shield_changed_share": sum(record.shield_changes for record in records) / max(len(decisions), 1),
-        "decision_ms": {"p50": float(p50), "p99": float(p99)},
+        "decision_ms": {"p50": p50, "p99": p99},
         "confidence_95": {
             **{name: list(wilson_95(count, len(records))) for name, count in counts.items()},
             **{name: list(bootstrap_95(np.array(values), rng)) for name, values in means.items() if values},
@@ -87,9 +98,11 @@ def summarise(records: Sequence[EpisodeRecord], rng: np.random.Generator) -> dic
     }
 
 
-def _detour(record: EpisodeRecord) -> float:
-    """Return shortest over driven path length, at most 1; 1 where the planner knows no path, though the car may."""
+def _detour(record: EpisodeRecord) -> float | None:
+    """Return shortest over driven path length, at most 1; None where the planner knows no path, though the car may.
+
+    It is 1 where the start lies within the goal's radius: nothing is to be driven, so no way is longer than needed.
+    """
     if record.shortest_m is None:
-        return 1.0
-    longest = max(record.path_m, record.shortest_m)
-    return record.shortest_m / longest if longest > 0 else 1.0
+        return None
+    return record.shortest_m / max(record.path_m, record.shortest_m) if record.shortest_m > 0 else 1.0

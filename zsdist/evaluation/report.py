@@ -9,11 +9,9 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from zsdist.common import random_streams
+from zsdist.common.console import PlainConsole, bars, say, table
 from zsdist.evaluation.contenders import FULL, Contender
 from zsdist.evaluation.episode_store import EpisodeStore
 from zsdist.evaluation.fingerprint import code_sha256
@@ -58,26 +56,27 @@ class Report:
         interval = bare.result["confidence_95"]["success"]
         return replace(self, result=self.result | {"without_shield": figures | {"success_95": interval}})
 
-    def show(self, console: Console) -> None:
+    def show(self, console: PlainConsole) -> None:
         """Print the figures with the circumstances they were measured under."""
         result, settings = self.result, self.contender.config.sim
-        table = Table(title=f"{result['policy']} on {result['scenes']}", title_justify="left")
-        table.add_column("figure")
-        table.add_column("value", justify="right")
-        table.add_column("95%", justify="right")
+        rows = []
         for name, label in LABELS.items():
             value, interval = result[name], result["confidence_95"].get(name)
-            table.add_row(
-                label,
-                "-" if value is None else f"{value:.3f}",
-                f"{interval[0]:.3f} to {interval[1]:.3f}" if interval else "-",
+            rows.append(
+                [
+                    label,
+                    _figure(value),
+                    f"{interval[0]:.3f} to {interval[1]:.3f}" if interval else "-",
+                ]
             )
         if bare := result.get("without_shield"):
             low, high = bare["success_95"]
-            table.add_row("success without the shield", f"{bare['success']:.3f}", f"{low:.3f} to {high:.3f}")
+            rows.append(["success without the shield", f"{bare['success']:.3f}", f"{low:.3f} to {high:.3f}"])
         decision = result["decision_ms"]
-        table.add_row("decision (ms), p50 / p99", f"{decision['p50']:.1f} / {decision['p99']:.1f}", "-")
-        console.print(table)
+        times = [_figure(decision[name], 1) for name in ("p50", "p99")]
+        rows.append(["decision (ms), p50 / p99", " / ".join(times), "-"])
+        console.say(f"{result['policy']} on {result['scenes']}")
+        console.print(table(("figure", "value", "95%"), rows))
         decisions = sum(record.steps for record in self.records)
         changed = sum(record.shield_changes for record in self.records)
         notes = [
@@ -90,7 +89,7 @@ class Report:
             trained = ", ".join(self.contender.config.scenes.train)
             notes.append(f"Trained on {trained}; weights {result['weights_sha256'][:16]}.")
         for note in notes:
-            console.print(note, highlight=False)
+            console.say(note)
 
 
 def evaluate(
@@ -122,9 +121,9 @@ def evaluate(
         store = EpisodeStore(out, contender, policy, weights_sha256, scenes, seed, chosen)
         known = store.known
         if store.stale:
-            print(f"{out}: {store.stale} episodes of other code, weights or settings are left out", file=sys.stderr)
+            say(f"{out}: {store.stale} episodes of other code, weights or settings are left out", error=True)
         if known:
-            print(f"{out}: {len(known)} of {len(chosen)} episodes are there already", file=sys.stderr)
+            say(f"{out}: {len(known)} of {len(chosen)} episodes are there already", error=True)
     name = policy if contender.variant == FULL else contender.variant
     with _Progress(name, len(chosen), list(known.values())) as progress:
 
@@ -160,14 +159,15 @@ def together(reports: Sequence[Report], seed: int) -> dict[str, Any]:
     """
     first, records = reports[0].result, reports[0].records
     strata = [next((name for name in FAMILIES if record.scene.startswith(f"{name}-")), "") for record in records]
-    static = np.array([record.static for record in records])
+    lengths = [[spl(record) if record.static else None for record in report.records] for report in reports]
+    known = [not any(one is None for one in of_scene) for of_scene in zip(*lengths, strict=True)]
     rng, means, intervals = random_streams.intervals(seed), {}, {}
     for outcome in Outcome:
         scores = np.array([[record.outcome is outcome for record in report.records] for report in reports], float)
         means[outcome.value], *intervals[outcome.value] = runs_95(scores, strata, rng)
-    if static.any():
-        scores = np.array([[spl(record) for record in report.records] for report in reports])[:, static]
-        means["spl"], *intervals["spl"] = runs_95(scores, list(np.array(strata)[static]), rng)
+    if any(known):
+        scores = np.array(lengths, dtype=float)[:, known]
+        means["spl"], *intervals["spl"] = runs_95(scores, list(np.array(strata)[known]), rng)
     return {
         "policies": [report.result["policy"] for report in reports],
         "scenes": first["scenes"],
@@ -179,24 +179,21 @@ def together(reports: Sequence[Report], seed: int) -> dict[str, Any]:
     }
 
 
-def show_together(result: dict[str, Any], console: Console) -> None:
+def show_together(result: dict[str, Any], console: PlainConsole) -> None:
     """Print the result of `together`."""
-    table = Table(title=f"{len(result['runs'])} runs on {result['scenes']}", title_justify="left")
-    for heading in (
-        "figure",
-        *(str(number) for number, _ in enumerate(result["runs"], 1)),
-        "interquartile mean",
-        "95%",
-    ):
-        table.add_column(heading, justify="left" if heading == "figure" else "right")
+    rows = []
     for name, mean in result["interquartile_mean"].items():
         low, high = result["confidence_95"][name]
-        each = (f"{run[name]:.3f}" for run in result["runs"])
-        table.add_row(LABELS[name], *each, f"{mean:.3f}", f"{low:.3f} to {high:.3f}")
-    console.print(table)
-    console.print(
-        f"n {result['episodes']} each, seed {result['seed']}; bootstrap over runs and scenes.", highlight=False
-    )
+        each = (_figure(run[name]) for run in result["runs"])
+        rows.append([LABELS[name], *each, f"{mean:.3f}", f"{low:.3f} to {high:.3f}"])
+    numbers = (str(number) for number, _ in enumerate(result["runs"], 1))
+    console.say(f"{len(result['runs'])} runs on {result['scenes']}")
+    console.print(table(("figure", *numbers, "interquartile mean", "95%"), rows))
+    console.say(f"n {result['episodes']} each, seed {result['seed']}; bootstrap over runs and scenes.")
+
+
+def _figure(value: float | None, digits: int = 3) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
 
 
 class _Progress:
@@ -206,10 +203,8 @@ class _Progress:
         self._title, self._total = title, total
         self._outcomes = {outcome: sum(record.outcome is outcome for record in known) for outcome in Outcome}
         self._printed_s = time.monotonic()
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        self._bar: Progress | None = None
-        if sys.stderr.isatty():
-            self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
+        self._bar = bars(PlainConsole(stderr=True), transient=True) if sys.stderr.isatty() else None
+        if self._bar:
             self._task = self._bar.add_task(title, total=total, completed=len(known))
 
     def __enter__(self) -> Self:
@@ -231,6 +226,4 @@ class _Progress:
             self._bar.update(self._task, advance=1, description=f"{self._title}: {line}")
         elif time.monotonic() - self._printed_s > PLAIN_EVERY_S:
             self._printed_s = time.monotonic()
-            print(
-                f"{self._title}: {sum(self._outcomes.values())} of {self._total}: {line}", file=sys.stderr, flush=True
-            )
+            say(f"{self._title}: {sum(self._outcomes.values())} of {self._total}: {line}", error=True)

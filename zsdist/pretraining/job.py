@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from zsdist import config as configuration
-from zsdist.common import atomic_files
+from zsdist.common import atomic_files, commands
 from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
 from zsdist.sim.scenes.families import FAMILIES
@@ -60,7 +60,8 @@ def create(folder: Path, job: Job) -> None:
         RunError: the folder already holds a pretraining or weights, or cannot be created.
     """
     if (folder / JOB_FILE).exists():
-        raise RunError(f"--out {folder} already holds a pretraining; allowed are a new folder, or --resume {folder}")
+        again = commands.quoted("--resume", folder.absolute())
+        raise RunError(f"--out {folder} already holds a pretraining; allowed are a new folder, or {again}")
     if (folder / METADATA_FILE).exists():
         raise RunError(f"--out {folder} holds finished weights; allowed is a new folder")
     try:

@@ -5,8 +5,9 @@ import time
 from types import TracebackType
 from typing import Self
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import Progress, TaskID
+
+from zsdist.common.console import PlainConsole, bars
 
 LINE_EVERY_S = 10.0
 
@@ -19,15 +20,14 @@ class PretrainingProgress:
         prefer_lines: whether to print plain lines even on a terminal.
     """
 
-    def __init__(self, console: Console | None = None, *, prefer_lines: bool = False) -> None:
-        self.console = console or Console(file=sys.stdout)
+    def __init__(self, console: PlainConsole | None = None, *, prefer_lines: bool = False) -> None:
+        self.console = console or PlainConsole(file=sys.stdout)
         self._start_s = time.monotonic()
         self._next_s = 0.0
         self._bars: Progress | None = None
         self._tasks: dict[str, TaskID] = {}
         if self.console.is_terminal and not prefer_lines:
-            columns = (TextColumn("{task.description:10}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-            self._bars = Progress(*columns, console=self.console)
+            self._bars = bars(self.console, remaining=True)
 
     def __enter__(self) -> Self:
         if self._bars is not None:
@@ -41,7 +41,7 @@ class PretrainingProgress:
     def log(self, text: str) -> None:
         """Print a line with the time since the start."""
         seconds = time.monotonic() - self._start_s
-        self.console.print(f"[{seconds:6.0f} s] {text}", highlight=False, soft_wrap=True, markup=False)
+        self.console.say(f"[{seconds:6.0f} s] {text}")
 
     def pictures(self, made: int, planned: int) -> None:
         """Show the number of pictures made; plain lines are printed at most every `LINE_EVERY_S`."""

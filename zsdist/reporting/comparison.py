@@ -33,7 +33,7 @@ def draw_policies(evaluations: Sequence[Evaluation], folder: Path) -> str:
     figure, panels = style.panels(-(-len(splits) // columns), columns, 4.0, height)
     for axes, split, labels in zip(panels, splits, groups, strict=False):
         _draw_split(axes, labels, rows)
-        axes.set_title(split)
+        axes.set_title(style.label(split))
     style.blank(panels[len(splits) :])
     marks = [
         Line2D([], [], marker=marker, color=style.OUTCOME_COLOURS[Outcome(key)], linestyle="none")
@@ -52,5 +52,5 @@ def _draw_split(axes: Axes, groups: dict[str, list[Evaluation]], rows: int) -> N
             axes.plot([100 * share.low, 100 * share.high], [row + offset] * 2, color=colour, linewidth=1.6, alpha=0.45)
             axes.plot(100 * share.mean, row + offset, marker, color=colour, markersize=5.5)
     axes.set(xlim=(-3, 103), ylim=(len(order) - rows - 0.6, len(order) - 0.4), xlabel="episodes (%)")
-    axes.set_yticks(range(len(order)), order)
+    axes.set_yticks(range(len(order)), [style.label(name) for name in order])
     axes.grid(visible=False, axis="y")

@@ -87,7 +87,7 @@ def draw_sizes(runs: Sequence[Run], folder: Path) -> str:
         for one, key, line, steps in drawn:
             points = [(row["episodes"], row[key]) for row in run.metrics if "episodes" in row and key in row]
             if points:
-                label = f"{run.method}, seed {run.settings.seed}"
+                label = style.label(f"{run.method}, seed {run.settings.seed}")
                 one.plot(*zip(*points, strict=True), line, color=colour, drawstyle=steps, label=label)
     settings = runs[0].settings.replay
     for one, limits in zip(
@@ -124,11 +124,18 @@ def draw_merges(runs: Sequence[Run], folder: Path) -> str:
             points = [(merge["episode"], merge["scores"][name]) for merge in merges if name in merge["scores"]]
             if points:
                 marker, colour = style.MARKERS[index % len(style.MARKERS)], style.CYCLE[index % len(style.CYCLE)]
-                one.plot(*zip(*points, strict=True), marker=marker, color=colour, linewidth=1, label=name, markersize=6)
+                one.plot(
+                    *zip(*points, strict=True),
+                    marker=marker,
+                    color=colour,
+                    linewidth=1,
+                    label=name,
+                    markersize=6,
+                )
         chosen = [(merge["episode"], merge["scores"][merge["chosen"]]) for merge in merges]
         (ring,) = one.plot(*zip(*chosen, strict=True), "o", linestyle="none", label="promoted", markersize=13)
         ring.set(markerfacecolor="none", markeredgecolor=style.BLACK)
-        one.set(title=f"{run.method}, seed {run.settings.seed}", xlabel="finished training episodes")
+        one.set(title=style.label(f"{run.method}, seed {run.settings.seed}"), xlabel="finished training episodes")
         one.set(ylim=(-1.15, 1.15))
         one.set_ylabel("success − collision, greedy")
         style.whole_numbers(one)
@@ -161,7 +168,7 @@ def _draw_greedy(axes: Axes, methods: Sequence[Method]) -> None:
 
 def _name(method: Method) -> str:
     seeds = len(method.runs)
-    return method.name if seeds == 1 else f"{method.name}, {seeds} seeds"
+    return style.label(method.name if seeds == 1 else f"{method.name}, {seeds} seeds")
 
 
 def _cycled(values: Sequence[str], items: Sequence[object]) -> list[str]:

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from zsdist.common import commands
 from zsdist.common.allowed_resources import allowed_cores
+from zsdist.common.console import PlainConsole, table
 from zsdist.config import Config
 from zsdist.evaluation.contenders import FULL, Contender
 from zsdist.evaluation.report import Report, evaluate
@@ -53,15 +54,15 @@ def draw_training(folder: Path) -> None:
         curves.draw_outcomes(methods, folder / "figures")
 
 
-def compare(folder: Path, settings: Config, console: Console) -> None:
+def compare(folder: Path, settings: Config, console: PlainConsole) -> None:
     """Drive the trained policy and others greedily; print a table, write `evaluation.json` and figures of paths."""
     episodes = min(settings.run.final_evaluation_episodes, settings.run.episodes // TRAINING_EPISODES_A_DRIVE)
     if not episodes:
-        console.print("no evaluation: the run was too short, or run.final_evaluation_episodes is 0")
+        console.say("no evaluation: the run was too short, or run.final_evaluation_episodes is 0")
         return
     trained = load_policy(folder)
     if note := check_vision(trained):
-        console.print(note, highlight=False, soft_wrap=True)
+        console.say(note)
     reports = [(trial, _drive(trial, settings.seed)) for trial in trials(trained, settings, episodes)]
     (folder / "evaluation.json").write_text(json.dumps([report.result for _, report in reports], indent=1) + "\n")
     for trial, report in reports:
@@ -72,9 +73,13 @@ def compare(folder: Path, settings: Config, console: Console) -> None:
                 for scene, record in list(zip(scenes, report.records, strict=True))[:PATHS_SHOWN]
             ]
             draw_paths(panels, settings.grid.arena_m, folder / "figures", f"paths-{trial.scenes}")
-    console.print(_table(reports, settings))
-    note = f"figures: {folder / 'figures'}; those of the paper: python -m zsdist.report {folder}"
-    console.print(note, highlight=False, soft_wrap=True)
+    console.say("greedy evaluation")
+    console.print(_table(reports))
+    console.say(
+        f"seed {settings.seed}, success within {settings.sim.success_radius_m} m, at most {settings.sim.max_steps} "
+        "actions; 95% intervals"
+    )
+    console.say(f"figures: {folder / 'figures'}; those of the paper: {commands.module('zsdist.report', folder)}")
 
 
 def trials(trained: Policy, settings: Config, episodes: int) -> Iterator[Trial]:
@@ -110,26 +115,20 @@ def _drive(trial: Trial, seed: int) -> Report:
     )
 
 
-def _table(reports: list[tuple[Trial, Report]], settings: Config) -> Table:
-    table = Table(
-        title="greedy evaluation",
-        caption=f"seed {settings.seed}, success within {settings.sim.success_radius_m} m, at most "
-        f"{settings.sim.max_steps} actions; 95% intervals",
-        title_justify="left",
-        caption_justify="left",
-    )
-    for heading in ("scenes", "policy", "n", "success", "collision", "timeout", "SPL"):
-        table.add_column(heading, justify="left" if heading in ("scenes", "policy") else "right")
+def _table(reports: list[tuple[Trial, Report]]) -> Table:
+    rows = []
     for trial, report in reports:
         result = report.result
         low, high = result["confidence_95"]["success"]
-        table.add_row(
-            trial.scenes,
-            trial.name,
-            str(result["episodes"]),
-            f"{result['success']:.2f} ({low:.2f}-{high:.2f})",
-            f"{result['collision']:.2f}",
-            f"{result['timeout']:.2f}",
-            "-" if result["spl"] is None else f"{result['spl']:.2f}",
+        rows.append(
+            [
+                trial.scenes,
+                trial.name,
+                str(result["episodes"]),
+                f"{result['success']:.2f} ({low:.2f}-{high:.2f})",
+                f"{result['collision']:.2f}",
+                f"{result['timeout']:.2f}",
+                "-" if result["spl"] is None else f"{result['spl']:.2f}",
+            ]
         )
-    return table
+    return table(("scenes", "policy", "n", "success", "collision", "timeout", "SPL"), rows, words=2)

@@ -79,7 +79,7 @@ def draw_paths(panels: Sequence[tuple[Scene, Sequence[DrivenPath]]], arena_m: fl
 def draw_path(axes: Axes, path: DrivenPath) -> None:
     """Draw a path over a scene, with an outline so that it is visible on any ground."""
     points = np.asarray(path.points)
-    label = f"{path.label}: {path.outcome}" if path.label else str(path.outcome)
+    label = f"{style.label(path.label)}: {path.outcome}" if path.label else str(path.outcome)
     if path.reference:
         axes.plot(*points.T, linestyle=(0, (3, 2)), color=style.BLACK, linewidth=1.1, label=label, zorder=3.5)
         return
@@ -107,7 +107,7 @@ def draw_scene(axes: Axes, scene: Scene, arena_m: float) -> None:
             axes.add_patch(body)
     draw_ends(axes, scene)
     square(axes, arena_m)
-    axes.set_title(scene.name)
+    axes.set_title(style.label(scene.name))
 
 
 def draw_ends(axes: Axes, scene: Scene) -> None:
@@ -154,7 +154,7 @@ def draw_grid_map(axes: Axes, scene: Scene, grid: Grid) -> None:
     axes.grid(visible=False)
     draw_ends(axes, scene)
     square(axes, grid.side_m)
-    axes.set_title(scene.name)
+    axes.set_title(style.label(scene.name))
 
 
 def draw_grid_maps(scenes: Sequence[Scene], grid: Grid, folder: Path, name: str, picture: bool = False) -> str:
@@ -176,7 +176,7 @@ def draw_grid_maps(scenes: Sequence[Scene], grid: Grid, folder: Path, name: str,
         axes = panels[len(scenes)]
         axes.imshow(bird_view(scenes[0]))
         axes.set_axis_off()
-        axes.set_title(f"{scenes[0].name}, rendered")
+        axes.set_title(style.label(f"{scenes[0].name}, rendered"))
     style.blank(panels[count:])
     used = [kind for kind in KINDS if any(obstacle.kind == kind for scene in scenes for obstacle in scene.obstacles)]
     marks = [

@@ -7,7 +7,7 @@ from zsdist.errors import RunError, SceneError, WeightsError
 from zsdist.evaluation.workers import Simulation
 from zsdist.planning.grid import Grid
 from zsdist.reporting import comparison, convergence, curves, drives, guidance, maps, tables
-from zsdist.reporting.markdown import figure, missing, table
+from zsdist.reporting.markdown import code, escaped, figure, missing, table
 from zsdist.reporting.runs import Evaluation, Material, Method, Run
 from zsdist.run.checkpoint import Policy, load_policy
 
@@ -96,8 +96,8 @@ def _compare_policies(evaluations: Sequence[Evaluation], reference: str | None, 
     lines = figure(comparison.draw_policies(evaluations, out), caption)
     if reference is not None:
         lines += [
-            f"`{reference}`, the first method given, is the reference: the last column is the difference of success to "
-            f"`{reference}` on the scenes that both drove, with a bootstrap over scenes.",
+            f"{code(reference)}, the first method given, is the reference: the last column is the difference of "
+            f"success to {code(reference)} on the scenes that both drove, with a bootstrap over scenes.",
             "",
         ]
     return lines + compared
@@ -106,7 +106,7 @@ def _compare_policies(evaluations: Sequence[Evaluation], reference: str | None, 
 def _list_runs(material: Material) -> list[str]:
     rows = [
         [
-            f"`{run.folder.name}`",
+            code(run.folder.name),
             run.method,
             str(run.settings.seed),
             ", ".join(run.settings.scenes.train),
@@ -121,7 +121,10 @@ def _list_runs(material: Material) -> list[str]:
     lines += ["Figs. 5 to 7 and Table 3 concern vision: `python -m zsdist.report --vision` writes them.", ""]
     for method in material.methods:
         if method.differing:
-            lines += [f"**The runs of {method.name} differ in more than the seed:** {', '.join(method.differing)}.", ""]
+            lines += [
+                f"**The runs of {escaped(method.name)} differ in more than the seed:** {_list(method.differing)}.",
+                "",
+            ]
     return lines if rows else missing("training, as no run directory was given")
 
 
@@ -139,9 +142,13 @@ def _rewards(methods: Sequence[Method], out: Path) -> list[str]:
     )
     lines = figure(curves.draw_rewards(methods, out), caption)
     if blind and seeing:
-        return [*lines, f"With vision: {', '.join(seeing)}. Without: {', '.join(blind)}.", ""]
+        return [*lines, f"With vision: {_list(seeing)}. Without: {_list(blind)}.", ""]
     other = "without vision" if seeing else "with vision"
     return [*lines, *missing(f"the comparison with and without vision, as no run {other} was given")]
+
+
+def _list(names: Sequence[str]) -> str:
+    return escaped(", ".join(names))
 
 
 def _has_vision(run: Run) -> bool:
@@ -163,7 +170,7 @@ def _singleton(methods: Sequence[Method], material: Material) -> list[str]:
     ]
     other = [method.name for method in methods if method.runs[0].settings.scenes.train != (tables.SINGLETON,)]
     if other:
-        lines += [f"Not trained in the singleton scenes: {', '.join(other)}.", ""]
+        lines += [f"Not trained in the singleton scenes: {_list(other)}.", ""]
     short = [
         str(run.folder.name)
         for method in methods

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from zsdist.common.console import plain
 from zsdist.types import Outcome
 
 matplotlib.use("Agg")
@@ -22,6 +23,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 OUTCOME_COLOURS = {Outcome.SUCCESS: GREEN, Outcome.COLLISION: VERMILION, Outcome.TIMEOUT: ORANGE}
 FONT = "DejaVu Sans"
 DPI = 160
+LONGEST_LABEL = 60
 
 _RC: dict[str, Any] = {
     "font.family": FONT,
@@ -48,6 +50,7 @@ _RC: dict[str, Any] = {
     "ytick.labelcolor": BLACK,
     "legend.fontsize": 8,
     "legend.frameon": False,
+    "text.parse_math": False,  # a `$` in a name is a `$`
     "svg.fonttype": "none",  # text stays text
     "svg.hashsalt": "zsdist",  # equal figures give equal files
 }
@@ -58,6 +61,15 @@ def panels(rows: int, columns: int, width_in: float, height_in: float) -> tuple[
     """Return a figure and its `rows` by `columns` axes, row by row; each has the given size in inches."""
     figure = Figure(figsize=(columns * width_in, rows * height_in), layout="constrained")
     return figure, list(figure.subplots(rows, columns, squeeze=False).ravel())
+
+
+def label(text: str) -> str:
+    """Return a text from outside as a title or label: in one line, shortened in its middle if it is long."""
+    shown = plain(text)
+    if len(shown) > LONGEST_LABEL:
+        half = LONGEST_LABEL // 2
+        shown = f"{shown[:half]}…{shown[-half:]}"
+    return f" {shown}" if shown.startswith("_") else shown  # legends leave out labels that begin with "_"
 
 
 def whole_numbers(axes: Axes) -> None:

@@ -11,7 +11,7 @@ from zsdist.common import random_streams
 from zsdist.evaluation.contenders import FULL, HYBRID
 from zsdist.evaluation.statistics import bootstrap_95, runs_95, wilson_95
 from zsdist.reporting.convergence import converged, fluctuation, per_action, per_episode
-from zsdist.reporting.markdown import missing, table
+from zsdist.reporting.markdown import Markup, code, escaped, missing, table
 from zsdist.reporting.runs import Evaluation, Method, Run
 from zsdist.types import Outcome
 
@@ -65,9 +65,7 @@ def table_4(evaluations: Sequence[Evaluation]) -> list[str]:
         rows.append([name, "paper: traditional HRL", f"{paper[0]}%", f"{paper[1]}%", "-", "-"])
         rows.append([name, "paper: proposed", f"{paper[2]}%", f"{paper[3]}%", "-", "-"])
         for label, seeds in by_label(trained, split).items():
-            rows.append(
-                [f"`{split}`", label, *(str(rate(seeds, key)) for key in RATES), _mean(seeds, "spl"), _n(seeds)]
-            )
+            rows.append([code(split), label, *(str(rate(seeds, key)) for key in RATES), _mean(seeds, "spl"), _n(seeds)])
     lines = [*table(("scenes", "policy", "success", "collision", "SPL", "n"), rows), NOT_THE_SAME_TEST, ""]
     if not _of(trained, *TABLE_4):
         lines += missing(f"our figures, as no evaluation of a trained policy on {', '.join(TABLE_4)} was given")
@@ -86,7 +84,7 @@ def every_policy(evaluations: Sequence[Evaluation], reference: str | None) -> li
         return missing("the comparison, as evaluations of fewer than two policies were given")
     lines = []
     for split in dict.fromkeys(evaluation.scenes for evaluation in compared):
-        lines += [f"### `{split}`", "", *_compare(by_label(compared, split), reference)]
+        lines += [f"### {code(split)}", "", *_compare(by_label(compared, split), reference)]
     return lines
 
 
@@ -102,7 +100,7 @@ def oracles(evaluations: Sequence[Evaluation], reference: str | None) -> list[st
             for evaluation in _of(evaluations, split)
             if evaluation.variant.startswith(ORACLE) or evaluation.variant == HYBRID or evaluation.label == reference
         ]
-        lines += [f"### `{split}`", "", *_compare(by_label(shown, split), reference)]
+        lines += [f"### {code(split)}", "", *_compare(by_label(shown, split), reference)]
     return lines
 
 
@@ -169,8 +167,10 @@ def merges(runs: Sequence[Run]) -> list[str]:
             for name in merge["candidates"]:
                 driven = merge.get("scenes_driven", {}).get(name)
                 text = f"{name} {merge['scores'][name]:+.2f}" + (f" on {driven}" if driven is not None else "")
-                candidates.append(f"**{text}**" if name == merge["chosen"] else text)
-            rows.append([f"{run.method}, seed {run.settings.seed}", str(merge["episode"]), ", ".join(candidates)])
+                candidates.append(f"**{escaped(text)}**" if name == merge["chosen"] else escaped(text))
+            rows.append(
+                [f"{run.method}, seed {run.settings.seed}", str(merge["episode"]), Markup(", ".join(candidates))]
+            )
     return table(("run", "after episodes", "candidates: success − collision, scenes driven"), rows)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from zsdist import __version__, config
-from zsdist.common import atomic_files, json_lines
+from zsdist.common import atomic_files, commands, json_lines
 from zsdist.config import Config
 from zsdist.errors import ConfigError, DecodeError, RunError
 from zsdist.telemetry.snapshot import Fields
@@ -50,7 +50,10 @@ def create(path: Path | None, settings: Config, root: Path = Path("runs")) -> Pa
     folder = path or root / f"{settings.run.name}-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
     try:
         if (folder / "config.yaml").exists():
-            raise RunError(f"run directory {folder} holds a run already; allowed are a new folder or --resume {folder}")
+            raise RunError(
+                f"run directory {folder} holds a run already; allowed are a new folder or "
+                f"{commands.quoted('--resume', folder.absolute())}"
+            )
         if folder.exists() and not folder.is_dir():
             raise RunError(f"run directory {folder} is a file; allowed is a folder")
         for name in ("checkpoints", "figures", "logs"):

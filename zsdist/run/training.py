@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
+from zsdist.common import commands
 from zsdist.config import Config
 from zsdist.errors import RunError
 from zsdist.run import directory, program
@@ -34,13 +35,15 @@ def train(spec: RunSpec, interrupted: Callable[[], bool], watch: Watch) -> Summa
     """
     run = _runner(spec.config.placement)
     epochs = directory.issue_epochs(spec.folder, program.epoch_count(spec.config))
-    (spec.folder / "summary.json").unlink(missing_ok=True)
+    for of_an_earlier_start in ("summary.json", "endpoint"):
+        (spec.folder / of_an_earlier_start).unlink(missing_ok=True)
     try:
         run(spec, epochs, interrupted=interrupted, watch=watch)
     except RunError as error:
         if not any(spec.folder.glob("checkpoints/*/manifest.json")):
             raise
-        raise RunError(f"{error}; resume from the last checkpoint with --resume {spec.folder}") from error
+        again = commands.quoted("--resume", spec.folder)
+        raise RunError(f"{error}; resume from the last checkpoint with {again}") from error
     return json.loads((spec.folder / "summary.json").read_text())
 
 

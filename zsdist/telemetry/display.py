@@ -4,11 +4,10 @@ import sys
 import time
 from types import TracebackType
 
-from rich.console import Console
 from rich.live import Live
-from rich.markup import escape
 from rich.table import Table
 
+from zsdist.common.console import PlainConsole, pairs_table
 from zsdist.telemetry.snapshot import Snapshot
 from zsdist.transport.base import Mailbox, Transport
 from zsdist.types import Level
@@ -16,6 +15,8 @@ from zsdist.wire import keys
 
 LINE_EVERY_S = 5.0
 TABLE_EVERY_S = 0.5
+QUIET_AFTER_S = 3.0  # every role reports twice a second
+DONE = "done"  # last stage that a scheduler reports
 MAILBOX_BYTES = 8 * 2**20
 
 
@@ -26,15 +27,28 @@ class Display:
         run: name of the run on the key space.
         console: the output; the default is standard output.
         prefer_lines: whether to print plain lines on a terminal too.
+        started_s: unix time at which the run started; None: now.
+
+    Attributes:
+        heard_s: unix time of the last report of a role; None: there was none yet.
     """
 
-    def __init__(self, run: str, console: Console | None = None, *, prefer_lines: bool = False) -> None:
+    def __init__(
+        self,
+        run: str,
+        console: PlainConsole | None = None,
+        *,
+        prefer_lines: bool = False,
+        started_s: float | None = None,
+    ) -> None:
         self.run = run
+        self.heard_s: float | None = None
         self.snapshot = Snapshot()
-        self.console = console or Console(file=sys.stdout)
+        self.console = console or PlainConsole(file=sys.stdout)
         self._mailbox: Mailbox | None = None
         self._announced_s = 0.0  # time of the last event that was printed
-        self._opened_s = time.monotonic()
+        self._opened_s = self._heard_s = time.monotonic()
+        self._earlier_s = 0.0 if started_s is None else max(0.0, time.time() - started_s)
         self._next_s = self._opened_s
         self._live = (
             Live(console=self.console, auto_refresh=False) if self.console.is_terminal and not prefer_lines else None
@@ -62,7 +76,7 @@ class Display:
             self._live.update(self.table(), refresh=True)
         elif self.snapshot.roles:
             self._next_s = time.monotonic() + LINE_EVERY_S
-            self.console.print(self.line(), highlight=False, soft_wrap=True, markup=False)
+            self.console.say(self.line())
 
     def update(self, transport: Transport) -> None:
         """Receive statistics, events and liveliness; the first call subscribes to them."""
@@ -71,7 +85,25 @@ class Display:
             transport.subscribe(keys.stats(self.run, keys.ANY, keys.ANY), self._mailbox)
             transport.subscribe(keys.events(self.run), self._mailbox)
             transport.watch_alive(keys.alive(self.run, keys.ANY, keys.ANY), self._mailbox)
+        before = self.snapshot.reports
         self.snapshot.update(self._mailbox.drain())
+        if self.snapshot.reports > before:
+            self.heard_s, self._heard_s = time.time(), time.monotonic()
+
+    @property
+    def silent_s(self) -> float:
+        """Seconds since the last report of a role, or since the display was made."""
+        return time.monotonic() - self._heard_s
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether reports are overdue, so that the last figures are old."""
+        return self.silent_s > QUIET_AFTER_S
+
+    @property
+    def done(self) -> bool:
+        """Whether the scheduler has reported the end of the run."""
+        return any(fields.get("stage") == DONE for fields in self.snapshot.of("scheduler").values())
 
     def _announce(self) -> None:
         """Print new events that nobody may miss."""
@@ -82,7 +114,7 @@ class Display:
                 self._announced_s = float(told_s)
                 since_s, waits, in_flight = (event.get(name) for name in ("since_s", "waits", "in_flight"))
                 line = f"nothing has moved for {since_s} s: waiting are {waits}; {in_flight} messages are in flight"
-                self.console.print(line, highlight=False, soft_wrap=True, markup=False)
+                self.console.say(line)
 
     def figures(self) -> dict[str, str]:
         """Return the text under each heading."""
@@ -94,6 +126,7 @@ class Display:
 
         counts = " ".join(f"{row.get(name, 0)}" for name in ("success", "collision", "timeout"))
         levels = [level.value for level in Level]
+        still = self.done or self.is_quiet  # then rates are those of the past
         drives = f", {row['drives_left']:.0f} drives left" if "drives_left" in row else ""
         return {
             "episodes": f"{row.get('episodes', 0)}/{row.get('episodes_target', '?')}",
@@ -102,33 +135,42 @@ class Display:
             "success collision timeout": counts,
             "return": number("mean_return", 1),
             "epsilon": number("epsilon"),
-            "env steps": f"{row.get('env_steps', 0):.0f} ({row['env_steps_per_s']:.0f}/s)",
+            "env steps": f"{row.get('env_steps', 0):.0f}" + ("" if still else f" ({row['env_steps_per_s']:.0f}/s)"),
             **{f"loss {level}": number(f"{level}_loss", 4) for level in levels},
             "updates": " ".join(f"{level} {row.get(f'{level}_learner_updates', 0)}" for level in levels),
-            "updates/s": " ".join(f"{level} {row.get(f'{level}_updates_per_s', 0):.0f}" for level in levels),
+            "updates/s": "-"
+            if still
+            else " ".join(f"{level} {row.get(f'{level}_updates_per_s', 0):.0f}" for level in levels),
             "replay": " ".join(f"{level} {row.get(f'replay_{level}_size', 0)}" for level in levels),
             "batch": f"{row.get('replay_low_batch_size', '-')}",
             "weight lag": " ".join(f"{level} {lag}" for level, lag in snapshot.lag_versions().items()),
             "merges": f"{row.get('merges', 0)}",
             "restarts": f"{row.get('restarts', 0)}",
-            "roles alive": f"{len(snapshot.alive)}",
-            "waiting": "; ".join(snapshot.waits()) or "nothing",
+            "roles alive": "-" if still else f"{len(snapshot.alive)}",
+            "waiting": self._waiting(),
         }
 
     def line(self) -> str:
         """Return the progress as one plain line."""
         shown = "  ".join(f"{name} {value}" for name, value in self.figures().items())
-        return f"[{time.monotonic() - self._opened_s:6.1f} s] {shown}"
+        return f"[{self._time_s():6.1f} s] {shown}"
 
     def table(self) -> Table:
         """Return the progress as a table for terminals."""
-        table = Table(title=f"zsdist run {self.run}", show_header=False)
-        table.add_column(style="bold")
-        table.add_column(min_width=32)
-        table.add_row("time", f"{time.monotonic() - self._opened_s:.0f} s")
-        for name, value in self.figures().items():
-            table.add_row(name, escape(value))
+        rows = [("run", self.run), ("time", f"{self._time_s():.0f} s"), *self.figures().items()]
         for event in self.snapshot.events[-3:]:
             shown = {name: value for name, value in event.items() if name not in ("time_s", "host", "pid", "id")}
-            table.add_row("event", escape(" ".join(f"{name}={value}" for name, value in shown.items())))
-        return table
+            rows.append(("event", " ".join(f"{name}={value}" for name, value in shown.items())))
+        return pairs_table(rows)
+
+    def _waiting(self) -> str:
+        if self.done:
+            return "nothing: the run has ended"
+        if self.is_quiet:
+            return f"for a word of the run, the last came {self.silent_s:.0f} s ago"
+        return "; ".join(self.snapshot.waits()) or "nothing"
+
+    def _time_s(self) -> float:
+        """Return the age of the run at its last report."""
+        still = self.done or self.is_quiet
+        return self._earlier_s + (self._heard_s if still else time.monotonic()) - self._opened_s

@@ -28,6 +28,7 @@ class Snapshot:
         roles: statistics by kind of role and id.
         alive: roles that hold a liveliness token.
         events: last 100 events.
+        reports: number of statistics that were accepted.
         malformed: number of messages that were not understood, and changed nothing.
         max_lag_versions: largest number of versions by which an actor's weights were behind their learner.
         max_lag_s: longest time for which an actor acted with weights that were out of date.
@@ -37,6 +38,7 @@ class Snapshot:
         self.roles: dict[tuple[str, str], Fields] = {}
         self.alive: set[tuple[str, str]] = set()
         self.events: list[Fields] = []
+        self.reports = 0
         self.malformed = 0
         self.max_lag_versions = 0
         self.max_lag_s = 0.0
@@ -140,6 +142,7 @@ class Snapshot:
         elif parsed.kind == "stats" and _valid(fields, *role) and (role in self.roles or len(self.roles) < MAX_ROLES):
             if self.roles.get(role, {}).get("epoch") != fields.get("epoch"):
                 self._history.pop(role, None)  # from another process, whose counters do not continue these
+            self.reports += 1
             self.roles[role] = fields
             self._history.setdefault(role, deque(maxlen=HISTORY)).append(fields)
             self.max_lag_versions = max(self.max_lag_versions, *self.lag_versions().values())

@@ -1,6 +1,8 @@
 """Watching of a run from outside: the only run at a hub, and a snapshot of all roles."""
 
 import time
+from collections.abc import Callable
+from enum import Enum, auto
 from typing import Any
 
 from zsdist.errors import RunError
@@ -10,6 +12,17 @@ from zsdist.transport.base import Mailbox, Transport
 from zsdist.wire import keys
 
 FIRST_REPORT_WITHIN_S = 5.0  # every role reports once a second
+GONE_AFTER_S = 30.0  # silence after which a run is gone; a hub that died is replaced within seconds
+LOOK_EVERY_S = 1.0
+
+
+class Sight(Enum):
+    """Reason for which watching stopped."""
+
+    ONCE = auto()  # one snapshot was asked for
+    ENDED = auto()  # the run said that it is done
+    MOVED = auto()  # its folder says that it has ended, or that its hub is elsewhere
+    GONE = auto()  # it has been silent for too long
 
 
 def only_run(transport: Transport, endpoint: str) -> str:
@@ -49,6 +62,28 @@ def wait_for_reports(display: Display, transport: Transport) -> Snapshot:
     if not snapshot.roles:
         raise RunError(f"no role of run {display.run!r} reported within {FIRST_REPORT_WITHIN_S:g} s")
     return snapshot
+
+
+def follow(display: Display, transport: Transport, moved: Callable[[], bool]) -> Sight:
+    """Show a run until it is out of sight; return the reason.
+
+    Args:
+        display: display of the run.
+        transport: connected to its hub.
+        moved: tells whether the run has ended or has another hub, by what its folder shows; asked while it is silent.
+    """
+    next_look_s = 0.0
+    while True:
+        display.refresh(transport, time.time())
+        if display.done:
+            return Sight.ENDED
+        if display.is_quiet and time.monotonic() >= next_look_s:
+            next_look_s = time.monotonic() + LOOK_EVERY_S
+            if moved():
+                return Sight.MOVED
+        if display.silent_s > GONE_AFTER_S:
+            return Sight.GONE
+        time.sleep(0.1)
 
 
 def snapshot_fields(run: str, snapshot: Snapshot) -> dict[str, Any]:

@@ -89,7 +89,44 @@ def test_scenes_in_which_something_moves_are_left_out_of_spl():
     assert alone["spl"] is None and "spl" not in alone["confidence_95"]
 
 
-def test_a_scene_without_a_known_way_counts_as_driven_without_detour():
-    unknown = record(shortest_m=None, fewest_steps=None, remaining_m=None)
-    assert metrics.spl(unknown) == 1.0 and metrics.path_efficiency(unknown) is None is metrics.step_efficiency(unknown)
-    assert metrics.soft_spl(dataclasses.replace(unknown, outcome=Outcome.TIMEOUT)) == 0.0
+MEASURES = (metrics.spl, metrics.soft_spl, metrics.path_efficiency, metrics.step_efficiency)
+UNKNOWN = {"shortest_m": None, "fewest_steps": None, "remaining_m": None}
+
+
+@pytest.mark.parametrize("outcome", list(Outcome))
+def test_a_scene_without_a_known_way_has_no_figure_of_lengths_and_does_not_change_those_of_others(outcome):
+    unknown = record(**UNKNOWN, outcome=outcome, path_m=60.0)
+    assert [measure(unknown) for measure in MEASURES] == [None] * 4
+    both = metrics.summarise([RECORD, unknown], np.random.default_rng(0))
+    assert both["spl"] == both["soft_spl"] == both["path_efficiency"] == pytest.approx(0.75)
+    alone = metrics.summarise([unknown], np.random.default_rng(0))
+    assert [alone[measure.__name__] for measure in MEASURES] == [None] * 4
+    assert {measure.__name__ for measure in MEASURES}.isdisjoint(alone["confidence_95"])
+    json.dumps(alone, allow_nan=False)
+
+
+@pytest.mark.parametrize(("steps", "path_m"), [(0, 0.0), (1, 0.3), (7, 2.1)])
+def test_a_start_within_the_goals_radius_counts_as_reached_by_the_shortest_way(steps, path_m):
+    there = record(shortest_m=0.0, fewest_steps=0, remaining_m=0.0, steps=steps, path_m=path_m)
+    assert [measure(there) for measure in MEASURES] == [1.0] * 4
+    failed = dataclasses.replace(there, outcome=Outcome.COLLISION)
+    assert [measure(failed) for measure in MEASURES] == [0.0, 0.0, None, None]
+
+
+def test_an_evaluation_without_a_decision_has_no_decision_time():
+    summary = metrics.summarise([record(decision_ms=(), steps=0)], np.random.default_rng(0))
+    assert summary["decision_ms"] == {"p50": None, "p99": None} and summary["shield_changed_share"] == 0.0
+    json.dumps(summary, allow_nan=False)
+
+
+@pytest.mark.parametrize("outcome", list(Outcome))
+def test_one_episode_gives_every_figure_that_it_can(outcome):
+    summary = metrics.summarise([record(outcome=outcome)], np.random.default_rng(0))
+    for name, (low, high) in summary["confidence_95"].items():
+        assert 0 <= low <= summary[name] <= high, name
+    json.dumps(summary, allow_nan=False)
+
+
+def test_no_episodes_have_no_summary():
+    with pytest.raises(ValueError, match="no episodes"):
+        metrics.summarise([], np.random.default_rng(0))

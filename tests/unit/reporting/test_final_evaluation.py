@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from fakes import RECORD
 from made_runs import RESULT, make_run
-from rich.console import Console
 
 from zsdist import config
+from zsdist.common.console import PlainConsole
 from zsdist.evaluation.report import Report
 from zsdist.reporting import final_evaluation
 from zsdist.run.checkpoint import make_policy
@@ -69,7 +69,7 @@ class Comparison:
         return Report(contender, RESULT | about, [RECORD] * options["episodes"])
 
     def compare(self, *overrides):
-        console = Console(file=self.output, width=140)
+        console = PlainConsole(file=self.output, width=140)
         final_evaluation.compare(self.folder, settings_of(*overrides), console)
         return self.output.getvalue()
 

@@ -2,8 +2,8 @@ import io
 import json
 
 import pytest
-from rich.console import Console
 
+from zsdist.common.console import PlainConsole
 from zsdist.telemetry import display as displays
 from zsdist.telemetry.display import Display
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
@@ -21,7 +21,7 @@ class Watched:
         broker = MemoryBroker()
         self.publisher, self.subscriber = MemoryTransport(broker), MemoryTransport(broker)
         self.output = io.StringIO()
-        self.display = Display(RUN, Console(file=self.output, width=120, **options))
+        self.display = Display(RUN, PlainConsole(file=self.output, width=120, **options))
         self.display.update(self.subscriber)
 
     def publish(self, role, identifier, **fields):
@@ -90,7 +90,7 @@ def test_a_terminal_gets_a_live_table_and_no_lines(monkeypatch):
     with watched.display:
         watched.publish("scheduler", "0", stage="train", episodes=12)
         text = watched.refresh()
-    assert "zsdist run test" in text and "12/?" in text and "episodes 12/?" not in text
+    assert "12/?" in text and "episodes 12/?" not in text
 
 
 @pytest.mark.parametrize("terminal", [False, True])
@@ -108,3 +108,34 @@ def test_a_standstill_is_printed_once_for_each_event(monkeypatch, terminal):
 def test_an_event_with_strange_fields_is_not_printed(watched):
     watched.publisher.publish(keys.events(RUN), json.dumps({"event": "standstill", "time_s": "soon"}).encode())
     assert "nothing has moved" not in watched.refresh()
+
+
+def test_rates_of_the_past_are_not_shown_and_the_silence_is(watched):
+    for second in range(3):
+        watched.now_s = 100.0 + second
+        watched.publish("actor", "0", env_steps=40 * second)
+        watched.publish("learner", "low", learner_updates=30 * second, waiting_data_s=0.9 * second)
+        watched.display.update(watched.subscriber)
+    shown = watched.display.figures()
+    assert shown["env steps"] == "0 (40/s)" and "low 30" in shown["updates/s"] and "learner low" in shown["waiting"]
+    watched.now_s += 25.0
+    shown = watched.display.figures()
+    assert shown["env steps"] == "0" and shown["updates/s"] == shown["roles alive"] == "-"
+    assert "25 s ago" in shown["waiting"] and "learner" not in shown["waiting"]
+    assert watched.display.line().startswith("[   2.0 s]")
+
+
+def test_after_the_end_nothing_is_waited_for_and_the_clock_stands(watched):
+    watched.publish("scheduler", "0", stage="done", episodes=9)
+    watched.publish("learner", "low", learner_updates=30, waiting_data_s=0.0)
+    watched.now_s += 1.0
+    watched.publish("learner", "low", learner_updates=30, waiting_data_s=1.0)
+    watched.display.update(watched.subscriber)
+    watched.now_s += 60.0
+    assert watched.display.done and watched.display.figures()["waiting"] == "nothing: the run has ended"
+    assert watched.display.line().startswith("[   1.0 s]")
+
+
+def test_the_clock_counts_from_the_start_of_the_run_where_that_is_known(monkeypatch):
+    monkeypatch.setattr(displays.time, "time", lambda: 1000.0)
+    assert Display(RUN, PlainConsole(file=io.StringIO()), started_s=940.0).line().startswith("[  60.")

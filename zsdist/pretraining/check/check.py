@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from zsdist.common import output_files, random_streams
+from zsdist.common.console import say
 from zsdist.config import CameraConfig, Config, VisionConfig
 from zsdist.errors import RunError, WeightsError
 from zsdist.evaluation.statistics import wilson_95
@@ -193,7 +194,7 @@ def without_nan(tree: Any) -> Any:
 
 def log(line: str) -> None:
     """Print a line of progress."""
-    print(line, flush=True)
+    say(line)
 
 
 def show(result: dict[str, Any]) -> None:
@@ -204,22 +205,23 @@ def show(result: dict[str, Any]) -> None:
     for name, figures in result["objects"].items():
         if "share" in figures:
             low, high = figures["confidence_95"]
-            print(
+            say(
                 f"whole objects unseen, {name.replace('_', ' ')}: {figures['unseen']} of {figures['objects']} = "
                 f"{figures['share']:.2%} (95%: {low:.2%} to {high:.2%})"
             )
     words.show(result)
     times = ", ".join(f"{name} {value:.2f}" for name, value in result["ms_per_image"].items())
-    print(f"{result['images']} pictures a set, seed {result['seed']}; ms an image: {times}")
+    say(f"{result['images']} pictures a set, seed {result['seed']}; ms an image: {times}")
     for name, reason in result["left_out"].items():
-        print(f"left out: {name}: {reason}")
+        say(f"left out: {name}: {reason}")
 
 
 def _table(rows: dict[str, dict[str, float]], keys: tuple[str, ...]) -> None:
     """Print a table of figures, with a row for each name."""
-    print("\n" + " " * 22 + "".join(f"{key:>24}" for key in keys))
+    say("")
+    say(" " * 22 + "".join(f"{key:>24}" for key in keys))
     for name, row in rows.items():
-        print(f"{name:22}" + "".join(f"{row[key]:24.3f}" if key in row else f"{'-':>24}" for key in keys))
+        say(f"{name:22}" + "".join(f"{row[key]:24.3f}" if key in row else f"{'-':>24}" for key in keys))
 
 
 def _median_ms(forward: Callable[[np.ndarray], Any], images: list[np.ndarray]) -> float:

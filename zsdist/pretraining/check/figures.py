@@ -95,7 +95,7 @@ def draw_attention(images: Sequence[np.ndarray], attention: np.ndarray, titles: 
             axes.imshow(grey, cmap="gray", vmin=0, vmax=330)
             axes.imshow(overlay(weights.reshape(side, side), px), extent=(0, px, px, 0))
     for axes, title in zip(panels[0], ("picture", *ACTION_TITLES), strict=True):
-        axes.set_title(title, fontsize=9)
+        axes.set_title(title, fontsize=9, parse_math=True)
     for axes in panels.ravel():
         _frame_only(axes)
     _save(figure, file)

@@ -15,7 +15,7 @@ from zsdist.pretraining.check.check import FIGURES, SET_FIGURES, summarise_sets
 from zsdist.pretraining.check.figures import Miss
 from zsdist.pretraining.check.predictions import Predictions, predict
 from zsdist.pretraining.check.sets import SETS, WILDERNESS, Sample, of_set, wilderness
-from zsdist.reporting.markdown import table
+from zsdist.reporting.markdown import Markup, escaped, missing, table
 from zsdist.vision import weights_folder
 from zsdist.vision.labels import DIRECTIONS
 from zsdist.vision.rays import RANGE_M, quantile_m
@@ -67,8 +67,9 @@ def _write(model: VisualAct, config: Config, images: int, seed: int, out: Path) 
     page = [
         "# Vision",
         "",
-        f"Weights {model.weights_sha256[:16]} ({config.vision.network}, encoder {model.encoder_name}), {images} "
-        f"pictures a set, seed {seed}, distances at the {quantile:.0%} quantile. No picture was used for any choice.",
+        f"Weights {model.weights_sha256[:16]} ({config.vision.network}, encoder {escaped(model.encoder_name)}), "
+        f"{images} pictures a set, seed {seed}, distances at the {quantile:.0%} quantile. No picture was used for any "
+        "choice.",
         "",
         *_losses(config, out),
         *_actions(wild),
@@ -136,7 +137,7 @@ def _sets(sets: dict[str, Predictions]) -> list[str]:
     scores = summarise_sets({name: predictions.set_scores() for name, predictions in sets.items()})
     titles = {name: pictures.title for name, pictures in SETS.items()}
     rows = [
-        [titles.get(name, f"**{name}**"), *(f"{row[key]:.3f}" if key in row else "-" for key in SET_FIGURES)]
+        [titles.get(name, Markup(f"**{name}**")), *(f"{row[key]:.3f}" if key in row else "-" for key in SET_FIGURES)]
         for name, row in scores.items()
     ]
     return [
@@ -153,7 +154,7 @@ def _sets(sets: dict[str, Predictions]) -> list[str]:
 
 def _table3(found: dict[str, Any] | None, left_out: dict[str, str]) -> list[str]:
     if found is None:
-        return ["## Table 3", "", f"Left out: {left_out['table3']}.", ""]
+        return ["## Table 3", "", *missing(left_out["table3"])]
     rows = [
         [name.replace("_", " "), *(f"{row[key]:.4f}" for key in COLUMNS), str(row["images"]), *map(str, row["paper"])]
         for name, row in found["table3"].items()
@@ -162,8 +163,8 @@ def _table3(found: dict[str, Any] | None, left_out: dict[str, str]) -> list[str]
     shares = [
         [name.replace("_", " "), title, f"{each['share']:.3f}" if each["images"] else "-", str(each["images"])]
         for title, of in (
-            ("$I_a$ most similar in its direction", "object_nearest_in_its_direction"),
-            ("lower in $I_1$ to $I_3$ than in $I_0$", "background_lower_than_whole"),
+            (Markup("$I_a$ most similar in its direction"), "object_nearest_in_its_direction"),
+            (Markup("lower in $I_1$ to $I_3$ than in $I_0$"), "background_lower_than_whole"),
         )
         for name, each in found["attention"][of].items()
     ]
@@ -184,7 +185,7 @@ def _table3(found: dict[str, Any] | None, left_out: dict[str, str]) -> list[str]
 
 def _attention(model: VisualAct, samples: list[Sample], known: bool, left_out: dict[str, str], out: Path) -> list[str]:
     if not known:
-        return ["## Attention of each action", "", f"Left out: {left_out['attention']}.", ""]
+        return ["## Attention of each action", "", *missing(left_out["attention"])]
     chosen = attention_examples(samples)
     observed = model.observe(np.stack([sample.image for sample in chosen.values()]))
     figures.draw_attention(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from zsdist.common import random_streams
+from zsdist.common.console import say
 from zsdist.config import CameraConfig, Config
 from zsdist.datasets.captioned import captioned_views
 from zsdist.errors import WeightsError
@@ -178,18 +179,19 @@ def naming(config: Config, seed: int, count: int, unseen_kinds: bool, left_out: 
 def show(result: dict[str, Any]) -> None:
     """Print the figures about words."""
     if "table3" in result:
-        print("\nTable 3: similarity with the words, ours (the paper's: another setting, with CLIP)")
+        say("")
+        say("Table 3: similarity with the words, ours (the paper's: another setting, with CLIP)")
         for name, row in result["table3"].items():
             cells = "  ".join(f"{row[key]:.3f} ({paper:.3f})" for key, paper in zip(COLUMNS, row["paper"], strict=True))
-            print(f"{name:10} {cells}  of {row['images']} pictures")
+            say(f"{name:10} {cells}  of {row['images']} pictures")
         for name, shares in result["attention"].items():
             known = ", ".join(
                 f"{kind} {found['share']:.2f} ({found['images']})" for kind, found in shares.items() if "share" in found
             )
-            print(f"{name.replace('_', ' ')}: {known}")
+            say(f"{name.replace('_', ' ')}: {known}")
     for name, found in result.get("words", {}).items():
         if "accuracy" in found:
-            print(f"one word of six, {name.replace('_', ' ')}: {found['accuracy']:.2f} of {found['images']} pictures")
+            say(f"one word of six, {name.replace('_', ' ')}: {found['accuracy']:.2f} of {found['images']} pictures")
 
 
 def _unseen_kinds(
@@ -211,7 +213,7 @@ def _unseen_kinds(
             pass
         rows = _kind_rows(encoder, projection, "training")
         parts.append(naming_accuracy(_image_embeddings(projection, tokens), dominant, rows, rng, kinds))
-        print(f"unseen kinds {', '.join(kinds)}: {parts[-1]['accuracy']:.2f}", flush=True)
+        say(f"unseen kinds {', '.join(kinds)}: {parts[-1]['accuracy']:.2f}")
     measured = [part for part in parts if part["images"]]
     of_kinds = {kind: part[kind] for part in measured for kind in KIND_WORDS if kind in part}
     images = sum(part["images"] for part in measured)
