@@ -199,6 +199,7 @@ class RunDirectory(Owned):
         self._metrics = (folder / "metrics.jsonl").open("a", buffering=1)
         self._board = Writer(str(folder / "tensorboard"))
         self._close = weakref.finalize(self, _close, os.getpid(), self._episodes, self._metrics, self._board)
+        self._close.atexit = False
 
     def episode(self, record: dict[str, Any]) -> None:
         """Append one line to `episodes.jsonl`."""

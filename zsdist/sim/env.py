@@ -90,8 +90,8 @@ class CarNavigation(gymnasium.Env):
         self.render_mode = render_mode
         self.grid = Grid.from_config(self.config.grid)
         self.world = World(self.grid, self.config.sim.step_s)
-        self._own_camera = make_camera(self.config.camera) if camera is None else None
-        self._camera = camera or self._own_camera
+        self._own_camera = camera is None
+        self._camera: Camera = make_camera(self.config.camera) if camera is None else camera
         self._image: np.ndarray | None = None
         self._images = images
         self._steps = 0
@@ -216,8 +216,8 @@ class CarNavigation(gymnasium.Env):
         """Release the simulation and the environment's own camera; closing again does nothing."""
         self._closed = self._over = True
         self.world.close()
-        if self._own_camera is not None:
-            self._own_camera.close()
+        if self._own_camera:
+            self._camera.close()
 
     def _check_open(self) -> None:
         if self._closed:
