@@ -110,7 +110,7 @@ class LatticeEnv:
     def _about(self):
         ends = [successor(self.state, action) for action in Action]
         mask = np.array([self.grid.on_grid(end.ix, end.iy) for end in ends])
-        return {"scene": self.scene.name, "action_mask": mask, "sim_steps": 10}
+        return {"scene": self.scene.name, "action_mask": mask.astype(np.int8), "sim_steps": 10}
 
 
 class FakeVisualAct:

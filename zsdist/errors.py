@@ -17,6 +17,10 @@ class SceneError(ZsdistError):
     """Scene file or scene family that is malformed, impossible or unsolvable."""
 
 
+class SimulationError(ZsdistError):
+    """Simulation that cannot be started, since its process has too many."""
+
+
 class DecodeError(ZsdistError):
     """Received bytes that are not a valid message.
 

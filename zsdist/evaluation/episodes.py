@@ -161,7 +161,8 @@ class EpisodeRunner:
         pose, truth = episode.pose, None
         if self._observability is Observability.RANGES:
             truth = true_view(scene, pose, self._config.camera, self._config.grid.arena_m, self._people(scene))
-        return Observed(episode.observation.get("image"), pose, scene.goal, episode.info["action_mask"], truth)
+        allowed = episode.info["action_mask"].astype(bool)
+        return Observed(episode.observation.get("image"), pose, scene.goal, allowed, truth)
 
     def _people(self, scene: Scene) -> np.ndarray | None:
         return self._env.unwrapped.world.people if scene.walkers() else None

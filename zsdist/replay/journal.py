@@ -11,11 +11,13 @@ are not forced onto the disk: a machine that loses power may lose the last of th
 
 import os
 import struct
+import weakref
 import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from zsdist.common.ownership import Owned
 from zsdist.errors import RunError
 
 # A log of this length is merged into a new base; a log of so many records is read in a fraction of a second.
@@ -42,7 +44,7 @@ class JournalContent(NamedTuple):
     records: list[Record]
 
 
-class Journal:
+class Journal(Owned):
     """Base, log and pieces of one writer, in a folder of its own.
 
     Args:
@@ -55,6 +57,7 @@ class Journal:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._log = -1
+        self._close_log: Callable[[], object] = lambda: None
         self._generation = 0
         self._base_bytes = 0
         self._log_bytes = 0
@@ -113,6 +116,7 @@ class Journal:
         Raises:
             RunError: the disk is full, or the folder cannot be written.
         """
+        self.check_process()
         try:
             self._generation += 1
             if piece:
@@ -135,6 +139,7 @@ class Journal:
         Raises:
             RunError: the disk is full, or the folder cannot be written.
         """
+        self.check_process()
         parts: list[bytes] = []
         for kind, record in records:
             checksum = zlib.crc32(record, zlib.crc32(_KIND.pack(kind)))
@@ -152,9 +157,8 @@ class Journal:
 
     def close(self) -> None:
         """Close the log; closing again does nothing."""
-        if self._log >= 0:
-            os.close(self._log)
-            self._log = -1
+        self._close_log()
+        self._log = -1
 
     def _remove(self, unneeded: Callable[[Path], bool]) -> None:
         for path in filter(unneeded, list(self._folder.iterdir())):
@@ -164,6 +168,7 @@ class Journal:
     def _open_log(self) -> None:
         self.close()
         self._log = os.open(self._path("log"), os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+        self._close_log = weakref.finalize(self, os.close, self._log)
 
     def _path(self, suffix: str) -> Path:
         return self._folder / f"{self._generation:08d}.{suffix}"

@@ -144,17 +144,19 @@ def write(pictures: Iterable[np.ndarray], file: Path, still: int) -> None:
         RunError: it cannot be written.
     """
     writer = None
-    for number, picture in enumerate(pictures):
-        if writer is None:
-            size = (picture.shape[1], picture.shape[0])
-            writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"mp4v"), FRAMES_PER_SECOND, size)
-            if not writer.isOpened():
-                raise RunError(f"film {file} cannot be written: OpenCV cannot open it as mp4v")
-        writer.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
-        if number == still:
-            Image.fromarray(picture).save(file.with_suffix(".jpg"), quality=STILL_QUALITY)
-    if writer is not None:
-        writer.release()
+    try:
+        for number, picture in enumerate(pictures):
+            if writer is None:
+                size = (picture.shape[1], picture.shape[0])
+                writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"mp4v"), FRAMES_PER_SECOND, size)
+                if not writer.isOpened():
+                    raise RunError(f"film {file} cannot be written: OpenCV cannot open it as mp4v")
+            writer.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+            if number == still:
+                Image.fromarray(picture).save(file.with_suffix(".jpg"), quality=STILL_QUALITY)
+    finally:
+        if writer is not None:
+            writer.release()
 
 
 def between(before: Pose, after: Pose, action: Action, share: float) -> Pose:

@@ -7,6 +7,7 @@ import re
 import secrets
 import shutil
 import time
+import weakref
 from collections.abc import Mapping
 from operator import attrgetter
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 
 from zsdist import __version__, config
 from zsdist.common import atomic_files, commands, json_lines
+from zsdist.common.ownership import Owned
 from zsdist.config import Config
 from zsdist.errors import ConfigError, DecodeError, RunError
 from zsdist.telemetry.snapshot import Fields
@@ -176,8 +178,11 @@ def issue_epochs(folder: Path, count: int) -> range:
     return range(first, first + count)
 
 
-class RunDirectory:
-    """Files of a run, written by the scheduler (`zsdist.roles.scheduler.run_log.RunLog`)."""
+class RunDirectory(Owned):
+    """Files of a run, written by the scheduler (`zsdist.roles.scheduler.run_log.RunLog`).
+
+    A run directory that is dropped is closed: its lines are written, and TensorBoard's thread ends.
+    """
 
     def __init__(self, folder: Path, vision: VisionIdentity, earlier_s: float = 0.0) -> None:
         """Open the files of `folder`.
@@ -196,15 +201,19 @@ class RunDirectory:
         self._episodes = (folder / "episodes.jsonl").open("a", buffering=1)
         self._metrics = (folder / "metrics.jsonl").open("a", buffering=1)
         self._board = Writer(str(folder / "tensorboard"))
+        self._close = weakref.finalize(self, _close, os.getpid(), self._episodes, self._metrics, self._board)
+        self._close.atexit = False
 
     def episode(self, record: dict[str, Any]) -> None:
         """Append one line to `episodes.jsonl`."""
+        self.check_process()
         self._episodes.write(json.dumps(record, allow_nan=False) + "\n")
         for name in ("return", "steps", "epsilon"):
             self._board.add_scalar(f"episode/{name}", record[name], record["finished_as"])
 
     def metrics(self, row: Fields) -> None:
         """Append one line to `metrics.jsonl`, and TensorBoard events over the env steps of finished episodes."""
+        self.check_process()
         self._metrics.write(json.dumps(row, allow_nan=False) + "\n")
         step = int(row.get("env_steps", 0))
         for name, value in row.items():
@@ -251,3 +260,14 @@ class RunDirectory:
         for file in (self._episodes, self._metrics):
             file.flush()
         self._board.flush()
+
+    def close(self) -> None:
+        """Close all files; closing again does nothing."""
+        self._close()
+
+
+def _close(process: int, *files: Any) -> None:
+    """Close files, except in a forked process, which lacks TensorBoard's thread and shares what is not written yet."""
+    if os.getpid() == process:
+        for file in files:
+            file.close()

@@ -9,6 +9,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from zsdist.common.ownership import Owned
+
 
 @dataclass(frozen=True)
 class Message:
@@ -19,7 +21,7 @@ class Message:
     reply: Callable[[bytes], None] | None = None
 
 
-class Mailbox:
+class Mailbox(Owned):
     """Queue in which the threads of a transport put messages for a role.
 
     Appending never blocks. A message that does not fit into the byte budget is dropped and counted, since the protocol
@@ -71,8 +73,11 @@ class Mailbox:
         return len(self._messages)
 
 
-class Transport(ABC):
-    """Best-effort transport of bytes between roles; the protocol above it repeats messages that must not be lost."""
+class Transport(Owned, ABC):
+    """Best-effort transport of bytes between roles; the protocol above it repeats messages that must not be lost.
+
+    A transport that is dropped is closed.
+    """
 
     @abstractmethod
     def publish(self, key: str, payload: bytes, *, retained: bool = False, json: bool = False) -> None:

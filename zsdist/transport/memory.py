@@ -1,18 +1,43 @@
 """Transport within one process: when a call returns, its messages are in the mailboxes, in a fixed order."""
 
+import weakref
 from collections.abc import Callable
 from functools import lru_cache
 
+from zsdist.common.ownership import Owned
 from zsdist.errors import TransportError
 from zsdist.transport.base import Mailbox, Message, Transport
 
 
-class MemoryBroker:
+class MemoryBroker(Owned):
     """Connection of the memory transports of one process, for one thread. It delivers in the order of subscription."""
 
     def __init__(self) -> None:
         """Make a broker without transports."""
-        self.transports: list[MemoryTransport] = []
+        self._transports: list[weakref.ref[MemoryTransport]] = []
+
+    @property
+    def transports(self) -> "list[MemoryTransport]":
+        """Open transports, in the order of their connection."""
+        return [transport for reference in self._transports if (transport := reference()) is not None]
+
+    def connect(self, transport: "MemoryTransport") -> Callable[[], object]:
+        """Add a transport; return a function that removes it, which is called when the transport is dropped too."""
+        reference = weakref.ref(transport)
+        self._transports.append(reference)
+        disconnect = weakref.finalize(transport, self._disconnect, reference, transport.tokens)
+        disconnect.atexit = False
+        return disconnect
+
+    def announce(self, key: str, payload: bytes) -> None:
+        """Tell all that watch a liveliness token whether it is there, `b"1"`, or not, `b"0"`."""
+        for transport in self.transports:
+            _deliver(transport.watches, Message(key, payload))
+
+    def _disconnect(self, reference: "weakref.ref[MemoryTransport]", tokens: list[str]) -> None:
+        self._transports.remove(reference)
+        for key in tokens:
+            self.announce(key, b"0")
 
     def retained(self, pattern: str) -> list[Message]:
         """Return the last retained value of each matching key, in the order of their first publication."""
@@ -42,7 +67,7 @@ class MemoryTransport(Transport):
         self.watches: list[tuple[str, Mailbox]] = []
         self._broker = broker
         self._open = True
-        broker.transports.append(self)
+        self._disconnect = broker.connect(self)
 
     def publish(self, key: str, payload: bytes, *, retained: bool = False, json: bool = False) -> None:
         """See `Transport.publish`; `json` has no effect."""
@@ -50,7 +75,7 @@ class MemoryTransport(Transport):
         message = Message(key, bytes(payload))
         if retained:
             self.kept[key] = message
-        for transport in tuple(self._broker.transports):
+        for transport in self._broker.transports:
             _deliver(transport.subscriptions, message)
 
     def subscribe(self, pattern: str, mailbox: Mailbox, *, retained: bool = False) -> None:
@@ -70,7 +95,7 @@ class MemoryTransport(Transport):
         """See `Transport.request`. There is no clock, so a late reply still arrives."""
         self._require_open()
         message = Message(key, bytes(payload), self._once(key, mailbox))
-        for transport in tuple(self._broker.transports):
+        for transport in self._broker.transports:
             if _deliver(transport.services, message, first=True):
                 return
 
@@ -78,12 +103,12 @@ class MemoryTransport(Transport):
         """See `Transport.declare_alive`."""
         self._require_open()
         self.tokens.append(key)
-        self._announce(key, b"1")
+        self._broker.announce(key, b"1")
 
     def watch_alive(self, pattern: str, mailbox: Mailbox) -> None:
         """See `Transport.watch_alive`."""
         self._require_open()
-        for transport in tuple(self._broker.transports):
+        for transport in self._broker.transports:
             for key in transport.tokens:
                 if matches(pattern, key):
                     mailbox.append(Message(key, b"1"))
@@ -91,15 +116,8 @@ class MemoryTransport(Transport):
 
     def close(self) -> None:
         """See `Transport.close`."""
-        if self._open:
-            self._open = False
-            self._broker.transports.remove(self)
-            for key in self.tokens:
-                self._announce(key, b"0")
-
-    def _announce(self, key: str, payload: bytes) -> None:
-        for transport in tuple(self._broker.transports):
-            _deliver(transport.watches, Message(key, payload))
+        self._open = False
+        self._disconnect()
 
     def _once(self, key: str, mailbox: Mailbox) -> Callable[[bytes], None]:
         waiting = [mailbox]

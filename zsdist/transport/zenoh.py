@@ -5,9 +5,12 @@ closed and the waiting messages are silently lost, so the protocol above has to 
 memory is off, since it may silently drop messages when a receiver stalls.
 """
 
+import ctypes
 import json as json_codec
+import os
 import secrets
 import threading
+import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
@@ -15,6 +18,7 @@ from typing import Any, Self
 import zenoh
 import zenoh.handlers
 
+from zsdist.common.ownership import Owned
 from zsdist.errors import TransportError
 from zsdist.transport import access
 from zsdist.transport.access import RETAINED, Grant
@@ -29,8 +33,8 @@ _STAMP_IDENTITY = 8  # bytes
 _DROP = zenoh.CongestionControl.DROP
 
 
-class ZenohHub:
-    """Router to which all clients of a run connect.
+class ZenohHub(Owned):
+    """Router to which all clients of a run connect. A hub that is dropped is closed.
 
     Attributes:
         endpoint: address at which it listens, such as `tcp/127.0.0.1:7447`; its port is the first free one.
@@ -56,11 +60,12 @@ class ZenohHub:
             TransportError: the endpoint is malformed or cannot be used, or none of the ports is free.
         """
         address, port = _split(endpoint)
-        self._session: zenoh.Session | None = None
+        self._close: Callable[[], object] = lambda: None
         for candidate in range(port, min(port + ports_tried, 65_536)):
             self.endpoint = f"{address}:{candidate}"
             try:
-                self._session = zenoh.open(_config("router", listen=self.endpoint, identity=identity, grants=grants))
+                session = zenoh.open(_config("router", listen=self.endpoint, identity=identity, grants=grants))
+                self._close = _when_dropped(self, _Link(self.endpoint, session))
                 return
             except zenoh.ZError as error:
                 if "in use" not in str(error):
@@ -75,10 +80,8 @@ class ZenohHub:
         self.close()
 
     def close(self) -> None:
-        """Stop listening; clients keep trying to connect."""
-        if self._session is not None:
-            self._session.close()  # type: ignore[no-untyped-call]  # zenoh declares no return type
-            self._session = None
+        """Stop listening; clients keep trying to connect. Closing again does nothing."""
+        self._close()
 
 
 class ZenohTransport(Transport):
@@ -100,29 +103,27 @@ class ZenohTransport(Transport):
         """
         _split(endpoint)
         self.endpoint = endpoint
-        self._retained: dict[str, _Retained] = {}
         self._identity = secrets.token_bytes(_STAMP_IDENTITY)
-        self._entities: list[Any] = []  # subscribers, services and tokens, which live as long as they are referred to
-        self._open = threading.Event()
         config = _config("client", connect=endpoint, connect_timeout_s=connect_timeout_s, identity=identity)
         try:
-            self._session = zenoh.open(config)
+            self._link = _Link(endpoint, zenoh.open(config))
         except zenoh.ZError as error:
             shown = f", or it refuses certificate {identity.certificate}" if identity else ""
             raise TransportError(f"no hub answers at {endpoint} within {connect_timeout_s:g} s{shown}") from error
-        self._open.set()
+        self._session = self._link.session
+        self._close = _when_dropped(self, self._link)
 
     def publish(self, key: str, payload: bytes, *, retained: bool = False, json: bool = False) -> None:
         """See `Transport.publish`."""
         encoding = zenoh.Encoding.APPLICATION_JSON if json else zenoh.Encoding.ZENOH_BYTES
         stamp = None
         if retained:
-            kept = self._retained.get(key)
+            kept = self._link.retained.get(key)
             number = 1 if kept is None else kept.number + 1
             stamp = self._identity + number.to_bytes(8, "big")
-            self._retained[key] = _Retained(number, stamp, payload, encoding)
+            self._link.retained[key] = _Retained(number, stamp, payload, encoding)
             if number == 1:
-                self._keep(lambda: self._session.declare_queryable(key, _direct(self._reply_retained)), key)
+                self._keep(lambda: self._session.declare_queryable(key, _direct(self._link.reply_retained)), key)
         self._try(
             lambda: self._session.put(key, payload, encoding=encoding, attachment=stamp, congestion_control=_DROP), key
         )
@@ -131,10 +132,11 @@ class ZenohTransport(Transport):
 
     def subscribe(self, pattern: str, mailbox: Mailbox, *, retained: bool = False) -> None:
         """See `Transport.subscribe`."""
+        link = self._link
         if not retained:
 
             def put(sample: zenoh.Sample) -> None:
-                self._put(mailbox, Message(str(sample.key_expr), sample.payload.to_bytes()))
+                link.put(mailbox, Message(str(sample.key_expr), sample.payload.to_bytes()))
 
             self._keep(lambda: self._session.declare_subscriber(pattern, _direct(put)), pattern)
             return
@@ -143,12 +145,12 @@ class ZenohTransport(Transport):
         def arrived(sample: zenoh.Sample) -> None:
             key = str(sample.key_expr)
             if sample.attachment is None or newest.is_new(key, sample.attachment.to_bytes()):
-                self._put(mailbox, Message(key, sample.payload.to_bytes()))
+                link.put(mailbox, Message(key, sample.payload.to_bytes()))
 
         def appeared(token: zenoh.Sample) -> None:  # called when a publisher exists, appears, or reconnects
-            if token.kind == zenoh.SampleKind.PUT and self._open.is_set():
+            if token.kind == zenoh.SampleKind.PUT and link.open.is_set():
                 key = str(token.key_expr).removeprefix(RETAINED)
-                self._session.get(key, _direct(replied), congestion_control=_DROP)
+                link.session.get(key, _direct(replied), congestion_control=_DROP)
 
         def replied(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
@@ -162,19 +164,21 @@ class ZenohTransport(Transport):
 
     def serve(self, pattern: str, mailbox: Mailbox) -> None:
         """See `Transport.serve`."""
+        link = self._link
 
         def asked(query: zenoh.Query) -> None:
             payload = b"" if query.payload is None else query.payload.to_bytes()
-            self._put(mailbox, Message(str(query.key_expr), payload, self._once(query)))
+            link.put(mailbox, Message(str(query.key_expr), payload, link.once(query)))
 
         self._keep(lambda: self._session.declare_queryable(pattern, _direct(asked)), pattern)
 
     def request(self, key: str, payload: bytes, mailbox: Mailbox, *, timeout_s: float) -> None:
         """See `Transport.request`."""
+        link = self._link
 
         def answered(reply: zenoh.Reply) -> None:
             if reply.ok is not None:  # a timeout is an error, which means no reply
-                self._put(mailbox, Message(key, reply.ok.payload.to_bytes()))
+                link.put(mailbox, Message(key, reply.ok.payload.to_bytes()))
 
         self._try(
             lambda: self._session.get(
@@ -189,10 +193,11 @@ class ZenohTransport(Transport):
 
     def watch_alive(self, pattern: str, mailbox: Mailbox) -> None:
         """See `Transport.watch_alive`."""
+        link = self._link
 
         def changed(sample: zenoh.Sample) -> None:
             there = sample.kind == zenoh.SampleKind.PUT
-            self._put(mailbox, Message(str(sample.key_expr), b"1" if there else b"0"))
+            link.put(mailbox, Message(str(sample.key_expr), b"1" if there else b"0"))
 
         self._keep(
             lambda: self._session.liveliness().declare_subscriber(pattern, _direct(changed), history=True), pattern
@@ -200,41 +205,85 @@ class ZenohTransport(Transport):
 
     def close(self) -> None:
         """See `Transport.close`."""
-        if self._open.is_set():
-            self._open.clear()
-            self._entities.clear()
-            self._retained.clear()
-            self._session.close()  # type: ignore[no-untyped-call]  # zenoh declares no return type
+        self._close()
 
-    def _put(self, mailbox: Mailbox, message: Message) -> None:
-        if self._open.is_set():
+    def _keep(self, declare: Callable[[], Any], key: str) -> None:
+        self._link.entities.append(self._try(declare, key))
+
+    def _try(self, action: Callable[[], Any], key: str) -> Any:
+        if self.is_foreign:
+            raise TransportError(f"transport to {self.endpoint} was opened before a fork; open another one after it")
+        return self._link.attempt(action, key)
+
+
+class _Link:
+    """Open session, and what its callbacks need. They do not refer to the transport, so that it can be dropped."""
+
+    def __init__(self, endpoint: str, session: zenoh.Session) -> None:
+        self.session = session
+        self.retained: dict[str, _Retained] = {}
+        self.entities: list[Any] = []  # subscribers, services and tokens, which live as long as they are referred to
+        self.open = threading.Event()
+        self.open.set()
+        self._endpoint = endpoint
+        _links.add(self)
+
+    def close(self) -> None:
+        self.open.clear()
+        self.entities.clear()
+        self.retained.clear()
+        self.session.close()  # type: ignore[no-untyped-call]  # zenoh declares no return type
+
+    def put(self, mailbox: Mailbox, message: Message) -> None:
+        if self.open.is_set():
             mailbox.append(message)
 
-    def _once(self, query: zenoh.Query) -> Callable[[bytes], None]:
+    def once(self, query: zenoh.Query) -> Callable[[bytes], None]:
         waiting = [query]
 
         def reply(payload: bytes) -> None:
             if waiting:
                 with waiting.pop() as open_query:  # closing the query tells the client that no further reply follows
-                    self._try(lambda: open_query.reply(open_query.key_expr, payload), str(open_query.key_expr))
+                    self.attempt(lambda: open_query.reply(open_query.key_expr, payload), str(open_query.key_expr))
 
         return reply
 
-    def _reply_retained(self, query: zenoh.Query) -> None:
-        kept = self._retained.get(str(query.key_expr))
+    def reply_retained(self, query: zenoh.Query) -> None:
+        kept = self.retained.get(str(query.key_expr))
         if kept is not None:
             query.reply(query.key_expr, kept.payload, encoding=kept.encoding, attachment=kept.stamp)
 
-    def _keep(self, declare: Callable[[], Any], key: str) -> None:
-        self._entities.append(self._try(declare, key))
-
-    def _try(self, action: Callable[[], Any], key: str) -> Any:
-        if not self._open.is_set():
-            raise TransportError(f"transport to {self.endpoint} is closed; {key} cannot be used")
+    def attempt(self, action: Callable[[], Any], key: str) -> Any:
+        if not self.open.is_set():
+            raise TransportError(f"transport to {self._endpoint} is closed; {key} cannot be used")
         try:
             return action()
         except zenoh.ZError as error:
-            raise TransportError(f"{key} at {self.endpoint}: {_brief(error)}") from error
+            raise TransportError(f"{key} at {self._endpoint}: {_brief(error)}") from error
+
+
+_links: weakref.WeakSet[_Link] = weakref.WeakSet()
+
+
+def _abandon() -> None:
+    """Keep all sessions for ever, in a forked process: their threads are missing, and closing would wait for them."""
+    for link in _links:
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(link))
+
+
+os.register_at_fork(after_in_child=_abandon)
+
+
+def _when_dropped(owner: Owned, link: _Link) -> Callable[[], object]:
+    """Return a function that closes a link once; it is called when the owner is dropped, but not at exit."""
+    close = weakref.finalize(owner, _close_here, os.getpid(), link)
+    close.atexit = False
+    return close
+
+
+def _close_here(process: int, link: _Link) -> None:
+    if os.getpid() == process:
+        link.close()
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import onnxruntime
@@ -59,16 +59,29 @@ def cached_session(name: str, build: Callable[[Path], None]) -> onnxruntime.Infe
     return open_session(path)
 
 
+class _Session(onnxruntime.InferenceSession):
+    """Session that a copy or a pickle opens anew from its file, on the machine that has it."""
+
+    path: Path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return open_session, (self.path,)
+
+
 def open_session(path: Path) -> onnxruntime.InferenceSession:
-    """Return an onnxruntime session on one thread; raise `WeightsError` if the file is damaged."""
+    """Return an onnxruntime session on one thread; raise `WeightsError` if the file is missing or damaged."""
+    if not path.exists():
+        raise WeightsError(f"cached network {path} is missing; load the model from its weights")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 3  # errors only
     try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        session = _Session(str(path), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's errors share no narrower base class
         reason = " ".join(str(error).split())
         raise WeightsError(f"cached network {path} is damaged ({reason}); delete it to have it rebuilt") from error
+    session.path = path
+    return session
 
 
 def export(

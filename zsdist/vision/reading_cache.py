@@ -9,8 +9,10 @@ import fcntl
 import mmap
 import os
 import tempfile
+import weakref
 from hashlib import blake2b
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +39,7 @@ class ReadingCache:
     mapped pages do not agree. The file stays, so that a later or parallel run in the same scenes finds the readings.
     Its space is reserved when it is created, since a mapped file on a full disk kills its writer. Each process holds a
     shared lock on its file, which ends with the process. An unused file of another size is removed, so a user has one
-    file unless runs with different sizes are active at once.
+    file unless runs with different sizes are active at once. A copy, or a cache from a pickle, opens the file anew.
 
     Args:
         size_bytes: greatest size of the file in bytes.
@@ -49,6 +51,7 @@ class ReadingCache:
     """
 
     def __init__(self, size_bytes: int, vision: str) -> None:
+        self._arguments = (size_bytes, vision)
         self._sets = size_bytes // SET_BYTES
         if self._sets < 1:
             raise ConfigError(f"vision.cache_bytes is {size_bytes}; allowed are 0 (no cache) and {SET_BYTES} or more")
@@ -56,12 +59,13 @@ class ReadingCache:
         path = Path(tempfile.gettempdir(), f"{PREFIX}{size}")
         _remove_others(path)
         try:
-            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-            if os.fstat(self._file).st_uid != os.getuid():  # the name can be guessed and the folder is shared
+            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+            self._close_file = weakref.finalize(self, os.close, file)
+            if os.fstat(file).st_uid != os.getuid():  # the name can be guessed and the folder is shared
                 raise PermissionError(errno.EPERM, "it belongs to another user")
-            fcntl.flock(self._file, fcntl.LOCK_SH)
-            os.posix_fallocate(self._file, 0, size)
-            self._memory = mmap.mmap(self._file, size)
+            fcntl.flock(file, fcntl.LOCK_SH)
+            os.posix_fallocate(file, 0, size)
+            self._memory = mmap.mmap(file, size)
         except OSError as error:
             raise RunError(
                 f"vision.cache_bytes is {size_bytes}: {path} cannot be created ({error.strerror or error}); "
@@ -69,6 +73,9 @@ class ReadingCache:
             ) from error
         self._vision = blake2b(vision.encode(), digest_size=KEY_BYTES).digest()
         self._kept = 0
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._arguments
 
     def find(self, scene: str, state: LatticeState) -> Reading | None:
         """Return the reading at a lattice state of a scene, named by its hash; None if it is unknown or torn."""
@@ -93,9 +100,8 @@ class ReadingCache:
 
     def close(self) -> None:
         """Close the file, which stays on disk; closing again does nothing."""
-        if not self._memory.closed:
-            self._memory.close()
-            os.close(self._file)
+        self._memory.close()
+        self._close_file()
 
     def _key(self, scene: str, state: LatticeState) -> bytes:
         position = f"{scene}/{state.ix}/{state.iy}/{state.heading}"

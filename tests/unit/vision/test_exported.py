@@ -1,3 +1,5 @@
+import copy
+import pickle
 import threading
 
 import numpy as np
@@ -96,3 +98,13 @@ def test_several_axes_may_have_any_length():
     with pytest.raises(Exception, match="INVALID_ARGUMENT"):
         cached_session("twice", build).run(["y"], {"x": np.ones((1, 8), np.float32)})
     np.testing.assert_allclose(session.run(["y"], {"x": np.ones((1, 8), np.float32)})[0], 2.0)
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda session: pickle.loads(pickle.dumps(session))])
+def test_a_copy_of_a_session_is_opened_from_its_file(duplicate, tmp_path):
+    session = cached_session("twice", build)
+    other = duplicate(session)
+    assert (other.run(["y"], {"x": EXAMPLE})[0] == session.run(["y"], {"x": EXAMPLE})[0]).all()
+    (tmp_path / "cache" / "twice.onnx").unlink()
+    with pytest.raises(WeightsError, match=r"twice\.onnx is missing; load the model from its weights"):
+        duplicate(session)

@@ -29,7 +29,7 @@ class Camera(Protocol):
         """Return picture, depth in metres `(size_px, size_px)` float32 and segments `(size_px, size_px)` uint8."""
 
     def close(self) -> None:
-        """Release resources; the camera cannot be used afterwards."""
+        """Release resources; a picture raises `RuntimeError` afterwards, and closing again does nothing."""
 
 
 def make_camera(config: CameraConfig, look: Look = of_scene) -> Camera:

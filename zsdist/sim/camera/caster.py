@@ -3,6 +3,7 @@
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -40,6 +41,8 @@ class _PreparedScene:
 class CasterCamera:
     """Ray-casting camera on the car. A scene is prepared at its first picture; prepared scenes are kept.
 
+    A copy has no prepared scenes yet.
+
     Args:
         config: resolution, field of view and mount.
         look: function that gives the appearance of a scene; training pictures use a varied one.
@@ -51,6 +54,7 @@ class CasterCamera:
     def __init__(self, config: CameraConfig, look: Look = of_scene) -> None:
         self.config = config
         self._look = look
+        self._closed = False
         self._kept: OrderedDict[int, _PreparedScene] = OrderedDict()
         size = config.size_px
         self._depth = np.empty((size, size), np.float32)
@@ -59,6 +63,9 @@ class CasterCamera:
         self._work = np.empty((12, size), np.float32)
         self._at = np.empty(size, np.uint32)
         self._tangents = tangents(size, float(np.deg2rad(config.field_of_view_deg)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.config, self._look)
 
     def render(
         self, scene: Scene, pose: Pose, roll_rad: float = 0.0, pitch_rad: float = 0.0, people: np.ndarray | None = None
@@ -100,7 +107,8 @@ class CasterCamera:
         return image, self._depth_m(), instances[self._index - SKY]
 
     def close(self) -> None:
-        """Release the prepared scenes."""
+        """Release the prepared scenes; closing again does nothing."""
+        self._closed = True
         self._kept.clear()
 
     def _draw(
@@ -125,6 +133,8 @@ class CasterCamera:
         return np.where(self._depth >= SKY_DEPTH_M, np.float32(np.inf), self._depth)
 
     def _prepare(self, scene: Scene) -> _PreparedScene:
+        if self._closed:
+            raise RuntimeError("the camera is closed; make another one")
         prepared = self._kept.get(id(scene))
         if prepared is not None:
             self._kept.move_to_end(id(scene))

@@ -5,11 +5,14 @@ It has no textures, so its pictures differ from the caster's in colour; depth an
 """
 
 import math
+import threading
+from functools import cache
+from typing import Any
 
 import numpy as np
 
 from zsdist.config import CameraConfig
-from zsdist.sim.bullet import pybullet
+from zsdist.sim.bullet import Client, pybullet
 from zsdist.sim.camera.appearance import Appearance, of_scene
 from zsdist.sim.camera.caster import Look
 from zsdist.sim.camera.optics import mount
@@ -24,14 +27,14 @@ _RINGS = 16
 _GROUND_HALF_M = 60.0
 _GROUND_TILES = 6  # tiles per side
 Mesh = tuple[np.ndarray, np.ndarray]  # vertices (V, 3) and triangles (T, 3)
+_lists_in_use = threading.Lock()
 
 
 class TinyCamera:
     """Camera that draws with PyBullet; arguments and results are those of `CasterCamera`.
 
-    The client holds the shapes of one scene at a time; another scene replaces them. PyBullet never releases the Python
-    objects of its meshes, not even when it disconnects: about 30 MiB a scene. Draw many scenes in processes that end
-    from time to time.
+    The client is started for the first picture. It holds the shapes of one scene at a time; another scene replaces
+    them. A copy has a client of its own.
 
     Attributes:
         config: resolution, field of view and mount.
@@ -40,7 +43,8 @@ class TinyCamera:
     def __init__(self, config: CameraConfig, look: Look = of_scene) -> None:
         self.config = config
         self._look = look
-        self._client = pybullet.connect(pybullet.DIRECT)
+        self._connection: Client | None = None
+        self._closed = False
         self._scene: Scene | None = None
         size, fov = config.size_px, config.field_of_view_deg
         self._size = size
@@ -48,6 +52,9 @@ class TinyCamera:
         # TinyRenderer samples a pixel at its corner; a shift by half a pixel makes that its centre.
         projection[8], projection[9] = 1 / size, 1 / size
         self._projection = projection
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.config, self._look)
 
     def render(
         self, scene: Scene, pose: Pose, roll_rad: float = 0.0, pitch_rad: float = 0.0, people: np.ndarray | None = None
@@ -59,6 +66,8 @@ class TinyCamera:
         self, scene: Scene, pose: Pose, roll_rad: float = 0.0, pitch_rad: float = 0.0, people: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return picture, depth and segments; see `CasterCamera.render_labelled`."""
+        if self._closed:
+            raise RuntimeError("the camera is closed; make another one")
         if scene is not self._scene:
             self._build(scene)
         self._place(self._primitives.rows_at(people))
@@ -82,12 +91,19 @@ class TinyCamera:
         return image, depth, segments
 
     def close(self) -> None:
-        """Disconnect the client."""
-        pybullet.disconnect(self._client)
+        """Disconnect the client; closing again does nothing."""
+        self._closed = True
+        self._scene = None
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
 
     def _build(self, scene: Scene) -> None:
+        self._scene = None  # until all shapes are there
+        if self._connection is None:
+            self._connection = Client()
+            self._client = self._connection.number
         pybullet.resetSimulation(physicsClientId=self._client)
-        self._scene = scene
         self._primitives: Primitives = primitives_of(scene)
         self._appearance: Appearance = self._look(scene, self._primitives)
         ground = self._body(_ground_mesh(), self._appearance.ground[:3])
@@ -101,6 +117,7 @@ class TinyCamera:
         self._segments = np.full(max([ground, *self._bodies]) + 2, SEGMENT_SKY, np.uint8)
         self._segments[ground] = SEGMENT_GROUND
         self._segments[self._bodies] = self._primitives.segments
+        self._scene = scene
 
     def _body(self, mesh: Mesh, colour: np.ndarray) -> int:
         vertices, triangles = mesh
@@ -108,16 +125,35 @@ class TinyCamera:
         corners = vertices[triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        shape = pybullet.createVisualShape(
-            pybullet.GEOM_MESH, vertices=corners.reshape(-1, 3).tolist(), indices=list(range(3 * len(corners))),
-            normals=np.repeat(normals, 3, axis=0).tolist(), rgbaColor=[*colour, 1.0], physicsClientId=self._client,
-        )  # fmt: skip
+        vertices_given, normals_given, indices = _lists(3 * len(corners))
+        with _lists_in_use:
+            _fill(vertices_given, corners.reshape(-1, 3))
+            _fill(normals_given, np.repeat(normals, 3, axis=0))
+            shape = pybullet.createVisualShape(
+                pybullet.GEOM_MESH, vertices=vertices_given, indices=indices, normals=normals_given,
+                rgbaColor=[*colour, 1.0], physicsClientId=self._client,
+            )  # fmt: skip
         return pybullet.createMultiBody(0, -1, shape, physicsClientId=self._client)
 
     def _place(self, rows: np.ndarray) -> None:
         for body, row in zip(self._bodies, rows, strict=True):
             turn = (0.0, 0.0, math.sin(row[6] / 2), math.cos(row[6] / 2))
             pybullet.resetBasePositionAndOrientation(body, row[:3].tolist(), turn, physicsClientId=self._client)
+
+
+@cache
+def _lists(count: int) -> tuple[list[list[float]], list[list[float]], list[int]]:
+    """Return lists for `count` vertices and normals, and their indices.
+
+    PyBullet never releases the Python objects that it gets for a mesh, about 30 MiB a scene. So all meshes of a length
+    are passed in the same objects, with other numbers.
+    """
+    return [[0.0] * 3 for _ in range(count)], [[0.0] * 3 for _ in range(count)], list(range(count))
+
+
+def _fill(given: list[list[float]], rows: np.ndarray) -> None:
+    for item, row in zip(given, rows.tolist(), strict=True):
+        item[:] = row
 
 
 def _mesh(form: int, row: np.ndarray) -> Mesh:

@@ -23,7 +23,7 @@ class KinematicWorld(World):
         poses = [*_turn(start, target), *_advance(start, target)]
         for step, pose in enumerate(poses, 1):
             self._walk(pose)
-            self.put(pose)
+            self._place(pose)
             if touching(pose, self._circles, self._boxes, arena_m=self.grid.arena_m):
                 return DriveResult(pose, step, True, True)
         return DriveResult(target, len(poses), False, True)

@@ -1,7 +1,7 @@
 """Simulated physics of one car among the obstacles of a scene, driven action by action along the planning lattice."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from zsdist.common.compiled import compiled
 from zsdist.errors import SceneError
 from zsdist.planning.footprint import ADVANCES, CAR_LENGTH_M, CAR_WIDTH_M, TURNS, successor
 from zsdist.planning.grid import HEADINGS, Grid
-from zsdist.sim.bullet import pybullet
+from zsdist.sim.bullet import Client, pybullet
 from zsdist.sim.physics.car import GROUND_GROUP, OBSTACLE_GROUP, SKIN_GROUP, WHEEL_GROUP, CarBody, heading_and_speed
 from zsdist.sim.physics.collision import NO_BOXES, NO_CIRCLES, box_clearance, touching
 from zsdist.sim.physics.controller import Manoeuvre, Rates, steer
@@ -54,10 +54,21 @@ class DriveResult(NamedTuple):
     confirmed: bool
 
 
+_CLOSED = "the world is closed; make another one"
+
+
+class _Closed:
+    """Stand-in for the car of a closed world."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise RuntimeError(_CLOSED)
+
+
 class World:
     """Walled arena in a PyBullet client of its own (DIRECT: no window).
 
     Episodes do not influence one another: the same scene and actions give bit-identical poses after any other episodes.
+    So a copy, or a world from a pickle, repeats all calls since the last reset in a client of its own.
 
     Args:
         grid: planning grid and arena.
@@ -66,21 +77,38 @@ class World:
     Attributes:
         grid: planning grid and arena.
         step_s: duration of a simulation step, in seconds.
-        scene: scene of the last reset; None before the first.
+        scene: scene of the last reset; None before the first, and after one that failed.
+
+    Raises:
+        SimulationError: PyBullet allows no further client in this process.
     """
 
     def __init__(self, grid: Grid, step_s: float = 0.05) -> None:
         self.grid = grid
         self.step_s = step_s
         self.scene: Scene | None = None
-        self._client = -1
+        self._connection: Client | None = None
+        self._car: CarBody | _Closed = _Closed()
+        self._calls: list[tuple[str, tuple[Any, ...]]] = []  # those since the last reset, for copies
         self._connect()
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {"grid": self.grid, "step_s": self.step_s, "open": self._connection is not None, "calls": self._calls}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        World.__init__(self, state["grid"], state["step_s"])
+        for method, arguments in state["calls"]:
+            getattr(self, method)(*arguments)
+        if not state["open"]:
+            self.close()
+
     def close(self) -> None:
-        """Close the physics client; the world cannot be used afterwards."""
-        if self._client >= 0:
-            pybullet.disconnect(physicsClientId=self._client)
-            self._client = -1
+        """Close the physics client; the world cannot be used afterwards, and closing again does nothing."""
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+            self._client = -1  # another world may get the number
+            self._car = _Closed()
 
     @property
     def pose(self) -> Pose:
@@ -114,21 +142,28 @@ class World:
         Raises:
             SceneError: an obstacle or a wall stands on the start.
         """
+        if self._connection is None:
+            raise RuntimeError(_CLOSED)
+        self._calls = []
+        repeat = ("reset", (scene, start))
         start = scene.start.pose if start is None else start
         self._set_up(scene)
         if touching(start, self._circles, self._boxes, arena_m=self.grid.arena_m):
+            self.scene = None
             place = f"({start.x_m:g}, {start.y_m:g})"
             raise SceneError(f"scene {scene.name}: an obstacle or a wall stands on the start {place}")
-        self.put(start)
+        self._place(start)
         for _ in range(SETTLE_STEPS):
             pybullet.stepSimulation(physicsClientId=self._client)
-        if self._off_lattice(start, self.grid.pose(self.grid.lattice_state(start))):
-            return self._drive_onto_lattice(start)
-        return 0
+        off = self._off_lattice(start, self.grid.pose(self.grid.lattice_state(start)))
+        sim_steps = self._drive_onto_lattice(start) if off else 0
+        self._calls.append(repeat)
+        return sim_steps
 
     def put(self, pose: Pose) -> None:
         """Put the car at rest at `pose`, even if it overlaps an obstacle."""
-        self._car.place(pose)
+        self._calls.append(("put", (pose,)))
+        self._place(pose)
 
     def drive(self, action: int) -> DriveResult:
         """Drive one `Action`, and stop at once at a collision.
@@ -136,6 +171,7 @@ class World:
         The target is the state to which the action leads from the lattice state nearest to the true pose, so that
         errors do not add up. Instead of an advance that would leave the grid, the car only turns.
         """
+        self._calls.append(("drive", (action,)))
         state = self.grid.lattice_state(self.pose)
         end = successor(state, action)
         advance = bool(ADVANCES[action])
@@ -145,6 +181,10 @@ class World:
 
     def contact(self) -> bool:
         """Return whether the car touches an obstacle at its present pose, by PyBullet's collision detection."""
+        self._calls.append(("contact", ()))
+        return self._detect_contact()
+
+    def _detect_contact(self) -> bool:
         pybullet.performCollisionDetection(physicsClientId=self._client)
         return self._car.contact()
 
@@ -159,7 +199,7 @@ class World:
             motion = car.raw_motion()
             heading, room_m, left, right = _control(state, circles, boxes, wall, *motion)
             if steps > 0 and (room_m <= 0.0 or (room_m < CONTACT_WITHIN_M and car.contact())):
-                confirmed = self.contact() == (room_m <= 0.0)
+                confirmed = self._detect_contact() == (room_m <= 0.0)
                 return DriveResult(Pose(motion[0], motion[1], heading), steps, True, confirmed)
             if steps == MOST_STEPS or math.isnan(left):
                 return DriveResult(Pose(motion[0], motion[1], heading), steps, False, True)
@@ -174,6 +214,9 @@ class World:
             if walker.walk(car, self.step_s):
                 self._circles[row, :2] = walker.x_m, walker.y_m
                 self._move(body, walker)
+
+    def _place(self, pose: Pose) -> None:
+        self._car.place(pose)
 
     def _off_lattice(self, pose: Pose, target: Pose) -> bool:
         turn = math.remainder(target.heading_rad - pose.heading_rad, math.tau)
@@ -192,7 +235,7 @@ class World:
             result = self._carry_out(Manoeuvre(target, False, True, self.step_s))
             if not result.contact:
                 return steps + result.sim_steps
-            self.put(start)
+            self._place(start)
         return 0
 
     def _lattice_nearby(self, pose: Pose) -> list[Pose]:
@@ -224,7 +267,8 @@ class World:
 
     def _connect(self) -> None:
         self.close()
-        self._client = client = pybullet.connect(pybullet.DIRECT)
+        self._connection = Client()
+        self._client = client = self._connection.number
         pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=self.step_s,

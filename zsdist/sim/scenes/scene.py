@@ -177,6 +177,13 @@ def check(scene: Scene, grid: Grid = DEFAULT_GRID) -> None:
             raise SceneError(f"{label} covers the goal; move one of the two")
 
 
+def parse(tree: Any, grid: Grid = DEFAULT_GRID) -> Scene:
+    """Return the scene of a mapping with the content of a scene file; raise `SceneError` if it is invalid."""
+    scene = _scene(tree)
+    check(scene, grid)
+    return scene
+
+
 def read(path: str | Path, grid: Grid = DEFAULT_GRID) -> Scene:
     """Return the scene of a YAML file, fully checked.
 
@@ -186,9 +193,7 @@ def read(path: str | Path, grid: Grid = DEFAULT_GRID) -> Scene:
     try:
         if Path(path).stat().st_size > MAX_FILE_BYTES:
             raise SceneError(f"file is larger than the {MAX_FILE_BYTES} bytes allowed")
-        tree = strict_yaml.load(Path(path).read_text(encoding="utf-8"))
-        scene = _scene(tree)
-        check(scene, grid)
+        scene = parse(strict_yaml.load(Path(path).read_text(encoding="utf-8")), grid)
     except OSError as error:
         raise SceneError(f"scene file {path}: {error.strerror or error}") from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: not UTF-8
