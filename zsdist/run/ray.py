@@ -17,7 +17,7 @@ from zsdist.config import Config
 from zsdist.errors import RunError, ZsdistError
 from zsdist.roles.base import HEARTBEAT_S, Role
 from zsdist.roles.replay import shards
-from zsdist.run import preflight, program
+from zsdist.run import local_ray, preflight, program
 from zsdist.run.allocator import keep_freed_memory
 from zsdist.run.directory import issue_epochs
 from zsdist.run.program import ActorParts, RoleSpec, RunSpec, Watch
@@ -148,8 +148,7 @@ def _connect(spec: RunSpec) -> None:
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # else roles that reserve no GPU cannot see one
     wanted = config.run.cpus_per_role * (program.role_count(config) + 1 + config.run.standby)
     if config.run.address is None:
-        # Logical cores only steer Ray's placement; with enough of them no role ever waits to be placed.
-        cores = max(os.cpu_count() or 1, int(wanted) + 1)
+        cores = local_ray.logical_cores(config, os.cpu_count() or 1)
         ray.init(
             address="local",  # a cluster of its own, also where RAY_ADDRESS names another
             num_cpus=cores,
@@ -193,7 +192,7 @@ class _Supervisor:
         """Run until the scheduler has finished."""
         self.hosts[HUB] = self._host(self.role_specs[HUB])
         self.endpoint = self._ask(self.hosts[HUB].open_hub.remote(None), "hub")
-        (self.spec.folder / "endpoint").write_text(self.endpoint)
+        (self.spec.folder / "endpoint").write_text(self.endpoint, encoding="utf-8")
         self._drive(self.role_specs[HUB])
         transport = self.spec.connect(program.supervisor([self.epoch]), self.endpoint)
         try:

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 from zsdist.config import Config
 from zsdist.errors import RunError
-from zsdist.run import directory, program
+from zsdist.run import directory, local_ray, program
 from zsdist.run.program import RunSpec, Watch
 
 Summary = Mapping[str, Any]  # `summary.json`
@@ -32,7 +32,7 @@ def train(spec: RunSpec, interrupted: Callable[[], bool], watch: Watch) -> Summa
     Raises:
         RunError: a role failed for good.
     """
-    run = _runner(spec.config.placement)
+    run = _runner(spec.config)
     epochs = directory.issue_epochs(spec.folder, program.epoch_count(spec.config))
     (spec.folder / "summary.json").unlink(missing_ok=True)
     try:
@@ -41,7 +41,7 @@ def train(spec: RunSpec, interrupted: Callable[[], bool], watch: Watch) -> Summa
         if not any(spec.folder.glob("checkpoints/*/manifest.json")):
             raise
         raise RunError(f"{error}; resume from the last checkpoint with --resume {spec.folder}") from error
-    return json.loads((spec.folder / "summary.json").read_text())
+    return json.loads((spec.folder / "summary.json").read_text(encoding="utf-8"))
 
 
 def check_accounts(summary: Summary) -> None:
@@ -67,8 +67,10 @@ def describe_untrained_levels(summary: Summary, settings: Config) -> list[str]:
     return lines
 
 
-def _runner(placement: str) -> _Run:
-    if placement == "ray":  # each takes a second or two to import, and a run needs only one of them
+def _runner(settings: Config) -> _Run:
+    if settings.placement == "ray":  # each takes a second or two to import, and a run needs only one of them
+        if settings.run.address is None:
+            local_ray.stay_on_loopback()
         from zsdist.run import ray
 
         return ray.run
