@@ -40,7 +40,7 @@ def main(options: argparse.Namespace) -> int:
     endpoint, run, tls = options.connect, options.run, options.tls
     if endpoint is None:
         folder = _newest_run(options.runs)
-        endpoint, run = (folder / "endpoint").read_text(), run or directory.key_name(folder)
+        endpoint, run = (folder / "endpoint").read_text(encoding="utf-8"), run or directory.key_name(folder)
         if tls is None and endpoint.startswith("tls/"):
             tls = config.load(folder / "config.yaml").transport.tls
     if tls is None and endpoint.startswith("tls/"):

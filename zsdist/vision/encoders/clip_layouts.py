@@ -194,7 +194,7 @@ def _hugging_face(path: Path) -> Clip:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return json.loads(path.read_text())
+        return json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise WeightsError(f"encoder configuration {path} cannot be read: {error.strerror}") from error
 
