@@ -335,7 +335,7 @@ def _read_with_base(path: Path) -> dict[str, Any]:
 def _read(path: Path) -> dict[str, Any]:
     """Return the unchecked settings of a YAML file."""
     try:
-        tree = strict_yaml.load(path.read_text()) or {}
+        tree = strict_yaml.load(path.read_text(encoding="utf-8")) or {}
     except OSError as error:
         raise ConfigError(f"configuration file {path}: {error.strerror or error}") from error
     except (

@@ -1,5 +1,8 @@
 """Settings for access to the hub, and paths in settings."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -60,3 +63,11 @@ def test_paths_become_absolute_and_names_stay_as_they_are(tmp_path, monkeypatch)
         str(tmp_path / "runs" / "eyes"),
         "efficientnet-lite0",
     )
+
+
+def test_a_file_is_utf_8_in_every_locale(tmp_path):
+    file = tmp_path / "run.yaml"
+    file.write_text("# größere Läufe\nrun: {episodes: 7}\n", encoding="utf-8")
+    command = [sys.executable, "-c", f"from zsdist import config; print(config.load({str(file)!r}).run.episodes)"]
+    ascii_only = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    assert subprocess.run(command, capture_output=True, text=True, env=ascii_only, check=True).stdout.strip() == "7"

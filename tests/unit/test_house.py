@@ -113,3 +113,24 @@ def test_what_drives_works_without_heavy_libraries(light):
     code += "\n".join(f"importlib.import_module({module.removesuffix('.__init__')!r})" for module in modules)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_text_files_are_utf_8_in_every_locale():
+    """Without an encoding, the locale decides: a batch job with LC_ALL=C reads other texts than a shell writes."""
+    unstated = [
+        f"{name}, line {node.lineno}"
+        for name, tree in TREES.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and opens_text(node) and "encoding" not in {word.arg for word in node.keywords}
+    ]
+    assert unstated == []
+
+
+def opens_text(call: ast.Call) -> bool:
+    """Whether a call reads or writes a text file: `read_text`, `write_text`, `open` without "b" in its mode."""
+    name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+    modes = [node.value for node in call.args if isinstance(node, ast.Constant) and isinstance(node.value, str)]
+    owner = call.func.value if isinstance(call.func, ast.Attribute) else None
+    if name == "open" and isinstance(owner, ast.Name | ast.Attribute) and not modes:
+        return False  # `os.open`, `zenoh.open`, `limiter.open`
+    return name in ("read_text", "write_text") or (name == "open" and not any("b" in mode for mode in modes))

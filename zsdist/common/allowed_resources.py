@@ -74,6 +74,6 @@ def _quota(values: list[str]) -> list[float]:
 
 def _text(path: Path) -> str | None:
     try:
-        return path.read_text().strip()
+        return path.read_text(encoding="utf-8").strip()
     except OSError:  # not there, or not readable in this container
         return None

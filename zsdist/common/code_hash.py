@@ -86,7 +86,7 @@ def _tree(name: str, package: Path) -> ast.Module:
     file = _file(name, package)
     if file is None:
         raise ModuleNotFoundError(f"module {name} is not in {package}")
-    return ast.parse(file.read_text())
+    return ast.parse(file.read_text(encoding="utf-8"))
 
 
 def _file(name: str, package: Path) -> Path | None:

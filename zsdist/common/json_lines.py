@@ -20,7 +20,7 @@ def prune(path: Path, is_stale: Callable[[dict[str, Any]], bool]) -> None:
     if not path.exists():
         return
     kept = []
-    for line in path.read_text().splitlines():
+    for line in path.read_text(encoding="utf-8").splitlines():
         try:
             if not is_stale(json.loads(line)):
                 kept.append(line)

@@ -36,6 +36,6 @@ def write_json(option: str, file: Path, result: dict[str, Any]) -> None:
         RunError: it cannot be written.
     """
     try:
-        file.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")
+        file.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise RunError(f"the result cannot be written to {option} {file}: {error.strerror or error}") from error

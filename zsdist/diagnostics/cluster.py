@@ -62,4 +62,4 @@ def _current_cluster() -> str | None:
     if address := os.environ.get("RAY_ADDRESS"):
         return address
     note = Path(tempfile.gettempdir()) / "ray" / "ray_current_cluster"
-    return note.read_text().strip() or None if note.is_file() else None
+    return note.read_text(encoding="utf-8").strip() or None if note.is_file() else None

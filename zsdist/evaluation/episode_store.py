@@ -105,7 +105,7 @@ class EpisodeStore:
         fields_ = asdict(record) | {"poses": [[round(value, 4) for value in pose] for pose in record.poses]}
         line = {**self._about, "index": index, "scene_hash": self._hashes[index], **fields_}
         try:
-            with self._file.open("a") as out:
+            with self._file.open("a", encoding="utf-8") as out:
                 out.write(json.dumps(line, allow_nan=False) + "\n")
         except OSError as error:
             raise _unwritable(self._file, error) from error

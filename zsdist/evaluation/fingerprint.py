@@ -48,7 +48,7 @@ def equivalent(code: str, file: Path = EQUIVALENT_CODE) -> frozenset[str]:
 def _equivalents(file: Path) -> dict[str, frozenset[str]]:
     """Return for every hash in a file all hashes of its entry."""
     try:
-        entries = strict_yaml.load(file.read_text())
+        entries = strict_yaml.load(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise RunError(f"equivalent code cannot be read from {file}: {error.strerror or error}") from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:

@@ -77,7 +77,7 @@ def reopen(folder: Path) -> Job:
     if not path.exists() and (folder / METADATA_FILE).exists():
         raise RunError(f"--resume {folder}: the pretraining is finished; its weights are in this folder")
     try:
-        return Job.from_json(json.loads(path.read_text()))
+        return Job.from_json(json.loads(path.read_text(encoding="utf-8")))
     except OSError as error:
         raise RunError(f"--resume {folder} holds no pretraining: {path} {error.strerror or error}") from error
     except (ConfigError, KeyError, TypeError, ValueError) as error:

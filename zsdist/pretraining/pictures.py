@@ -131,7 +131,7 @@ class Pictures:
 
     def __init__(self, job: Job, folder: Path) -> None:
         self._folder = folder
-        self._names = json.loads((folder / LIST_FILE).read_text())
+        self._names = json.loads((folder / LIST_FILE).read_text(encoding="utf-8"))
         self._angles = ray_angles_rad(RAYS, math.radians(job.config.camera.field_of_view_deg))
 
     def examples(self) -> "Examples":

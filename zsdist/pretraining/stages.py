@@ -177,7 +177,7 @@ class Stages:
         json_lines.prune(self._history, lambda line: line["stage"] == stage and line["epoch"] > last_saved)
         try:
             for figures in trainer:
-                with self._history.open("a") as file:
+                with self._history.open("a", encoding="utf-8") as file:
                     file.write(json.dumps({"stage": stage, **figures}) + "\n")
                 atomic_files.replace(state_file, trainer.state())
                 self._progress.epoch(stage, figures, recipe.epochs)
@@ -193,7 +193,7 @@ def best_epochs(history: Path) -> dict[str, dict[str, float]]:
     best: dict[str, dict[str, float]] = {}
     if not history.exists():
         return best
-    for line in map(json.loads, history.read_text().splitlines()):
+    for line in map(json.loads, history.read_text(encoding="utf-8").splitlines()):
         stage = line.pop("stage")
         if stage not in best or line["validation_loss"] < best[stage]["validation_loss"]:
             best[stage] = {name: round(value, 5) for name, value in line.items()}

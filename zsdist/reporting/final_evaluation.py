@@ -64,7 +64,9 @@ def compare(folder: Path, settings: Config, console: PlainConsole) -> None:
     if note := check_vision(trained):
         console.say(note)
     reports = [(trial, _drive(trial, settings.seed)) for trial in trials(trained, settings, episodes)]
-    (folder / "evaluation.json").write_text(json.dumps([report.result for _, report in reports], indent=1) + "\n")
+    (folder / "evaluation.json").write_text(
+        json.dumps([report.result for _, report in reports], indent=1) + "\n", encoding="utf-8"
+    )
     for trial, report in reports:
         if trial.name == "trained":
             scenes = select(trial.scenes, settings, trial.episodes, settings.seed)

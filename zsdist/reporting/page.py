@@ -37,7 +37,7 @@ def write(material: Material, out: Path, on_step: Callable[[str], None], simulat
         out.mkdir(parents=True, exist_ok=True)
         lines = _lines(material, out, on_step, simulation)
         path = out / PAGE
-        path.write_text("\n".join(lines).rstrip() + "\n")
+        path.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
     except OSError as error:
         raise RunError(f"--out {out} cannot be written: {error.strerror or error}") from error
     return path

@@ -248,7 +248,7 @@ def _summarise_episodes(file: Path) -> list[Row]:
 
 def _text(file: Path) -> str:
     try:
-        return file.read_text()
+        return file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise RunError(f"{file} cannot be read: {error}") from error
 

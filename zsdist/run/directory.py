@@ -94,7 +94,7 @@ def reopen(folder: Path, overrides: tuple[str, ...] = ()) -> tuple[Config, dict[
 def ended(folder: Path) -> str | None:
     """Return how the last start of a run ended, from its summary; None if it ended without a summary."""
     try:
-        return json.loads((folder / "summary.json").read_text())["ended"]
+        return json.loads((folder / "summary.json").read_text(encoding="utf-8"))["ended"]
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -140,7 +140,7 @@ def read_checkpoint(checkpoint: Path) -> dict[str, State]:
         RunError: a file is missing or damaged.
     """
     try:
-        manifest = json.loads((checkpoint / "manifest.json").read_text())
+        manifest = json.loads((checkpoint / "manifest.json").read_text(encoding="utf-8"))
         states = {}
         for name, digest in manifest["sha256"].items():
             payload = (checkpoint / f"{name}.state").read_bytes()
@@ -160,7 +160,7 @@ def read_vision(checkpoint: Path) -> VisionIdentity:
     """Return the vision model that a checkpoint's policy was trained with; raise `RunError` where it names none."""
     path = checkpoint / "manifest.json"
     try:
-        return VisionIdentity.from_json(json.loads(path.read_text())["vision"])
+        return VisionIdentity.from_json(json.loads(path.read_text(encoding="utf-8"))["vision"])
     except OSError as error:
         raise RunError(f"checkpoint {checkpoint}: {error.filename}: {error.strerror}") from error
     except (ValueError, KeyError, TypeError) as error:
@@ -173,7 +173,7 @@ def issue_epochs(folder: Path, count: int) -> range:
     The first is drawn at random, so that a frame of another run has an epoch that was never issued in this one.
     """
     path = folder / "epochs"
-    first = int(path.read_text()) if path.exists() else secrets.randbelow(2**31) * 2**20
+    first = int(path.read_text(encoding="utf-8")) if path.exists() else secrets.randbelow(2**31) * 2**20
     atomic_files.replace(path, str(first + count).encode())
     return range(first, first + count)
 
@@ -198,8 +198,8 @@ class RunDirectory(Owned):
         self._vision = vision
         self._earlier_s = earlier_s
         self._opened_s = time.monotonic()
-        self._episodes = (folder / "episodes.jsonl").open("a", buffering=1)
-        self._metrics = (folder / "metrics.jsonl").open("a", buffering=1)
+        self._episodes = (folder / "episodes.jsonl").open("a", buffering=1, encoding="utf-8")
+        self._metrics = (folder / "metrics.jsonl").open("a", buffering=1, encoding="utf-8")
         self._board = Writer(str(folder / "tensorboard"))
         self._close = weakref.finalize(self, _close, os.getpid(), self._episodes, self._metrics, self._board)
         self._close.atexit = False

@@ -52,7 +52,7 @@ def run(
             )
         else:
             with spec.open_hub() as hub:
-                (spec.folder / "endpoint").write_text(hub.endpoint)
+                (spec.folder / "endpoint").write_text(hub.endpoint, encoding="utf-8")
                 connect = partial(spec.connect, endpoint=hub.endpoint)
                 _run(spec, epochs, connect, _RealClock(), interrupted, watch)
     finally:

@@ -98,11 +98,11 @@ def read(folder: Path) -> RunLife:
     if started_s is None:
         raise RunError(f"{folder} holds no run: there is no config.yaml in it")
     try:
-        endpoint = (folder / "endpoint").read_text().strip() or None
+        endpoint = (folder / "endpoint").read_text(encoding="utf-8").strip() or None
     except OSError:  # not there yet
         endpoint = None
     try:
-        summary = json.loads((folder / "summary.json").read_text())
+        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     except FileNotFoundError:
         summary = None
     except (OSError, ValueError) as error:

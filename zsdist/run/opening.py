@@ -5,7 +5,7 @@ from pathlib import Path
 
 from zsdist.config import Config
 from zsdist.errors import RunError
-from zsdist.run import directory, preflight
+from zsdist.run import directory, local_ray, preflight
 from zsdist.run.program import RunSpec
 from zsdist.vision.fingerprint import VisionIdentity
 
@@ -67,5 +67,7 @@ def check_parts(settings: Config, notify: Notify) -> VisionIdentity:
     """
     preflight.check_memory(settings)
     preflight.check_certificates(settings)
+    if settings.placement == "ray" and settings.run.address is None:
+        local_ray.check_open_files(settings)
     notify("preparing; the first time this takes about 15 s, for compilation")
     return preflight.warm_up(settings)

@@ -19,7 +19,7 @@ from zsdist.config import Config
 from zsdist.errors import RunError, ZsdistError
 from zsdist.roles.base import HEARTBEAT_S, Role
 from zsdist.roles.replay import shards
-from zsdist.run import preflight, program
+from zsdist.run import local_ray, preflight, program
 from zsdist.run.allocator import keep_freed_memory
 from zsdist.run.directory import issue_epochs
 from zsdist.run.program import ActorParts, RoleSpec, RunSpec, Watch
@@ -153,8 +153,7 @@ def _connect(spec: RunSpec) -> None:
         if not {"RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"} & os.environ.keys():
             # Ray's processes inherit it. Otherwise Ray writes one into the home folder, which may not be writable.
             os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
-        # Logical cores only steer Ray's placement; with enough of them no role ever waits to be placed.
-        cores = max(allowed_cores(), int(wanted) + 1)
+        cores = local_ray.logical_cores(config, allowed_cores())
         ray.init(
             address="local",  # a cluster of its own, also where RAY_ADDRESS names another
             num_cpus=cores,
@@ -198,7 +197,7 @@ class _Supervisor:
         """Run until the scheduler has finished."""
         self.hosts[HUB] = self._host(self.role_specs[HUB])
         self.endpoint = self._ask(self.hosts[HUB].open_hub.remote(None), "hub")
-        (self.spec.folder / "endpoint").write_text(self.endpoint)
+        (self.spec.folder / "endpoint").write_text(self.endpoint, encoding="utf-8")
         self._drive(self.role_specs[HUB])
         transport = self.spec.connect(program.supervisor([self.epoch]), self.endpoint)
         try:

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 from zsdist.common import commands
 from zsdist.config import Config
 from zsdist.errors import RunError
-from zsdist.run import directory, program
+from zsdist.run import directory, local_ray, program
 from zsdist.run.program import RunSpec, Watch
 
 Summary = Mapping[str, Any]  # `summary.json`
@@ -33,7 +33,7 @@ def train(spec: RunSpec, interrupted: Callable[[], bool], watch: Watch) -> Summa
     Raises:
         RunError: a role failed for good.
     """
-    run = _runner(spec.config.placement)
+    run = _runner(spec.config)
     epochs = directory.issue_epochs(spec.folder, program.epoch_count(spec.config))
     for of_an_earlier_start in ("summary.json", "endpoint"):
         (spec.folder / of_an_earlier_start).unlink(missing_ok=True)
@@ -44,7 +44,7 @@ def train(spec: RunSpec, interrupted: Callable[[], bool], watch: Watch) -> Summa
             raise
         again = commands.quoted("--resume", spec.folder)
         raise RunError(f"{error}; resume from the last checkpoint with {again}") from error
-    return json.loads((spec.folder / "summary.json").read_text())
+    return json.loads((spec.folder / "summary.json").read_text(encoding="utf-8"))
 
 
 def check_accounts(summary: Summary) -> None:
@@ -70,8 +70,10 @@ def describe_untrained_levels(summary: Summary, settings: Config) -> list[str]:
     return lines
 
 
-def _runner(placement: str) -> _Run:
-    if placement == "ray":  # each takes a second or two to import, and a run needs only one of them
+def _runner(settings: Config) -> _Run:
+    if settings.placement == "ray":  # each takes a second or two to import, and a run needs only one of them
+        if settings.run.address is None:
+            local_ray.stay_on_loopback()
         from zsdist.run import ray
 
         return ray.run

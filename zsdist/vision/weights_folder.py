@@ -74,7 +74,7 @@ class WeightsFolder:
         """Return the figures of each epoch of each stage, in order; raise `WeightsError` if they cannot be read."""
         path = self.path / HISTORY_FILE
         try:
-            return [json.loads(line) for line in path.read_text().splitlines() if line]
+            return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line]
         except OSError as error:
             raise WeightsError(f"history {path} cannot be read: {error.strerror or error}") from error
         except ValueError as error:
@@ -112,7 +112,7 @@ def read(path: Path) -> WeightsFolder:
     """
     file = path / METADATA_FILE
     try:
-        metadata = json.loads(file.read_text())
+        metadata = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise WeightsError(
             f"weights {file} cannot be read: {error.strerror or error}; allowed are 'pretrained' and a folder "

@@ -1,4 +1,7 @@
 import itertools
+import os
+import subprocess
+import sys
 
 import pytest
 
@@ -60,3 +63,10 @@ def test_an_import_is_hashed_by_the_content_that_it_names(hash_of):
     both = {"a.py": "def f(): return 1", "b.py": "def f(): return 2"}
     use = "from zsdist.{} import f\nfrom zsdist.{} import f as other\n"
     assert hash_of(both | {"top.py": use.format("a", "b")}) != hash_of(both | {"top.py": use.format("b", "a")})
+
+
+def test_a_locale_without_utf_8_changes_no_hash():
+    command = [sys.executable, "-c", "from zsdist.common import code_hash; print(code_hash.sha256('zsdist.sim.env'))"]
+    ascii_only = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    found = subprocess.run(command, capture_output=True, text=True, check=True, env=ascii_only)
+    assert found.stdout.strip() == code_hash.sha256("zsdist.sim.env")

@@ -113,7 +113,7 @@ def check(
     show(result)
     if out is not None:
         try:
-            out.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")
+            out.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
         except OSError as error:
             raise RunError(f"--json {out} cannot be written: {error.strerror or error}") from error
     return result

@@ -195,7 +195,7 @@ def _resume(file: Path, identity: dict[str, Any]) -> list[dict[str, Any]]:
     if not file.exists():
         return []
     try:
-        lines = [json.loads(line) for line in file.read_text().splitlines()]
+        lines = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
         wrong = [key for line in lines for key in identity if line[key] != identity[key]]
         _ = [(line["object"], line["seen"], line["kind"]) for line in lines]
     except OSError as error:
@@ -215,7 +215,7 @@ def _resume(file: Path, identity: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _append(file: Path, line: dict[str, Any]) -> None:
     try:
-        with file.open("a") as out:
+        with file.open("a", encoding="utf-8") as out:
             out.write(json.dumps(line) + "\n")
     except OSError as error:
         raise RunError(f"--objects-file {file} cannot be written: {error.strerror or error}") from error

@@ -81,7 +81,7 @@ def _write(model: VisualAct, config: Config, images: int, seed: int, out: Path) 
         *_misses(misses, config, out),
     ]
     path = out / PAGE
-    path.write_text("\n".join(page) + "\n")
+    path.write_text("\n".join(page) + "\n", encoding="utf-8")
     return path
 
 

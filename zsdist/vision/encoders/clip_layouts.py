@@ -261,7 +261,7 @@ def _normalisation(folder: Path) -> tuple[Colours, Colours]:
 def _read(path: Path) -> dict[str, Any]:
     with _blamed(path):
         try:
-            content = json.loads(path.read_text())
+            content = json.loads(path.read_text(encoding="utf-8"))
         except OSError as error:
             raise WeightsError(f"encoder configuration {path} cannot be read: {error.strerror}") from error
         if not isinstance(content, dict):

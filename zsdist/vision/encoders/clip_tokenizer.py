@@ -36,9 +36,11 @@ def read_tokenizer(folder: Path, clip: Clip) -> tuple["Tokenizer", int]:
         if path.is_file():
             tokenizer = Tokenizer.from_file(str(path))
         elif (path := folder / "vocab.json").is_file() and (folder / "merges.txt").is_file():
-            lines = (folder / "merges.txt").read_text().splitlines()
+            lines = (folder / "merges.txt").read_text(encoding="utf-8").splitlines()
             pairs = [_pair(line) for line in lines if line and not line.startswith("#version")]
-            tokenizer = _byte_pairs(json.loads(path.read_text()), pairs, "<|startoftext|>", "<|endoftext|>")
+            tokenizer = _byte_pairs(
+                json.loads(path.read_text(encoding="utf-8")), pairs, "<|startoftext|>", "<|endoftext|>"
+            )
         elif clip.standard_tokenizer and clip.vocabulary == STANDARD_VOCABULARY:
             path = _standard_file(folder)
             tokenizer = _standard(path)

@@ -69,7 +69,7 @@ def _tower(folder: Path) -> "torch.nn.Module":
 
     path = folder / "model.safetensors"
     try:
-        about = json.loads((folder / "config.json").read_text())
+        about = json.loads((folder / "config.json").read_text(encoding="utf-8"))
         weights = load_file(path)
     except Exception as error:  # safetensors' errors share no narrower base class
         raise WeightsError(f"text tower {path} is damaged: {' '.join(str(error).split())[:200]}") from error
