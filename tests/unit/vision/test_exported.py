@@ -1,10 +1,12 @@
+import subprocess
+import sys
 import threading
 
 import numpy as np
 import pytest
 import torch
 
-from zsdist.errors import WeightsError
+from zsdist.errors import CacheError, WeightsError
 from zsdist.vision.exported import cached_session, export, file_sha256
 
 EXAMPLE = np.arange(6, dtype=np.float32).reshape(2, 3)
@@ -96,3 +98,20 @@ def test_several_axes_may_have_any_length():
     with pytest.raises(Exception, match="INVALID_ARGUMENT"):
         cached_session("twice", build).run(["y"], {"x": np.ones((1, 8), np.float32)})
     np.testing.assert_allclose(session.run(["y"], {"x": np.ones((1, 8), np.float32)})[0], 2.0)
+
+
+def test_what_a_full_or_foreign_cache_says_is_one_line_with_what_to_do(tmp_path, monkeypatch):
+    def full(path):
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(
+        CacheError, match=r"cache .* cannot be used: No space left.*ZSDIST_CACHE to a folder"
+    ) as refusal:
+        cached_session("twice", full)
+    assert "\n" not in str(refusal.value)
+
+
+def test_nothing_of_the_use_of_networks_is_reported_to_others():
+    code = "import os, zsdist.vision.exported; print(os.environ['ORT_DISABLE_TELEMETRY'])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "1\n"
