@@ -56,7 +56,13 @@ class ReadingCache:
         if self._sets < 1:
             raise ConfigError(f"vision.cache_bytes is {size_bytes}; allowed are 0 (no cache) and {SET_BYTES} or more")
         size = self._sets * SET_BYTES
-        path = Path(tempfile.gettempdir(), f"{PREFIX}{size}")
+        try:
+            path = Path(tempfile.gettempdir(), f"{PREFIX}{size}")
+        except FileNotFoundError as error:
+            raise RunError(
+                f"vision.cache_bytes is {size_bytes}: no folder for temporary files can be written; "
+                "set the environment variable TMPDIR to one, or vision.cache_bytes to 0 (no cache)"
+            ) from error
         _remove_others(path)
         try:
             file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)

@@ -1,12 +1,14 @@
 import copy
 import pickle
+import subprocess
+import sys
 import threading
 
 import numpy as np
 import pytest
 import torch
 
-from zsdist.errors import WeightsError
+from zsdist.errors import CacheError, WeightsError
 from zsdist.vision.exported import cached_session, export, file_sha256
 
 EXAMPLE = np.arange(6, dtype=np.float32).reshape(2, 3)
@@ -108,3 +110,20 @@ def test_a_copy_of_a_session_is_opened_from_its_file(duplicate, tmp_path):
     (tmp_path / "cache" / "twice.onnx").unlink()
     with pytest.raises(WeightsError, match=r"twice\.onnx is missing; load the model from its weights"):
         duplicate(session)
+
+
+def test_what_a_full_or_foreign_cache_says_is_one_line_with_what_to_do(tmp_path, monkeypatch):
+    def full(path):
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(
+        CacheError, match=r"cache .* cannot be used: No space left.*ZSDIST_CACHE to a folder"
+    ) as refusal:
+        cached_session("twice", full)
+    assert "\n" not in str(refusal.value)
+
+
+def test_nothing_of_the_use_of_networks_is_reported_to_others():
+    code = "import os, zsdist.vision.exported; print(os.environ['ORT_DISABLE_TELEMETRY'])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "1\n"

@@ -217,3 +217,12 @@ def test_a_symbolic_link_is_not_followed(temporary_folder, tmp_path_factory):
     with pytest.raises(RunError, match="cannot be created"):
         opened()
     assert target.read_bytes() == b"precious"
+
+
+def test_a_machine_without_a_folder_for_temporary_files_is_told_what_to_set(monkeypatch):
+    def nowhere():
+        raise FileNotFoundError("No usable temporary directory found")
+
+    monkeypatch.setattr("tempfile.gettempdir", nowhere)
+    with pytest.raises(RunError, match=r"vision\.cache_bytes is .*TMPDIR.*vision\.cache_bytes to 0"):
+        opened()
