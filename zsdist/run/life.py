@@ -43,12 +43,12 @@ class RunLife:
 
     @property
     def ended(self) -> bool:
-        """Whether it has ended and saved everything."""
+        """True if it has ended and saved everything."""
         return self.summary is not None
 
     @property
     def runs(self) -> bool:
-        """Whether it seems to run."""
+        """True if it seems to run."""
         return not self.ended and time.time() - self.seen_s < ALIVE_WITHIN_S
 
     def farewell(self) -> str:

@@ -95,12 +95,12 @@ class Display:
 
     @property
     def is_quiet(self) -> bool:
-        """Whether reports are overdue, so that the last figures are old."""
+        """True if reports are overdue, so that the last figures are old."""
         return self.silent_s > QUIET_AFTER_S
 
     @property
     def done(self) -> bool:
-        """Whether the scheduler has reported the end of the run."""
+        """True if the scheduler has reported the end of the run."""
         return any(fields.get("stage") == DONE for fields in self.snapshot.of("scheduler").values())
 
     def figures(self) -> dict[str, str]:
