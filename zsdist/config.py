@@ -21,6 +21,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
+Steps = Annotated[int, Field(ge=1, lt=2**16)]  # actions of an episode, whose record has a point more than actions
 Folder = Annotated[str, Field(min_length=1), AfterValidator(lambda path: str(Path(path).absolute()))]
 
 
@@ -52,7 +53,7 @@ class ScenesConfig(Section):
     """Scenes of a run. Validation scenes come from the training families, drawn with other seeds."""
 
     train: Sources = ("singleton",)  # families, or folders of scene files, to train on
-    train_scenes: Count = 1000  # distinct training scenes per family
+    train_scenes: Annotated[int, Field(ge=1, le=1_000_000)] = 1000  # distinct training scenes per family
     test: Sources = ("ood-start-goal", "ood-layout", "ood-clusters")  # evaluated after training
 
 
@@ -71,7 +72,7 @@ class SimConfig(Section):
     """Simulation (Table 1)."""
 
     step_s: Positive = 0.05  # simulated time per physics step
-    max_steps: Count = 500  # actions per episode; then it ends as a timeout (Table 2)
+    max_steps: Steps = 500  # actions per episode; then it ends as a timeout (Table 2)
     success_radius_m: Positive = 0.60  # distance to the goal at which an episode succeeds
 
 
@@ -174,8 +175,8 @@ class MergeConfig(Section):
     """Merge of the global policy: the best of several candidates on validation scenes becomes the target network."""
 
     every_episodes: Annotated[int, Field(ge=0)] = 100  # finished episodes between merges; 0: no merge
-    validation_scenes: Count = 20  # scenes that every candidate drives
-    drive_steps: Count = 150  # actions after which a validation drive is a timeout; the shortest path takes about 30
+    validation_scenes: Annotated[int, Field(ge=1, le=10_000)] = 20  # scenes that every candidate drives
+    drive_steps: Steps = 150  # actions after which a validation drive is a timeout; the shortest path takes about 30
     distil_updates: Count = 200  # updates towards the guide's actions that make the distilled candidate
     drop_after_scenes: Count = 6  # scenes after which a candidate that is clearly behind is dropped
 
@@ -214,7 +215,7 @@ class RunConfig(Section):
     """Length and size of a run."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")] = "default"  # first part of the run directory's name
-    episodes: Count = 150  # training episodes of all actors together
+    episodes: Annotated[int, Field(ge=1, lt=2**31)] = 150  # training episodes of all actors together
     actors: Annotated[int, Field(ge=1, le=4096)] = 2  # actor processes
     cars_per_actor: Annotated[int, Field(ge=1, le=256)] = 4  # cars that an actor drives at the same time
     checkpoint_every_episodes: Count = 50

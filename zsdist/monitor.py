@@ -9,7 +9,7 @@ from typing import NoReturn
 from rich.console import Console
 
 from zsdist import config
-from zsdist.common import cli
+from zsdist.common import cli, folders
 from zsdist.errors import RunError
 from zsdist.roles import permissions
 from zsdist.run import directory
@@ -58,10 +58,10 @@ def main(options: argparse.Namespace) -> int:
 
 
 def _newest_run(runs: Path) -> Path:
-    found = sorted(runs.glob("*/endpoint"), key=lambda path: path.stat().st_mtime)
+    found = [path for path in folders.visible(runs, "*/endpoint") if path.is_file()]
     if not found:
         raise RunError(f"no run with a hub was found in {runs}; start one, or name --connect ENDPOINT and --run NAME")
-    return found[-1].parent
+    return max(found, key=lambda path: path.stat().st_mtime).parent
 
 
 def _show_live(display: Display, transport: Transport) -> NoReturn:

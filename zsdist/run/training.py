@@ -38,7 +38,7 @@ def train(spec: RunSpec, interrupted: Callable[[], bool], watch: Watch) -> Summa
     try:
         run(spec, epochs, interrupted=interrupted, watch=watch)
     except RunError as error:
-        if not any(spec.folder.glob("checkpoints/*/manifest.json")):
+        if not directory.checkpoints(spec.folder):
             raise
         raise RunError(f"{error}; resume from the last checkpoint with --resume {spec.folder}") from error
     return json.loads((spec.folder / "summary.json").read_text())

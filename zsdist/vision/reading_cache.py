@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from zsdist.common import folders
 from zsdist.errors import ConfigError, RunError
 from zsdist.types import LatticeState
 from zsdist.vision.rays import BINS, RAYS
@@ -108,7 +109,7 @@ class ReadingCache:
 
 def _remove_others(kept: Path) -> None:
     """Remove the cache files of this user that no living process uses, except `kept`."""
-    for path in kept.parent.glob(f"{PREFIX}*"):
+    for path in folders.visible(kept.parent, f"{PREFIX}*"):
         if path == kept:
             continue
         try:
