@@ -21,7 +21,6 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
-Steps = Annotated[int, Field(ge=1, lt=2**16)]  # actions of an episode, whose record has a point more than actions
 Folder = Annotated[str, Field(min_length=1), AfterValidator(lambda path: str(Path(path).absolute()))]
 
 
@@ -72,7 +71,7 @@ class SimConfig(Section):
     """Simulation (Table 1)."""
 
     step_s: Positive = 0.05  # simulated time per physics step
-    max_steps: Steps = 500  # actions per episode; then it ends as a timeout (Table 2)
+    max_steps: Annotated[int, Field(ge=1, le=10_000)] = 500  # actions per episode; then it ends as a timeout (Table 2)
     success_radius_m: Positive = 0.60  # distance to the goal at which an episode succeeds
 
 
@@ -176,7 +175,9 @@ class MergeConfig(Section):
 
     every_episodes: Annotated[int, Field(ge=0)] = 100  # finished episodes between merges; 0: no merge
     validation_scenes: Annotated[int, Field(ge=1, le=10_000)] = 20  # scenes that every candidate drives
-    drive_steps: Steps = 150  # actions after which a validation drive is a timeout; the shortest path takes about 30
+    drive_steps: Annotated[int, Field(ge=1, le=10_000)] = (
+        150  # actions until a drive is a timeout; the shortest path takes 30
+    )
     distil_updates: Count = 200  # updates towards the guide's actions that make the distilled candidate
     drop_after_scenes: Count = 6  # scenes after which a candidate that is clearly behind is dropped
 

@@ -178,7 +178,9 @@ class Journal:
     def _files(self) -> list["_File"]:
         """Return the files of this journal by generation; anything else in the folder is not ours, and stays."""
         found = ((path, _NAME.fullmatch(path.name)) for path in folders.visible(self._folder))
-        files = [_File(path, int(name["generation"]), int(name["end"] or 0), name["kind"]) for path, name in found if name]
+        files = [
+            _File(path, int(name["generation"]), int(name["end"] or 0), name["kind"]) for path, name in found if name
+        ]
         return sorted(files, key=lambda file: file.generation)
 
     def _remove(self, unneeded: Callable[["_File"], bool]) -> None:

@@ -103,8 +103,8 @@ def ended(folder: Path) -> str | None:
 def rewind(folder: Path, settings: Config, states: dict[str, State]) -> None:
     """Make the folder of a resumed run agree with its newest checkpoint: cut off all that came later.
 
-    The work is in proportion to what came later, not to the length of the run. Journals are removed too. Each belongs to one start of the run, and episodes in them that finished after the
-    checkpoint are driven again.
+    The work is in proportion to what came later, not to the length of the run. Journals are removed too. Each belongs
+    to one start of the run, and episodes in them that finished after the checkpoint are driven again.
     """
     rewrite_config(folder, settings)
     shutil.rmtree(folder / "journal", ignore_errors=True)

@@ -2,14 +2,17 @@
 
 import json
 import os
+import re
 from pathlib import Path
 from typing import Any, TextIO
 
 from zsdist.common import atomic_files, json_lines
 from zsdist.telemetry.snapshot import Fields
 
-DENSE_ROWS = 400  # twice as many of the newest rows are all kept: at a row a second those of 13 minutes
-ROW = "row"  # field of a line: the number of the row, from 0 without gaps before any was removed
+DENSE_ROWS = 300  # twice as many of the newest rows are all kept: at a row a second those of ten minutes
+THINNED_AFTER_ROWS = 1200
+ROW = "row"  # first field of a line: the number of the row, from 0 without gaps before any was removed
+_BEGINNING = re.compile(rb'\{"row": (\d+)[,}]')
 
 
 def spacing(age: int, dense: int) -> int:
@@ -22,11 +25,11 @@ def spacing(age: int, dense: int) -> int:
 
 
 class FiguresFile:
-    """File of JSON lines, one a row, that grows by appending and is thinned once in `DENSE_ROWS` rows.
+    """File of JSON lines, one a row, that grows by appending and is thinned once in `THINNED_AFTER_ROWS`.
 
-    Rows are numbered in the order in which they are appended, in the field `row`. Between `DENSE_ROWS` and twice that
-    age all rows are kept, up to twice that every second, and so on. Thinning replaces the file in one step, so a crash
-    leaves the old file or the new one, and a reader that has it open reads the old one to its end.
+    Rows are numbered in the order in which they are appended, in the field `row`. All rows up to an age of twice
+    `DENSE_ROWS` are kept, up to twice that age every second one, and so on. Thinning replaces the file in one step, so
+    a crash leaves the old file or the new one, and a reader that has it open reads the old one to its end.
     """
 
     def __init__(self, path: Path) -> None:
@@ -40,7 +43,7 @@ class FiguresFile:
         number = self._next
         self._file.write(json.dumps({ROW: number, **row}, allow_nan=False) + "\n")
         self._next += 1
-        if self._next % DENSE_ROWS == 0:
+        if self._next % THINNED_AFTER_ROWS == 0:
             self._thin()
         return number
 
@@ -76,6 +79,8 @@ def _next_number(path: Path) -> int:
 
 def _number(line: bytes, position: int | None) -> int | None:
     """Return the number of a line's row; `position` where it has none; None where the line is damaged."""
+    if match := _BEGINNING.match(line):
+        return int(match[1])
     try:
         row: Any = json.loads(line)
         return int(row.get(ROW, position))
