@@ -2,6 +2,7 @@
 # make test     the same set-up, then lint, unit tests and integration tests
 # make lint     ruff check, ruff format --check and mypy
 # make dist     build wheel and sdist in dist/, install the wheel in a clean environment elsewhere, and use it there
+# make endurance  drive the scheduler and the run directory through 30 virtual days; DAYS=N makes it shorter
 # make proof    show whether this checkout behaves like another one, bit for bit: make proof OLD=/path/to/other/checkout
 # make peers    environments for the systems that benchmarks/replay.py compares with; PEERS=DIR elsewhere
 # make install  only the set-up, development tools included; VENV=DIR puts the environment elsewhere
@@ -28,8 +29,9 @@ export OMP_NUM_THREADS ?= 1
 PEERS ?= .peers
 DIST_CHECK ?= $(shell echo $${TMPDIR:-/tmp})/zsdist-dist-check
 PROOF ?= .proof
+DAYS ?= 30
 
-.PHONY: install run test lint dist proof clean peers
+.PHONY: install run test lint dist endurance proof clean peers
 
 install: $(TOOLS)
 
@@ -57,7 +59,7 @@ lint: install
 	$(BIN)/mypy
 
 test: lint
-	$(BIN)/python -m pytest tests/unit tests/chaos -q -n auto
+	$(BIN)/python -m pytest tests/unit tests/chaos tests/endurance -q -n auto
 	$(BIN)/python -m pytest tests/integration -q
 
 # The wheel is built from the sdist, so both are checked. The program runs outside the checkout, with nothing else on
@@ -75,6 +77,10 @@ dist:
 	cd $(DIST_CHECK) && env -u PYTHONPATH clean/bin/python -m zsdist.launch --single-process --plain --episodes 2 --run-dir run
 	rm -rf $(DIST_CHECK)
 	@ls -l dist
+
+# A month of a run without simulation: nothing may stop, and nothing may grow. `make test` includes one day of it.
+endurance: install
+	ZSDIST_ENDURANCE_DAYS=$(DAYS) $(BIN)/python -m pytest tests/endurance -q
 
 # Records of two checkouts: weights, trajectories and episodes of fixed seeds. It takes an hour; ARGS=--quick takes minutes.
 proof: install

@@ -51,7 +51,7 @@ class ScenesConfig(Section):
     """Scenes of a run. Validation scenes come from the training families, drawn with other seeds."""
 
     train: Sources = ("singleton",)  # families, or folders of scene files, to train on
-    train_scenes: Count = 1000  # distinct training scenes per family
+    train_scenes: Annotated[int, Field(ge=1, le=1_000_000)] = 1000  # distinct training scenes per family
     test: Sources = ("ood-start-goal", "ood-layout", "ood-clusters")  # evaluated after training
 
 
@@ -215,7 +215,7 @@ class RunConfig(Section):
     """Length and size of a run."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")] = "default"  # first part of the run directory's name
-    episodes: Count = 150  # training episodes of all actors together
+    episodes: Annotated[int, Field(ge=1, lt=2**31)] = 150  # training episodes of all actors together
     actors: Annotated[int, Field(ge=1, le=4096)] = 2  # actor processes
     cars_per_actor: Annotated[int, Field(ge=1, le=256)] = 4  # cars that an actor drives at the same time
     checkpoint_every_episodes: Count = 50

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from zsdist.common import commands
+from zsdist.common import commands, folders
 from zsdist.config import Config
 from zsdist.diagnostics.cluster import host_of
 from zsdist.diagnostics.parts import send_message
@@ -24,7 +24,7 @@ def check_certificates(folder: Path, endpoint: str | None) -> Iterator[CheckResu
         folder: folder of certificates, as `transport.tls` names it.
         endpoint: endpoint of the hub; None: the default of `transport.endpoint`.
     """
-    names = sorted(path.stem for path in folder.glob("*.pem") if path.stem != AUTHORITY)
+    names = [path.stem for path in folders.visible(folder, "*.pem") if path.stem != AUTHORITY]
     identities: dict[str, Identity] = {}
     for name in names:
         yield _check_certificate(folder, name, identities)

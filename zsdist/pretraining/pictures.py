@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from zsdist.common import atomic_files
+from zsdist.common import atomic_files, folders
 from zsdist.common import process_pool as pool
 from zsdist.errors import RunError
 from zsdist.pretraining.job import Job
@@ -41,7 +41,7 @@ def disk_bytes(job: Job, encoder: Encoder) -> int:
 
 def check_disk(job: Job, encoder: Encoder, folder: Path) -> None:
     """Raise `RunError` unless the disk has space for the pictures that are not made yet."""
-    kept = sum(file.stat().st_size for file in folder.rglob("*.npy"))
+    kept = sum(file.stat().st_size for file in folders.visible(folder, "**/*.npy"))
     existing = next(path for path in (folder.resolve(), *folder.resolve().parents) if path.exists())
     need, free = disk_bytes(job, encoder) - kept + _SPARE_BYTES, shutil.disk_usage(existing).free
     if need > free:
@@ -73,7 +73,7 @@ def make_all(
     if (folder / LIST_FILE).exists():
         return
     folder.mkdir(parents=True, exist_ok=True)
-    for unfinished in folder.glob("*.new"):
+    for unfinished in filter(Path.is_dir, folders.visible(folder, "*.new")):
         shutil.rmtree(unfinished)
     wanted = shards(sources(job))
     missing = [shard for shard in wanted if not (folder / shard.name).exists()]
@@ -183,14 +183,14 @@ class Pictures:
     def _of(self, *sources: str) -> list[str]:
         """Return the names of the sources' shards, without empty ones, which have no usable photograph."""
         names = [name for name in self._names if _source_of(name) in sources]
-        return [name for name in names if any((self._folder / name).iterdir())]
+        return [name for name in names if folders.visible(self._folder / name)]
 
     def _rows(self, *sources: str) -> dict[str, Rows]:
         """Return the arrays of sources, by name of the array."""
         names = self._of(*sources)
         if not names:
             raise RunError(f"there is no picture of {' or '.join(sources)}; allowed are one or more")
-        fields = sorted(path.stem for path in (self._folder / names[0]).glob("*.npy"))
+        fields = [path.stem for path in folders.visible(self._folder / names[0], "*.npy")]
         return {field: Rows.read([self._folder / name / f"{field}.npy" for name in names]) for field in fields}
 
     def _new_scenes(self, source: str, *trained: str) -> np.ndarray:

@@ -10,6 +10,7 @@ are not forced onto the disk: a machine that loses power may lose the last of th
 """
 
 import os
+import re
 import struct
 import weakref
 import zlib
@@ -17,6 +18,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from zsdist.common import folders
 from zsdist.common.ownership import Owned
 from zsdist.errors import RunError
 
@@ -26,6 +28,7 @@ COMPACT_RECORDS = 512
 
 _HEAD = struct.Struct("<IIB")  # length of the content, CRC-32 of kind and content, kind
 _KIND = struct.Struct("<B")
+_NAME = re.compile(r"(?P<generation>\d{8,})(-(?P<end>\d{16,}))?\.(?P<kind>base|log|piece|partial)")
 
 Record = tuple[int, bytes]  # kind, defined by the writer, and content
 
@@ -42,6 +45,22 @@ class JournalContent(NamedTuple):
     base: bytes
     pieces: list[bytes]
     records: list[Record]
+
+
+class _File(NamedTuple):
+    """File of a journal.
+
+    Attributes:
+        path: path of the file.
+        generation: number of bases that were begun before or with it.
+        end: serial of the first row after a piece; 0 for other files.
+        kind: base, log, piece, or partial: a base that is being written.
+    """
+
+    path: Path
+    generation: int
+    end: int
+    kind: str
 
 
 class Journal(Owned):
@@ -87,13 +106,13 @@ class Journal(Owned):
         Raises:
             RunError: a file cannot be read or cut.
         """
-        generations = sorted(int(path.stem) for path in self._folder.glob("*.base"))
+        generations = [file.generation for file in self._files() if file.kind == "base"]
         if not generations:
             return None
-        self._generation = generations[-1]
+        self._generation = max(generations)
         try:
-            self._remove(lambda path: _generation(path) > self._generation)  # files of a base that was never finished
-            self._pieces = {path: path.stat().st_size for path in sorted(self._folder.glob("*.piece"))}
+            self._remove(lambda file: file.generation > self._generation)  # files of a base that was never finished
+            self._pieces = {file.path: file.path.stat().st_size for file in self._files() if file.kind == "piece"}
             base, pieces = self._path("base").read_bytes(), [path.read_bytes() for path in self._pieces]
             self._open_log()
             content = self._path("log").read_bytes()
@@ -127,8 +146,8 @@ class Journal(Owned):
             partial.write_bytes(base)
             self._open_log()
             partial.rename(self._path("base"))  # from here on base and piece are valid
-            self._remove(lambda path: path.suffix != ".piece" and _generation(path) < self._generation)
-            self._remove(lambda path: path.suffix == ".piece" and int(path.stem.split("-")[1]) <= oldest)
+            self._remove(lambda file: file.kind != "piece" and file.generation < self._generation)
+            self._remove(lambda file: file.kind == "piece" and file.end <= oldest)
         except OSError as error:
             raise self._failed("written", error) from error
         self._base_bytes, self._log_bytes, self._log_records = len(base), 0, 0
@@ -160,10 +179,18 @@ class Journal(Owned):
         self._close_log()
         self._log = -1
 
-    def _remove(self, unneeded: Callable[[Path], bool]) -> None:
-        for path in filter(unneeded, list(self._folder.iterdir())):
-            path.unlink()
-            self._pieces.pop(path, None)
+    def _files(self) -> list["_File"]:
+        """Return the files of this journal by generation; anything else in the folder is not ours, and stays."""
+        found = ((path, _NAME.fullmatch(path.name)) for path in folders.visible(self._folder))
+        files = [
+            _File(path, int(name["generation"]), int(name["end"] or 0), name["kind"]) for path, name in found if name
+        ]
+        return sorted(files, key=lambda file: file.generation)
+
+    def _remove(self, unneeded: Callable[["_File"], bool]) -> None:
+        for file in filter(unneeded, self._files()):
+            file.path.unlink()
+            self._pieces.pop(file.path, None)
 
     def _open_log(self) -> None:
         self.close()
@@ -175,11 +202,6 @@ class Journal(Owned):
 
     def _failed(self, done: str, error: OSError) -> RunError:
         return RunError(f"replay journal {self._folder} cannot be {done}: {error.strerror or error}")
-
-
-def _generation(path: Path) -> int:
-    """Return the generation of a base, log or piece: the number of bases begun before or with it."""
-    return int(path.stem.split("-")[0])
 
 
 def complete_records(content: bytes) -> tuple[list[Record], int]:

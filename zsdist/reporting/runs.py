@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from zsdist import config
-from zsdist.common import random_streams
+from zsdist.common import folders, random_streams
 from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
 from zsdist.evaluation import episode_store
@@ -202,7 +202,8 @@ def _evaluation(result: Row, home: Run | None, runs: Sequence[Run]) -> Evaluatio
 
 def _results(place: Path) -> Iterator[Row]:
     """Yield the results of evaluations in a file or under a folder; a JSON of several runs yields one for each run."""
-    files = [place] if place.is_file() else sorted([*place.rglob("*.json"), *place.rglob("*.jsonl")])
+    found = (path for path in (folders.visible(place, "**/*.json*")) if path.suffix in (".json", ".jsonl"))
+    files = [place] if place.is_file() else [path for path in found if path.is_file()]
     for file in files:
         inside = file.relative_to(place).parts
         if _NOT_SEARCHED & set(inside) or (len(inside) == 1 and file.name in _RUN_FILES):

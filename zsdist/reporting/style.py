@@ -84,7 +84,8 @@ def blank(axes: Iterable[Axes]) -> None:
 
 
 def save(figure: Figure, folder: Path, name: str) -> str:
-    """Write `name.png` and `name.svg`; return the name of the PNG."""
+    """Write `name.png` and `name.svg` into a folder, made where it is missing; return the name of the PNG."""
+    folder.mkdir(parents=True, exist_ok=True)
     figure.savefig(folder / f"{name}.png", dpi=DPI, bbox_inches="tight", pad_inches=0.08)
     figure.savefig(folder / f"{name}.svg", bbox_inches="tight", pad_inches=0.08, metadata={"Date": None})
     return f"{name}.png"

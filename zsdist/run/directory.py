@@ -14,16 +14,21 @@ from pathlib import Path
 from typing import Any
 
 from zsdist import __version__, config
-from zsdist.common import atomic_files, commands, json_lines
+from zsdist.common import atomic_files, commands, folders, json_lines
 from zsdist.common.ownership import Owned
 from zsdist.config import Config
 from zsdist.errors import ConfigError, DecodeError, RunError
+from zsdist.run import board
+from zsdist.run.figures_file import FiguresFile, spacing
 from zsdist.telemetry.snapshot import Fields
 from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.wire import codec
 from zsdist.wire.messages import State
 
 CHECKPOINTS_KEPT = 3
+BOARD_DENSE = 100  # first rows of figures, and first episodes, that are all on the board; later ones ever further apart
+BOARD_LEAST_OFTEN = 64  # rows of figures from one on the board to the next, at most
+_FOLDERS = ("checkpoints", "figures", "logs")
 FIXED = (  # settings that cannot change when a run is resumed, since its states depend on them
     "seed",
     "grid.cells",
@@ -58,8 +63,7 @@ def create(path: Path | None, settings: Config, root: Path = Path("runs")) -> Pa
             )
         if folder.exists() and not folder.is_dir():
             raise RunError(f"run directory {folder} is a file; allowed is a folder")
-        for name in ("checkpoints", "figures", "logs"):
-            (folder / name).mkdir(parents=True, exist_ok=True)
+        _make_folders(folder)
         rewrite_config(folder, settings)
     except OSError as error:
         raise RunError(f"run directory {folder} cannot be written: {error.strerror}") from error
@@ -86,7 +90,7 @@ def reopen(folder: Path, overrides: tuple[str, ...] = ()) -> tuple[Config, dict[
     try:
         return settings, read_checkpoint(newest)
     except RunError as error:
-        older = sorted(path.name for path in newest.parent.glob("[0-9]*") if path.name < newest.name)
+        older = [path.name for path in checkpoints(folder) if path != newest]
         remedy = f"; remove {newest} to resume from {older[-1]}" if older else ""
         raise RunError(f"{error}{remedy}") from error
 
@@ -102,16 +106,18 @@ def ended(folder: Path) -> str | None:
 
 
 def rewind(folder: Path, settings: Config, states: dict[str, State]) -> None:
-    """Make the folder of a resumed run agree with its checkpoint: prune all that came later.
+    """Make the folder of a resumed run agree with its newest checkpoint: cut off all that came later.
 
-    Journals are removed too. Each belongs to one start of the run, and episodes in them that finished after the
-    checkpoint are driven again.
+    The work is in proportion to what came later, not to the length of the run. Journals are removed too. Each belongs
+    to one start of the run, and episodes in them that finished after the checkpoint are driven again.
     """
     rewrite_config(folder, settings)
     shutil.rmtree(folder / "journal", ignore_errors=True)
-    finished = set(states["scheduler"].meta["finished"])
-    json_lines.prune(folder / "episodes.jsonl", lambda record: record["episode"] not in finished)
-    json_lines.prune(folder / "metrics.jsonl", lambda row: row.get("episodes", 0) > len(finished))
+    finished = len(states["scheduler"].meta["finished"])
+    json_lines.cut(folder / "episodes.jsonl", lambda record: record["finished_as"] <= finished)
+    json_lines.cut(folder / "metrics.jsonl", lambda row: row.get("episodes", 0) <= finished)
+    board.rewind(folder / "tensorboard", _manifest(newest_checkpoint(folder)).get("tensorboard"))
+    _make_folders(folder)
 
 
 def key_name(folder: Path) -> str:
@@ -127,10 +133,15 @@ def rewrite_config(folder: Path, settings: Config) -> None:
 
 def newest_checkpoint(folder: Path) -> Path:
     """Return the newest checkpoint of a run directory; raise `RunError` where there is none."""
-    found = sorted(folder.glob("checkpoints/*/manifest.json"))
+    found = checkpoints(folder)
     if not found:
         raise RunError(f"run directory {folder} holds no checkpoint to resume from")
-    return found[-1].parent
+    return found[-1]
+
+
+def checkpoints(folder: Path) -> list[Path]:
+    """Return the complete checkpoints of a run directory, oldest first."""
+    return [path for path in folders.numbered(folder / "checkpoints") if (path / "manifest.json").is_file()]
 
 
 def read_checkpoint(checkpoint: Path) -> dict[str, State]:
@@ -140,9 +151,8 @@ def read_checkpoint(checkpoint: Path) -> dict[str, State]:
         RunError: a file is missing or damaged.
     """
     try:
-        manifest = json.loads((checkpoint / "manifest.json").read_text(encoding="utf-8"))
         states = {}
-        for name, digest in manifest["sha256"].items():
+        for name, digest in _manifest(checkpoint)["sha256"].items():
             payload = (checkpoint / f"{name}.state").read_bytes()
             if hashlib.sha256(payload).hexdigest() != digest:
                 raise RunError(
@@ -158,12 +168,12 @@ def read_checkpoint(checkpoint: Path) -> dict[str, State]:
 
 def read_vision(checkpoint: Path) -> VisionIdentity:
     """Return the vision model that a checkpoint's policy was trained with; raise `RunError` where it names none."""
-    path = checkpoint / "manifest.json"
     try:
-        return VisionIdentity.from_json(json.loads(path.read_text(encoding="utf-8"))["vision"])
+        return VisionIdentity.from_json(_manifest(checkpoint)["vision"])
     except OSError as error:
         raise RunError(f"checkpoint {checkpoint}: {error.filename}: {error.strerror}") from error
     except (ValueError, KeyError, TypeError) as error:
+        path = checkpoint / "manifest.json"
         raise RunError(f"checkpoint file {path} does not name the vision model of its policy: {error}") from error
 
 
@@ -192,33 +202,35 @@ class RunDirectory(Owned):
             vision: vision model of the policy, which is written into checkpoints.
             earlier_s: real seconds that earlier starts of this run took.
         """
-        from tensorboard.summary import Writer  # only the scheduler needs it; torch's own writer imports all of torch
-
         self.folder = folder
         self._vision = vision
         self._earlier_s = earlier_s
         self._opened_s = time.monotonic()
         self._episodes = (folder / "episodes.jsonl").open("a", buffering=1, encoding="utf-8")
-        self._metrics = (folder / "metrics.jsonl").open("a", buffering=1, encoding="utf-8")
-        self._board = Writer(str(folder / "tensorboard"))
-        self._close = weakref.finalize(self, _close, os.getpid(), self._episodes, self._metrics, self._board)
+        self._figures = FiguresFile(folder / "metrics.jsonl")
+        self._board = board.Board(folder / "tensorboard")
+        self._close = weakref.finalize(self, _close, os.getpid(), self._episodes, self._figures, self._board)
         self._close.atexit = False
 
     def episode(self, record: dict[str, Any]) -> None:
-        """Append one line to `episodes.jsonl`."""
+        """Append one line to `episodes.jsonl`; the later in the run, the fewer episodes are shown on TensorBoard."""
         self.check_process()
         self._episodes.write(json.dumps(record, allow_nan=False) + "\n")
-        for name in ("return", "steps", "epsilon"):
-            self._board.add_scalar(f"episode/{name}", record[name], record["finished_as"])
+        number = record["finished_as"]
+        if number % spacing(number, BOARD_DENSE) == 0:
+            self._board.add(number, {f"episode/{name}": record[name] for name in ("return", "steps", "epsilon")})
 
     def metrics(self, row: Fields) -> None:
-        """Append one line to `metrics.jsonl`, and TensorBoard events over the env steps of finished episodes."""
+        """Append one line to `metrics.jsonl`, and TensorBoard events over the env steps of finished episodes.
+
+        Old lines are thinned out (`FiguresFile`). The later in the run, the fewer lines are shown on TensorBoard.
+        """
         self.check_process()
-        self._metrics.write(json.dumps(row, allow_nan=False) + "\n")
-        step = int(row.get("env_steps", 0))
-        for name, value in row.items():
-            if isinstance(value, int | float) and name != "time_s":
-                self._board.add_scalar(f"run/{name}", value, step)
+        number = self._figures.append(row)
+        if number % min(spacing(number, BOARD_DENSE), BOARD_LEAST_OFTEN) == 0:
+            shown = {f"run/{name}": value for name, value in row.items() if name != "time_s"}
+            step = int(row.get("env_steps", 0))
+            self._board.add(step, {name: value for name, value in shown.items() if isinstance(value, int | float)})
 
     def checkpoint(self, episodes: int, states: dict[str, State]) -> None:
         """Write `checkpoints/{episodes}`, complete or not at all, and remove the oldest beyond those kept.
@@ -230,6 +242,7 @@ class RunDirectory(Owned):
         partial, aside = (final.with_name(f".{final.name}.{suffix}") for suffix in ("partial", "old"))
         for left_over in (partial, aside):  # left by a killed process
             shutil.rmtree(left_over, ignore_errors=True)
+        self._sync()  # a checkpoint contains no episode whose line could still be lost
         partial.mkdir(parents=True)
         for name, payload in payloads.items():
             atomic_files.write(partial / f"{name}.state", payload)
@@ -239,6 +252,7 @@ class RunDirectory(Owned):
             "episodes": episodes,
             "vision": self._vision.to_json(),
             "sha256": hashes,
+            "tensorboard": board.sizes(self.folder / "tensorboard"),
         }
         atomic_files.write(partial / "manifest.json", json.dumps(manifest, indent=1).encode())
         atomic_files.sync_folder(partial)
@@ -247,7 +261,7 @@ class RunDirectory(Owned):
         partial.rename(final)
         atomic_files.sync_folder(final.parent)
         shutil.rmtree(aside, ignore_errors=True)
-        for old in sorted(final.parent.glob("[0-9]*"))[:-CHECKPOINTS_KEPT]:
+        for old in checkpoints(self.folder)[:-CHECKPOINTS_KEPT]:
             shutil.rmtree(old)
 
     def wall_s(self) -> float:
@@ -255,11 +269,16 @@ class RunDirectory(Owned):
         return round(self._earlier_s + time.monotonic() - self._opened_s, 3)
 
     def summary(self, fields: Mapping[str, Any]) -> None:
-        """Write `summary.json`, and flush all files."""
+        """Write `summary.json`, after all other files are on the disk."""
+        self._sync()
         atomic_files.replace(self.folder / "summary.json", json.dumps(fields, indent=1, allow_nan=False).encode())
-        for file in (self._episodes, self._metrics):
-            file.flush()
-        self._board.flush()
+
+    def _sync(self) -> None:
+        """Return once all lines and events are on the disk."""
+        self._episodes.flush()
+        os.fsync(self._episodes.fileno())
+        self._figures.sync()
+        self._board.sync()
 
     def close(self) -> None:
         """Close all files; closing again does nothing."""
@@ -267,7 +286,20 @@ class RunDirectory(Owned):
 
 
 def _close(process: int, *files: Any) -> None:
-    """Close files, except in a forked process, which lacks TensorBoard's thread and shares what is not written yet."""
+    """Close files, except in a forked process, which shares them with the process that opened them."""
     if os.getpid() == process:
         for file in files:
             file.close()
+
+
+def _make_folders(folder: Path) -> None:
+    """Make the folders of a run directory; copies of it may lack those that were empty."""
+    for name in _FOLDERS:
+        (folder / name).mkdir(parents=True, exist_ok=True)
+
+
+def _manifest(checkpoint: Path) -> dict[str, Any]:
+    manifest = json.loads((checkpoint / "manifest.json").read_text(encoding="utf-8"))
+    if not isinstance(manifest, dict):
+        raise ValueError("manifest.json is no JSON object")
+    return manifest

@@ -7,10 +7,12 @@ from pathlib import Path
 from zsdist.common import random_streams
 from zsdist.config import Config
 from zsdist.errors import SceneError
-from zsdist.sim.scenes import families, scene
+from zsdist.sim.scenes import families, manifest, scene
 from zsdist.sim.scenes.scene import Scene
 
-SplitScenes = Callable[[str, int], Scene]  # the scene of a split ("train", "validation") and an index
+SplitScenes = Callable[[manifest.Split, int], Scene]  # the scene of a split and a number
+
+MERGE_STRIDE = 10_000  # distance between the first validation scenes of two merges; at most so many are driven in one
 
 
 class SceneSchedule:
@@ -18,7 +20,8 @@ class SceneSchedule:
 
     def __init__(self, config: Config) -> None:
         self._config = config
-        self._sources = [scene_source(name) for name in config.scenes.train]
+        stride = config.merge.validation_scenes
+        self._sources = [scene_source(name, stride) for name in config.scenes.train]
 
     def training(self, number: int) -> Scene:
         """Return the scene of training episode `number`: families in turn, one of `train_scenes` scenes of each."""
@@ -27,19 +30,36 @@ class SceneSchedule:
         return source("train", index)
 
     def validation(self, merge: int, index: int) -> Scene:
-        """Return validation scene `index` of a merge: the same for all its candidates, new for each merge."""
+        """Return validation scene `index` of a merge: the same for all its candidates, new for each merge.
+
+        The number of merges has no limit. Scenes of a family return only after all of its split have been driven.
+        """
         source = self._sources[index % len(self._sources)]
-        return source("validation", merge * 10_000 + index)
+        return source("validation", merge * MERGE_STRIDE + index)
 
 
-def scene_source(name: str) -> SplitScenes:
+def scene_source(name: str, stride: int = 1) -> SplitScenes:
     """Return the function that gives scenes of a family, or of a folder of scene files, which serve every split.
+
+    Any number of 0 or more has a scene: a folder begins again after its last file, a family after the last scene of
+    the split.
+
+    Args:
+        name: family or folder.
+        stride: number of scenes by which a family is further on when it begins again (`manifest.wrapped`).
 
     Raises:
         SceneError: `name` is neither, or the folder has no valid scenes.
     """
     if name in families.FAMILIES:
-        return lru_cache(maxsize=64)(lambda split, index: families.draw(name, split, index))
+
+        @lru_cache(maxsize=64)
+        def drawn(split: manifest.Split, number: int) -> Scene:
+            # The ten scenes of `singleton` are taken by the number itself.
+            index = number if name == families.SINGLETON else manifest.wrapped(number, stride)
+            return families.draw(name, split, index)
+
+        return drawn
     if not Path(name).is_dir():
         allowed = ", ".join(families.FAMILIES)
         raise SceneError(f"source of scenes {name!r} is no folder; allowed are {allowed} and a folder of scene files")

@@ -40,7 +40,7 @@ def train(spec: RunSpec, interrupted: Callable[[], bool], watch: Watch) -> Summa
     try:
         run(spec, epochs, interrupted=interrupted, watch=watch)
     except RunError as error:
-        if not any(spec.folder.glob("checkpoints/*/manifest.json")):
+        if not directory.checkpoints(spec.folder):
             raise
         again = commands.quoted("--resume", spec.folder)
         raise RunError(f"{error}; resume from the last checkpoint with {again}") from error

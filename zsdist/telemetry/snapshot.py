@@ -3,6 +3,7 @@
 import json
 from collections import deque
 from collections.abc import Callable, Iterable
+from operator import itemgetter
 
 from zsdist.transport.base import Message
 from zsdist.types import Level
@@ -61,7 +62,8 @@ class Snapshot:
 
     def of(self, role: str) -> dict[str, Fields]:
         """Return the statistics of every instance of a role, by id."""
-        return {identifier: fields for (kind, identifier), fields in sorted(self.roles.items()) if kind == role}
+        found = ((identifier, fields) for (kind, identifier), fields in self.roles.items() if kind == role)
+        return dict(sorted(found, key=itemgetter(0)))
 
     def total(self, role: str, name: str) -> float:
         """Return the sum of a field over a role's instances."""
@@ -90,11 +92,21 @@ class Snapshot:
         """Return the number of versions by which the oldest weights in use are behind their learner, by level."""
         lags = {}
         for level in Level:
-            newest = _figure(self.of("learner").get(level.value, {}), "weight_version")
-            name = f"{level}_weight_version"
+            name, newest = f"{level}_weight_version", self._newest_version(level)
             acting = [_figure(fields, name) for fields in self.of("actor").values() if name in fields]
             lags[level] = max(0, int(newest - min(acting, default=newest)))
         return lags
+
+    def _lags_of(self, actor: Fields) -> list[int]:
+        """Return the number of versions by which one actor's weights are behind, for each level."""
+        lags = []
+        for level in Level:
+            name, newest = f"{level}_weight_version", self._newest_version(level)
+            lags.append(max(0, int(newest - _figure(actor, name))) if name in actor else 0)
+        return lags
+
+    def _newest_version(self, level: Level) -> float:
+        return _figure(self.roles.get(("learner", level.value), {}), "weight_version")
 
     def row(self) -> Fields:
         """Return one flat line of figures for `metrics.jsonl` and TensorBoard."""
@@ -145,7 +157,10 @@ class Snapshot:
             self.reports += 1
             self.roles[role] = fields
             self._history.setdefault(role, deque(maxlen=HISTORY)).append(fields)
-            self.max_lag_versions = max(self.max_lag_versions, *self.lag_versions().values())
+            if role[0] == "learner":
+                self.max_lag_versions = max(self.max_lag_versions, *self.lag_versions().values())
+            elif role[0] == "actor":  # only its own lag has changed; the time must not grow with the number of actors
+                self.max_lag_versions = max(self.max_lag_versions, *self._lags_of(fields))
             self.max_lag_s = max(self.max_lag_s, float(fields.get("weights_max_lag_s", 0.0)))
         else:
             self.malformed += 1

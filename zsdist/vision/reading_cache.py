@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from zsdist.common import folders
 from zsdist.errors import ConfigError, RunError
 from zsdist.types import LatticeState
 from zsdist.vision.rays import BINS, RAYS
@@ -120,7 +121,7 @@ class ReadingCache:
 
 def _remove_others(kept: Path) -> None:
     """Remove the cache files of this user that no living process uses, except `kept`."""
-    for path in kept.parent.glob(f"{PREFIX}*"):
+    for path in folders.visible(kept.parent, f"{PREFIX}*"):
         if path == kept:
             continue
         try:

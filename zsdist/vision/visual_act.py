@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self, TypeVar
 import numpy as np
 import onnxruntime
 
+from zsdist.common import folders
 from zsdist.config import CameraConfig, VisionConfig
 from zsdist.errors import WeightsError
 from zsdist.types import View
@@ -198,7 +199,7 @@ class VisualAct:
 def _code() -> str:
     """Return a short hash of the networks' source files, since the same weights in other code are another network."""
     here = Path(__file__).parent
-    sources = (*sorted((here / "models").glob("*.py")), here / "labels.py", here / "rays.py")
+    sources = (*folders.visible(here / "models", "*.py"), here / "labels.py", here / "rays.py")
     return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:8]
 
 

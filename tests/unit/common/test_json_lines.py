@@ -1,5 +1,7 @@
 import json
 
+import pytest
+
 from zsdist.common import json_lines
 
 
@@ -22,3 +24,31 @@ def test_lines_without_the_key_that_decides_are_removed(tmp_path):
 def test_a_file_that_does_not_exist_is_not_made(tmp_path):
     json_lines.prune(tmp_path / "none.jsonl", lambda record: True)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_cut_removes_what_follows_the_last_object_that_belongs(tmp_path):
+    file = tmp_path / "episodes.jsonl"
+    lines = [json.dumps({"number": number, "text": "x" * (number * 977 % 3000)}) + "\n" for number in range(200)]
+    for last in (199, 150, 3, 0):
+        file.write_text("".join(lines) + '{"number": 1')
+        json_lines.cut(file, lambda record, last=last: record["number"] <= last)
+        assert file.read_text() == "".join(lines[: last + 1])
+
+
+def test_a_cut_of_a_file_in_which_nothing_belongs_leaves_it_empty(tmp_path):
+    file = tmp_path / "episodes.jsonl"
+    file.write_bytes(b'{"number": 5}\n\x00\x00\nnonsense\n[]\n{"other": 1}\n'.replace(b"[]\n", b""))
+    json_lines.cut(file, lambda record: record["number"] < 5)
+    assert file.read_bytes() == b""
+    json_lines.cut(tmp_path / "none.jsonl", lambda record: True)
+    assert not (tmp_path / "none.jsonl").exists()
+
+
+@pytest.mark.parametrize("block", [1, 2, 7, 65_536])
+def test_lines_are_read_backwards_with_their_ends(tmp_path, monkeypatch, block):
+    monkeypatch.setattr(json_lines, "BLOCK_BYTES", block)
+    file = tmp_path / "lines"
+    file.write_bytes(b"one\n\nthree\nunfinished")
+    assert list(json_lines.backwards(file)) == [(11, b"three\n"), (5, b"\n"), (4, b"one\n")]
+    file.write_bytes(b"")
+    assert list(json_lines.backwards(file)) == []

@@ -33,6 +33,7 @@ def test_certificates_are_looked_at_one_by_one_and_tried_out(tmp_path):
 def test_certificates_that_end_soon_are_a_warning_and_none_at_all_a_failure(tmp_path):
     assert list(statuses(tmp_path).values()) == [CheckStatus.FAIL]
     certificates.make(tmp_path, permissions.HUB, [], ["127.0.0.1"], days=5)
+    (tmp_path / "._hub.pem").write_bytes(b"\x00")  # as an archive made on a Mac has it
     assert statuses(tmp_path) == {"certificate hub": CheckStatus.WARN}
 
 

@@ -52,6 +52,14 @@ def test_masked_pictures_without_scene_numbers_are_read_and_keep_nothing_out(tmp
     assert numbers(made.validation()) == [5] and len(made.masked()[1]) == 1
 
 
+def test_a_shard_with_nothing_but_hidden_files_is_empty(tmp_path):
+    made = pictures(tmp_path, act_0000=views([1]), act_0001={}, validation_0000=views([5]))
+    for name in ("act-0000", "act-0001"):
+        (tmp_path / name / ".DS_Store").write_bytes(b"\x00")
+        (tmp_path / name / "._tokens.npy").write_bytes(b"\x00")
+    assert numbers(made.examples()) == [1]
+
+
 def test_a_validation_of_trained_scenes_only_is_refused(tmp_path):
     made = pictures(tmp_path, act_0000=views([1, 2]), validation_0000=views([2, 1]))
     with pytest.raises(RunError, match="no picture of 'validation' is of a scene that is not trained on"):

@@ -50,6 +50,35 @@ def test_a_torn_tail_is_cut_off_and_every_record_before_it_is_kept(tmp_path_fact
     assert reopened(folder)[1].records == [*records, (2, b"after")]
 
 
+def test_foreign_files_in_the_folder_are_ignored_and_stay(tmp_path):
+    names = (".DS_Store", "._00000001.log", "00000009.base.orig", "notes.base", "copy of 00000003.log", "x.piece")
+    for name in names:
+        (tmp_path / name).write_text("not ours")
+    (tmp_path / "lost+found").mkdir()
+    assert Journal(tmp_path).recover() is None
+    first = Journal(tmp_path)
+    first.rebase(b"one")
+    first.append(RECORDS)
+    first.rebase(b"two", b"rows", end=3)
+    first.append(RECORDS[:1])
+    again, found = reopened(tmp_path)
+    assert found == (b"two", [b"rows"], RECORDS[:1])
+    again.rebase(b"three", end=3, oldest=3)
+    assert {path.name for path in tmp_path.iterdir()} - {*names, "lost+found"} == {"00000003.base", "00000003.log"}
+    assert all((tmp_path / name).read_text() == "not ours" for name in names)
+
+
+def test_generations_are_in_order_of_their_numbers_beyond_eight_digits(tmp_path):
+    for name, content in (
+        ("99999999.base", b"old"),
+        ("100000000.base", b"new"),
+        ("99999999-0000000000000003.piece", b"first"),
+        ("100000000-0000000000000006.piece", b"second"),
+    ):
+        (tmp_path / name).write_bytes(content)
+    assert Journal(tmp_path).recover() == (b"new", [b"first", b"second"], [])
+
+
 def test_recovery_stops_at_a_damaged_record(tmp_path):
     writer = Journal(tmp_path)
     writer.rebase(b"base")

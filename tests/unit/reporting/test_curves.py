@@ -37,3 +37,8 @@ def test_outcomes_sizes_and_merges_are_drawn(material, tmp_path):
     assert "full, seed 1" in text_of(tmp_path, curves.draw_sizes(material.runs, tmp_path))
     merges = text_of(tmp_path, curves.draw_merges(material.runs[:1], tmp_path))
     assert all(f">{word}<" in merges for word in ("recent", "best", "promoted"))
+
+
+def test_figures_are_drawn_into_a_folder_that_is_missing(material, tmp_path):
+    assert curves.draw_outcomes(material.methods, tmp_path / "copied run" / "figures").endswith(".png")
+    assert (tmp_path / "copied run" / "figures" / "training-outcomes.svg").is_file()

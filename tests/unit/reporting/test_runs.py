@@ -71,6 +71,14 @@ def test_other_json_files_beside_evaluations_are_ignored(tmp_path, content):
     assert len(runs.read([tmp_path]).evaluations) == 1
 
 
+def test_hidden_files_beside_evaluations_are_ignored(tmp_path):
+    for name in ("._one.json", ".one.json.partial/two.json", "old.json/.keep.json"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"\xff\xfe")
+    (tmp_path / "one.json").write_text(json.dumps(RESULT))
+    assert len(runs.read([tmp_path]).evaluations) == 1
+
+
 def test_a_file_beside_evaluations_that_is_no_text_is_refused_by_name(tmp_path):
     (tmp_path / "other.jsonl").write_bytes(b"\xff\xfe")
     with pytest.raises(RunError, match=r"other\.jsonl cannot be read"):

@@ -1,4 +1,5 @@
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -114,8 +115,8 @@ def test_a_checkpoint_without_a_file_is_refused_by_file(folder, run_log):
 
 
 def test_a_resume_prunes_episodes_that_the_checkpoint_does_not_contain(folder, run_log):
-    for episode in (1, 2, 3, 4, 5):
-        run_log.episode({"episode": episode, "return": 0.0, "steps": 1, "epsilon": 1.0, "finished_as": episode})
+    for finished_as, episode in enumerate((1, 2, 4, 3, 5), 1):
+        run_log.episode({"episode": episode, "return": 0.0, "steps": 1, "epsilon": 1.0, "finished_as": finished_as})
     with (folder / "episodes.jsonl").open("a") as file:
         file.write('{"episode": 6, "retu')  # left by a killed process
     run_log.checkpoint(3, states())
@@ -134,7 +135,70 @@ def test_a_resume_prunes_later_figures_and_an_unfinished_line(folder, run_log):
     run_log.checkpoint(3, states())
     directory.rewind(folder, *directory.reopen(folder))
     lines = (folder / "metrics.jsonl").read_text().splitlines()
-    assert [json.loads(line) for line in lines] == rows[:3]
+    assert [json.loads(line) for line in lines] == [{"row": number} | row for number, row in enumerate(rows[:3])]
+
+
+def test_a_resume_removes_the_events_of_the_board_that_came_after_the_checkpoint(folder, run_log):
+    def record(number):
+        return {"episode": number, "return": 0.0, "steps": 1, "epsilon": 1.0, "finished_as": number}
+
+    def steps(tag):
+        return [event.step for event in EventAccumulator(str(folder / "tensorboard")).Reload().Tensors(tag)]
+
+    for number in (1, 2, 3, 4, 5):
+        run_log.episode(record(number))
+        run_log.metrics({"episodes": number, "env_steps": number})
+        if number == 3:
+            run_log.checkpoint(3, states())
+    directory.rewind(folder, *directory.reopen(folder))
+    never_saved = RunDirectory(folder, VISION)  # a start that is killed before its first checkpoint
+    never_saved.metrics({"episodes": 4, "env_steps": 40})
+    (folder / "tensorboard" / "notes.txt").write_text("not ours")
+    directory.rewind(folder, *directory.reopen(folder))
+    resumed = RunDirectory(folder, VISION)
+    resumed.episode(record(4))
+    resumed.metrics({"episodes": 4, "env_steps": 400})
+    assert steps("episode/return") == [1, 2, 3, 4]
+    assert steps("run/env_steps") == [1, 2, 3, 400]
+    assert (folder / "tensorboard" / "notes.txt").exists()
+
+
+def test_a_rewind_reads_only_what_came_after_the_checkpoint(folder, run_log, monkeypatch):
+    run_log.checkpoint(3, states())
+    for name, line in (("episodes", '{"finished_as": 1}'), ("metrics", '{"episodes": 1}')):
+        (folder / f"{name}.jsonl").write_text(f"{line}\n" * 100_000 + line.replace("1", "9") + "\n")
+    read, states_read = [], directory.reopen(folder)
+    monkeypatch.setattr(json, "loads", lambda text, loads=json.loads: read.append(len(text)) or loads(text))
+    directory.rewind(folder, *states_read)
+    assert len(read) < 10
+    assert (folder / "metrics.jsonl").read_text().count("\n") == 100_000
+
+
+def test_hidden_and_foreign_folders_are_no_checkpoints(folder, run_log):
+    run_log.checkpoint(3, states())
+    checkpoints = folder / "checkpoints"
+    for name in (".00000009.partial", ".DS_Store", "00000008 copy", "99999999-mine", "٣"):
+        shutil.copytree(checkpoints / "00000003", checkpoints / name)
+    (checkpoints / "00000007").mkdir()  # without a manifest
+    assert directory.newest_checkpoint(folder).name == "00000003"
+    for count in (4, 5, 6):
+        run_log.checkpoint(count, states())
+    assert not (checkpoints / "00000003").exists()
+    assert (checkpoints / "00000008 copy").exists() and (checkpoints / "99999999-mine").exists()
+
+
+def test_checkpoints_are_in_order_of_their_numbers_beyond_eight_digits(folder, run_log):
+    for count in (99_999_998, 99_999_999, 100_000_000, 100_000_001):
+        run_log.checkpoint(count, states())
+    assert [path.name for path in directory.checkpoints(folder)] == ["99999999", "100000000", "100000001"]
+
+
+def test_folders_that_a_copy_of_a_run_lacks_are_made_when_it_is_resumed(folder, run_log):
+    run_log.checkpoint(3, states())
+    for name in ("figures", "logs"):
+        (folder / name).rmdir()
+    directory.rewind(folder, *directory.reopen(folder))
+    assert (folder / "figures").is_dir() and (folder / "logs").is_dir()
 
 
 @pytest.mark.parametrize("change", ["seed=4", "grid.blocks=8", "high.hidden=[64]", "low.hidden=[64]"])

@@ -25,6 +25,26 @@ def test_lag_is_that_of_the_actor_with_the_oldest_weights():
     assert snapshot.max_lag_versions >= 4
 
 
+def test_the_longest_lag_is_found_whichever_message_shows_it():
+    snapshot = Snapshot()
+    snapshot.update([stats("learner", "low", weight_version=9), stats("actor", "0", low_weight_version=7)])
+    assert snapshot.max_lag_versions == 2
+    snapshot.update([stats("actor", "1", low_weight_version=5, high_weight_version=3)])
+    assert snapshot.max_lag_versions == 4
+    snapshot.update([stats("actor", "1", low_weight_version=9), stats("learner", "low", weight_version=20)])
+    assert snapshot.max_lag_versions == 13
+    snapshot.update([stats("actor", "0", low_weight_version=20), stats("actor", "1", low_weight_version=20)])
+    assert (snapshot.max_lag_versions, snapshot.lag_versions()[Level.LOW]) == (13, 0)
+
+
+def test_the_time_for_a_message_does_not_grow_with_the_number_of_actors(monkeypatch):
+    snapshot, asked = Snapshot(), []
+    snapshot.update(stats("actor", str(index), low_weight_version=1) for index in range(500))
+    monkeypatch.setattr(Snapshot, "of", lambda self, role: asked.append(role) or {})
+    snapshot.update(stats("actor", str(index), low_weight_version=2) for index in range(500))
+    assert not asked
+
+
 def test_lag_in_seconds_is_that_of_the_latest_actor_and_the_longest_is_kept():
     snapshot = Snapshot()
     for identifier, lag_s in (("0", 0.2), ("1", 0.7)):

@@ -10,6 +10,7 @@ import pytest
 
 from zsdist.config import CameraConfig
 from zsdist.errors import ConfigError, DataError
+from zsdist.vision.cityscapes import files
 from zsdist.vision.cityscapes.views import SCALE, cityscapes_masked_views, cityscapes_views
 from zsdist.vision.masks import MOST_MASKS
 from zsdist.vision.rays import RAYS, ray_angles_rad
@@ -261,6 +262,14 @@ def test_files_of_other_types_or_sizes_are_refused(tmp_path):
     cv2.imwrite(str(path), np.zeros((HEIGHT // 2, WIDTH), np.uint16))
     with pytest.raises(DataError, match=r"is \(128, 512\) pixels; expected is \(256, 512\)"):
         only(root)
+
+
+def test_hidden_files_beside_pictures_are_no_pictures(tmp_path):
+    city = tmp_path / "leftImg8bit" / "train" / "aachen"
+    city.mkdir(parents=True)
+    for name in ("aachen_000000_000019_leftImg8bit.png", "._aachen_000000_000019_leftImg8bit.png", ".DS_Store"):
+        (city / name).touch()
+    assert [path.name for path in files.frames(tmp_path, "train")] == ["aachen_000000_000019_leftImg8bit.png"]
 
 
 def test_other_splits_and_an_empty_folder_are_refused(tmp_path):

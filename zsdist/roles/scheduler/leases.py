@@ -1,5 +1,6 @@
 """Leases of episode numbers: each number from 1 to N is driven once, even when actors die."""
 
+import heapq
 from collections.abc import Iterable
 
 
@@ -7,13 +8,26 @@ class Leases:
     """Assignment of training episodes to actors.
 
     Numbers are granted in order up to a `barrier` (the next merge), so that no episode is in flight when the barrier is
-    reached. The numbers of a dead actor are granted again.
+    reached. The numbers of a dead actor are granted again. Memory and time depend on the numbers that are not finished,
+    not on those that are.
+
+    Attributes:
+        holders: actor that holds each number.
+        finished_count: count of finished numbers.
     """
 
     def __init__(self, finished: Iterable[int] = ()) -> None:
-        self.finished: set[int] = set(finished)
-        self.holders: dict[int, str] = {}  # number -> actor
-        self._lowest_open = 1  # every number below is finished
+        done = set(finished)
+        self.holders: dict[int, str] = {}
+        self.finished_count = len(done)
+        self._held: dict[str, set[int]] = {}  # numbers that each actor holds
+        self._next = max(done, default=0) + 1  # this and all higher numbers have never been granted
+        self._free = [number for number in range(1, self._next) if number not in done]  # lower ones to grant: a heap
+
+    @property
+    def finished(self) -> set[int]:
+        """All finished numbers."""
+        return set(range(1, self._next)) - self.holders.keys() - set(self._free)
 
     def grant(self, actor: str, capacity: int, barrier: int) -> None:
         """Grant the lowest free numbers to `actor` until it holds `capacity` of them.
@@ -21,31 +35,32 @@ class Leases:
         At most `barrier` numbers are finished or granted in all. Finished numbers are counted and not compared with the
         barrier, since after an interruption they need not be the lowest ones.
         """
-        held = sum(1 for holder in self.holders.values() if holder == actor)
-        while self._lowest_open in self.finished:
-            self._lowest_open += 1
-        number = self._lowest_open
-        while held < capacity and len(self.finished) + len(self.holders) < barrier:
-            if number not in self.finished and number not in self.holders:
-                self.holders[number] = actor
-                held += 1
-            number += 1
+        held = self._held.setdefault(actor, set())
+        while len(held) < capacity and self.finished_count + len(self.holders) < barrier:
+            if self._free:
+                number = heapq.heappop(self._free)
+            else:
+                number, self._next = self._next, self._next + 1
+            self.holders[number] = actor
+            held.add(number)
 
     def finish(self, number: int, actor: str) -> bool:
         """Mark `number` finished; return False, and change nothing, where `actor` does not hold it (any more)."""
         if self.holders.get(number) != actor:
             return False
         del self.holders[number]
-        self.finished.add(number)
+        self._held[actor].remove(number)
+        self.finished_count += 1
         return True
 
     def give_back(self, actor: str) -> list[int]:
         """Free all numbers that `actor` holds, as after its death, and return them."""
-        numbers = sorted(number for number, holder in self.holders.items() if holder == actor)
+        numbers = sorted(self._held.pop(actor, ()))
         for number in numbers:
             del self.holders[number]
+            heapq.heappush(self._free, number)
         return numbers
 
     def held_by(self, actor: str) -> list[int]:
         """Return the numbers that `actor` holds, in order."""
-        return sorted(number for number, holder in self.holders.items() if holder == actor)
+        return sorted(self._held.get(actor, ()))

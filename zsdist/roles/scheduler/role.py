@@ -77,7 +77,7 @@ class Scheduler(Role):
     @property
     def finished_episodes(self) -> int:
         """Count of finished episodes."""
-        return len(self.leases.finished)
+        return self.leases.finished_count
 
     def work(self, now: float) -> float:
         """Receive what has arrived, decide what follows, and publish it."""

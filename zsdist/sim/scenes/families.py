@@ -19,9 +19,9 @@ from zsdist.sim.scenes.scene import DEFAULT_GRID, Scene, check
 from zsdist.sim.scenes.solvability import solve
 from zsdist.types import LatticeState
 
-__all__ = ["FAMILIES", "SINGLETON_SCENES", "draw", "generate", "split_seed"]
+__all__ = ["FAMILIES", "SINGLETON", "SINGLETON_SCENES", "draw", "generate", "split_seed"]
 
-SINGLETON_SCENES = 10
+SINGLETON, SINGLETON_SCENES = "singleton", 10
 MAX_SEED = 2**31
 MAX_TRIES = 200
 LEAST_WAY_M = 10.0  # least distance between start and goal
@@ -50,14 +50,14 @@ def generate(family: str, seed: int) -> Scene:
 
 def draw(family: str, split: Split, index: int) -> Scene:
     """Return the `index`-th scene of a family's split; `singleton` has the same ten scenes in every split."""
-    return generate(family, index % SINGLETON_SCENES if family == "singleton" else split_seed(split, index))
+    return generate(family, index % SINGLETON_SCENES if family == SINGLETON else split_seed(split, index))
 
 
 def generate_counted(family: str, seed: int) -> tuple[Scene, int]:
     """Return the scene of `generate`, and the number of draws that it took."""
     if family not in FAMILIES:
         raise SceneError(f"scene family is {family!r}; allowed are {', '.join(FAMILIES)}")
-    most = SINGLETON_SCENES if family == "singleton" else MAX_SEED
+    most = SINGLETON_SCENES if family == SINGLETON else MAX_SEED
     if not 0 <= seed < most:
         raise SceneError(f"seed of a {family} scene is {seed}; allowed is 0 to {most - 1}")
     rng = random_streams.scene(list(FAMILIES).index(family), seed)
@@ -188,7 +188,7 @@ def _vocabulary(rng: np.random.Generator, name: str) -> Scene:
 
 # The position of a family in this dictionary is part of its scenes' seeds: append only.
 FAMILIES: dict[str, Callable[[np.random.Generator, str], Scene]] = {
-    "singleton": _iid,
+    SINGLETON: _iid,
     "iid": _iid,
     "ood-start-goal": _start_goal,
     "ood-layout": _layout,

@@ -18,9 +18,9 @@ from zsdist.sim.scenes.kinds import GROUNDS, KINDS
 
 Split = Literal["train", "validation", "test", "vision"]
 
-_SPLIT_SIZE = 1_000_000
+SPLIT_SCENES = 1_000_000  # number of scenes of a family in each split
 SPLITS: dict[str, range] = {
-    split: range(i * _SPLIT_SIZE, (i + 1) * _SPLIT_SIZE)
+    split: range(i * SPLIT_SCENES, (i + 1) * SPLIT_SCENES)
     for i, split in enumerate(("train", "validation", "test", "vision"))
 }
 
@@ -74,6 +74,15 @@ def split_seed(split: Split, index: int) -> int:
     """
     if split not in SPLITS:
         raise SceneError(f"split is {split!r}; allowed are {', '.join(SPLITS)}")
-    if not 0 <= index < _SPLIT_SIZE:
-        raise SceneError(f"index of a scene in a split is {index}; allowed is 0 to {_SPLIT_SIZE - 1}")
+    if not 0 <= index < SPLIT_SCENES:
+        raise SceneError(f"index of a scene in a split is {index}; allowed is 0 to {SPLIT_SCENES - 1}")
     return SPLITS[split][index]
+
+
+def wrapped(number: int, stride: int) -> int:
+    """Return the index in a split that stands for a number without an upper limit.
+
+    Numbers below `SPLIT_SCENES` are their own indices. Later ones go through the split again, each time `stride`
+    further on. So numbers that come in groups of up to `stride`, with gaps between the groups, first fill the gaps.
+    """
+    return (number + number // SPLIT_SCENES * stride) % SPLIT_SCENES

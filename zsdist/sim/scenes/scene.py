@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from zsdist.common import strict_yaml
+from zsdist.common import folders, strict_yaml
 from zsdist.config import GridConfig
 from zsdist.errors import SceneError
 from zsdist.planning.grid import Grid
@@ -212,7 +212,7 @@ def read_folder(folder: str | Path, grid: Grid = DEFAULT_GRID) -> list[Scene]:
     folder = Path(folder)
     if not folder.is_dir():
         raise SceneError(f"scene folder {folder} does not exist or is not a folder")
-    paths = sorted(path for suffix in ("yaml", "yml") for path in folder.glob(f"[!.]*.{suffix}"))
+    paths = [path for path in folders.visible(folder) if path.suffix in (".yaml", ".yml") and path.is_file()]
     if not paths:
         raise SceneError(f"scene folder {folder} has no scene file; allowed are files named *.yaml or *.yml")
     return [read(path, grid) for path in paths]

@@ -15,6 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from zsdist.common import folders
 from zsdist.errors import DataError
 
 SPLITS = ("train", "val")  # the annotations of other splits are coarse or withheld
@@ -91,7 +92,7 @@ def frames(folder: Path, split: str) -> list[Path]:
     """
     if split not in SPLITS:
         raise DataError(f"Cityscapes split is {split!r}; allowed are {', '.join(SPLITS)}")
-    found = sorted((folder / "leftImg8bit" / split).glob(f"*/*{_PICTURE}"))
+    found = folders.visible(folder / "leftImg8bit" / split, f"*/*{_PICTURE}")
     if not found:
         raise DataError(
             f"folder {folder} has no leftImg8bit/{split}/<city>/*{_PICTURE}; expected is the root of a Cityscapes "

@@ -1,3 +1,5 @@
+import tracemalloc
+
 from zsdist.roles.scheduler.leases import Leases
 
 
@@ -42,3 +44,25 @@ def test_numbers_finished_out_of_order_count_towards_the_barrier():
     leases = Leases({1, 2, 7})
     leases.grant("a", capacity=10, barrier=5)
     assert leases.held_by("a") == [3, 4]
+
+
+def test_what_is_finished_takes_no_memory_and_no_time():
+    leases, actors, granted = Leases(), [f"actor-{index}" for index in range(4096)], 0
+    tracemalloc.start()
+    for _ in range(5):
+        for actor in actors:
+            leases.grant(actor, 4, 10**9)
+            granted += 4
+            for number in leases.held_by(actor):
+                leases.finish(number, actor)
+    grown, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert leases.finished_count == granted
+    assert grown < 2 * 2**20  # the empty sets of 4,096 actors
+
+
+def test_a_long_run_with_a_gap_resumes_where_it_was():
+    leases = Leases(set(range(1, 100_001)) - {77, 99_990})
+    leases.grant("a", 3, 10**6)
+    assert leases.held_by("a") == [77, 99_990, 100_001]
+    assert leases.finished == set(range(1, 100_001)) - {77, 99_990}

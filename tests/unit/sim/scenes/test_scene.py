@@ -148,6 +148,8 @@ def test_a_folder_gives_its_scenes_in_the_order_of_file_names(file, tmp_path):
     file(GOOD.replace("0001", "1"), "a.yaml")
     file("no scene", "readme.txt")
     file("no scene", "._a.yaml")  # as some systems leave beside copied files
+    (tmp_path / ".#b.yml").symlink_to("somebody@elsewhere")  # as some editors do
+    (tmp_path / "old.yaml").mkdir()
     assert [scene.name for scene in read_folder(tmp_path)] == ["wilderness-1", "wilderness-2"]
 
 
