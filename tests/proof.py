@@ -134,7 +134,7 @@ def main() -> int:
     recording.add_argument("tree", type=Path)
     recording.add_argument("file", type=Path)
     recording.add_argument("--quick", action="store_true")
-    recording.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    recording.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     comparing = commands.add_parser("compare")
     comparing.add_argument("old", type=Path)
     comparing.add_argument("new", type=Path)
