@@ -57,8 +57,8 @@ def compare(first: Path, second: Path, seed: int = 0) -> Comparison:
 
     Where a file has several policies (training seeds of one method), a scene counts with their mean. Lines of older
     code, weights or settings do not count. Lines without the shield do not count where the file has others under it.
-    The intervals are bootstraps over the pairs. SPL covers the scenes in which nothing moves and
-    the planner knows a path.
+    The intervals are bootstraps over the pairs, of which each scene gives one. SPL covers the scenes in which nothing
+    moves and the planner knows a path.
 
     Args:
         first: file of episodes.
@@ -71,7 +71,8 @@ def compare(first: Path, second: Path, seed: int = 0) -> Comparison:
     (ours, code, notes), (theirs, other, more) = _episodes(first), _episodes(second)
     if other not in equivalent(code):
         notes.append(f"the two files were measured with different code, {code} and {other}")
-    shared = sorted(ours.keys() & theirs.keys())
+    paired = sorted(ours.keys() & theirs.keys(), key=lambda drive: drive[1:])
+    shared = sorted({drive[0]: drive for drive in reversed(paired)}.values())  # the first drive of each scene
     if not shared:
         raise RunError(
             f"{first} and {second} have no scene, seed and index in common; allowed are files that have some"
@@ -91,8 +92,10 @@ def compare(first: Path, second: Path, seed: int = 0) -> Comparison:
                 "confidence_95": list(bootstrap_95(a - b, rng)),
             }
     for drives, file in ((ours, first), (theirs, second)):
-        if left := len(drives) - len(shared):
+        if left := len(drives) - len(paired):
             notes.append(f"{file}: {left} episodes have no partner and are left out")
+    if left := len(paired) - len(shared):
+        notes.append(f"{left} pairs repeat a scene and are left out")
     return Comparison({"a": str(first), "b": str(second), "episodes": len(shared), "figures": figures}, notes + more)
 
 

@@ -98,6 +98,26 @@ def summarise(records: Sequence[EpisodeRecord], rng: np.random.Generator) -> dic
     }
 
 
+def summarise_scenes(
+    records: Sequence[EpisodeRecord], scenes: Sequence[str], rng: np.random.Generator
+) -> dict[str, object]:
+    """Return the figures of `summarise`, with intervals that count each scene once, and `distinct_scenes`.
+
+    An evaluation with more episodes than scenes repeats them. A greedy policy drives a scene the same way again, so a
+    repeat says nothing new about the policy. The first drive of each scene counts.
+
+    Args:
+        records: episodes, at least one.
+        scenes: hash of the scene of each episode.
+        rng: generator of the bootstrap.
+    """
+    summary = summarise(records, rng)
+    first = {scene: record for scene, record in reversed(list(zip(scenes, records, strict=True)))}
+    if len(first) < len(records):
+        summary["confidence_95"] = summarise(list(first.values())[::-1], rng)["confidence_95"]
+    return summary | {"distinct_scenes": len(first)}
+
+
 def _detour(record: EpisodeRecord) -> float | None:
     """Return shortest over driven path length, at most 1; None where the planner knows no path, though the car may.
 

@@ -15,7 +15,7 @@ from zsdist.common.console import PlainConsole, bars, say, table
 from zsdist.evaluation.contenders import FULL, Contender
 from zsdist.evaluation.episode_store import EpisodeStore
 from zsdist.evaluation.fingerprint import code_sha256
-from zsdist.evaluation.metrics import spl, summarise
+from zsdist.evaluation.metrics import spl, summarise_scenes
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.evaluation.selection import select
 from zsdist.evaluation.statistics import runs_95
@@ -79,8 +79,10 @@ class Report:
         console.print(table(("figure", "value", "95%"), rows))
         decisions = sum(record.steps for record in self.records)
         changed = sum(record.shield_changes for record in self.records)
+        number, scenes = result["episodes"], result.get("distinct_scenes", result["episodes"])
+        repeated = "" if scenes == number else f" ({scenes} scenes, repeated; the intervals count each once)"
         notes = [
-            f"n {result['episodes']}, seed {result['seed']}, success within {settings.success_radius_m} m, at most "
+            f"n {number}{repeated}, seed {result['seed']}, success within {settings.success_radius_m} m, at most "
             f"{settings.max_steps} actions; observes {self.contender.observability}; "
             f"shield changed {changed} of {decisions} actions ({result['shield_changed_share']:.1%}). "
             f"Code {result['code_sha256']}."
@@ -149,7 +151,8 @@ def evaluate(
         "max_steps": sim.max_steps,
         "code_sha256": code_sha256(),
     }
-    return Report(contender, about | summarise(records, random_streams.intervals(seed)) | circumstances, records)
+    figures = summarise_scenes(records, [scene.hash() for scene in chosen], random_streams.intervals(seed))
+    return Report(contender, about | figures | circumstances, records)
 
 
 def together(reports: Sequence[Report], seed: int) -> dict[str, Any]:

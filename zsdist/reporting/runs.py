@@ -14,7 +14,7 @@ from zsdist.errors import ConfigError, RunError
 from zsdist.evaluation import episode_store
 from zsdist.evaluation.contenders import FULL
 from zsdist.evaluation.fingerprint import equivalent
-from zsdist.evaluation.metrics import summarise
+from zsdist.evaluation.metrics import summarise_scenes
 from zsdist.types import Level
 
 Row = dict[str, Any]
@@ -241,8 +241,9 @@ def _summarise_episodes(file: Path) -> list[Row]:
     results = []
     for key, by_index in groups.items():
         about = dict(zip(_EVALUATION_KEY, key, strict=True))
-        records = [by_index[index].record for index in sorted(by_index)]
-        summary = summarise(records, random_streams.intervals(about["seed"]))
+        lines_of_it = [by_index[index] for index in sorted(by_index)]
+        records, scenes = [line.record for line in lines_of_it], [line.about["scene_hash"] for line in lines_of_it]
+        summary = summarise_scenes(records, scenes, random_streams.intervals(about["seed"]))
         results.append(about | {"run": about["policy"], "episodes": len(records)} | summary)
     return results
 

@@ -1,4 +1,5 @@
 import dataclasses
+import sys
 
 import pytest
 from fakes import RECORD
@@ -126,3 +127,12 @@ def test_an_empty_file_is_refused(tmp_path):
     (tmp_path / "empty").touch()
     with pytest.raises(RunError, match="holds no episode"):
         compare(tmp_path / "empty", write(tmp_path / "b", [RECORD]))
+
+
+def test_pairs_that_repeat_a_scene_count_once_and_are_noted(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys.modules[__name__], "SCENES", SCENES[:3] * 2)
+    a = write(tmp_path / "a", [RECORD, FAILED, RECORD] * 2)
+    b = write(tmp_path / "b", [FAILED] * 6, "random")
+    compared = compare(a, b)
+    assert compared.result["figures"]["success"]["pairs"] == 3 == compared.result["episodes"]
+    assert "3 pairs repeat a scene and are left out" in compared.notes

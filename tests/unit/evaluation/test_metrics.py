@@ -130,3 +130,24 @@ def test_one_episode_gives_every_figure_that_it_can(outcome):
 def test_no_episodes_have_no_summary():
     with pytest.raises(ValueError, match="no episodes"):
         metrics.summarise([], np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("repeats", [2, 5])
+def test_a_repeated_scene_narrows_no_interval(repeats):
+    once = [RECORD, record(outcome=Outcome.COLLISION), record(path_m=40.0)]
+    scenes = ["a", "b", "c"]
+
+    def figures(times):
+        return metrics.summarise_scenes(once * times, scenes * times, np.random.default_rng(0))
+
+    alone, repeated = figures(1), figures(repeats)
+    assert repeated["confidence_95"]["success"] == alone["confidence_95"]["success"]
+    widths = [high - low for low, high in (figure["confidence_95"]["spl"] for figure in (alone, repeated))]
+    assert widths[1] == pytest.approx(widths[0], rel=0.1)
+    assert repeated["distinct_scenes"] == 3 and repeated["success"] == alone["success"]
+
+
+def test_scenes_that_differ_have_the_figures_of_their_episodes():
+    episodes = [RECORD, record(outcome=Outcome.COLLISION)]
+    figures = metrics.summarise_scenes(episodes, ["a", "b"], np.random.default_rng(0))
+    assert figures == metrics.summarise(episodes, np.random.default_rng(0)) | {"distinct_scenes": 2}
