@@ -7,7 +7,6 @@ less or more.
 """
 
 import argparse
-import json
 import math
 import os
 import shlex
@@ -43,20 +42,17 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="M",
         help="time limit; cuts pictures and epochs short",
     )
-    add("--out", type=Path, metavar="DIR", help="folder of the weights (default: runs/visual-act)")
-    add("--resume", type=Path, metavar="DIR", help="resume the pretraining in DIR")
+    add("--out", type=cli.path, metavar="DIR", help="folder of the weights (default: runs/visual-act)")
+    add("--resume", type=cli.path, metavar="DIR", help="resume the pretraining in DIR")
     add("--families", metavar="A,B", help=f"scene families of the pictures (default: {','.join(PURPOSE.families)})")
-    add("--cityscapes", type=Path, metavar="DIR", help="train on the photographs in DIR instead of on scenes")
+    add("--cityscapes", type=cli.path, metavar="DIR", help="train on the photographs in DIR instead of on scenes")
     add("--stages", metavar="A,B", help=f"parts to train (default: {','.join(STAGES)})")
-    add(
-        "--encoder",
-        metavar="NAME|DIR",
-        help="vision.encoder: efficientnet-lite0, or a folder with a CLIP model",
-    )
+    encoder = "vision.encoder: efficientnet-lite0, or a folder with a CLIP model"
+    parser.add_setting("--encoder", "vision.encoder", metavar="NAME|DIR", help=encoder)
     add("--workers", type=cli.count, default=os.cpu_count() or 1, metavar="N", help="processes (default: one per core)")
     add("--keep-pictures", action="store_true", help="keep the pictures when training has ended")
     add("--check", action="store_true", help="check trained weights instead of training")
-    add("--json", type=Path, metavar="FILE", help="write the figures of the check to FILE")
+    add("--json", type=cli.path, metavar="FILE", help="write the figures of the check to FILE")
     add(
         "--objects",
         type=cli.natural,
@@ -66,14 +62,15 @@ def make_parser() -> argparse.ArgumentParser:
     )
     add(
         "--objects-file",
-        type=Path,
+        type=cli.path,
         metavar="FILE",
         help="record of each object, from which a check resumes",
     )
     add("--unseen-kinds", action="store_true", help="also check words for kinds that the projection was not trained on")
-    add("--seed", type=cli.natural, metavar="S", help="seed of scenes, poses, appearance and weights (default: 0)")
-    add("--config", type=Path, metavar="FILE", help="YAML configuration: camera, encoder, weights to check")
-    add("--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change one setting; repeatable")
+    seed = "seed of scenes, poses, appearance and weights (default: 0)"
+    parser.add_setting("--seed", "seed", type=cli.natural, metavar="S", help=seed)
+    add("--config", type=cli.path, metavar="FILE", help="YAML configuration: camera, encoder, weights to check")
+    parser.add_set()
     add("--plain", action="store_true", help="show progress as lines, also on a terminal")
     return parser
 
@@ -81,10 +78,11 @@ def make_parser() -> argparse.ArgumentParser:
 def main(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     if options.check:
+        config = _config(options)
         check(
-            _config(options),
+            config,
             options.images or CHECK_IMAGES,
-            options.seed or 0,
+            config.seed,
             options.json,
             options.objects,
             options.objects_file,
@@ -115,7 +113,7 @@ def pretrain(options: argparse.Namespace) -> int:
         print(f"interrupted; finished parts are kept. Resume with\n  python -m zsdist.pretrain --resume {folder}")
         return cli.INTERRUPTED
     if "head" in job.stages:
-        vision = job.config.vision.model_copy(update={"weights": str(folder)})
+        vision = job.config.vision.model_copy(update={"weights": str(folder.absolute())})
         check(job.config.model_copy(update={"vision": vision}), CHECK_IMAGES, job.seed, options.json, object_count=0)
     print(f"weights are in {folder}; use them with --set vision.weights={folder.resolve()}")
     return 0
@@ -128,14 +126,15 @@ def _new(options: argparse.Namespace) -> Job:
     jobs.check_families(families)
     stages = _names(options.stages, STAGES)
     jobs.check_stages(stages)
+    config = _config(options)
     return Job(
         images=options.images or IMAGES,
         epochs=options.epochs or 0,
-        seed=options.seed or 0,
+        seed=config.seed,
         families=families,
-        cityscapes=str(options.cityscapes or ""),
+        cityscapes=str(options.cityscapes.absolute()) if options.cityscapes else "",
         stages=tuple(stage for stage in STAGES if stage in stages),
-        config=_config(options),
+        config=config,
         command=shlex.join(["python", "-m", "zsdist.pretrain", *sys.argv[1:]]),
     )
 
@@ -151,8 +150,7 @@ def _reopened(options: argparse.Namespace) -> Job:
 
 
 def _config(options: argparse.Namespace) -> Config:
-    encoder = [f"vision.encoder={json.dumps(options.encoder)}"] if options.encoder else []
-    return configuration.load(options.config, (*options.set, *encoder))
+    return configuration.load(options.config, cli.overrides(options), lambda line: print(line, file=sys.stderr))
 
 
 def _names(text: str | None, default: tuple[str, ...]) -> tuple[str, ...]:

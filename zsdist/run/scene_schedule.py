@@ -2,12 +2,10 @@
 
 from collections.abc import Callable
 from functools import lru_cache
-from pathlib import Path
 
 from zsdist.common import random_streams
 from zsdist.config import Config
-from zsdist.errors import SceneError
-from zsdist.sim.scenes import families, scene
+from zsdist.sim.scenes import families, sources
 from zsdist.sim.scenes.scene import Scene
 
 SplitScenes = Callable[[str, int], Scene]  # the scene of a split ("train", "validation") and an index
@@ -33,15 +31,12 @@ class SceneSchedule:
 
 
 def scene_source(name: str) -> SplitScenes:
-    """Return the function that gives scenes of a family, or of a folder of scene files, which serve every split.
+    """Return the function that gives scenes of a family, or of a folder or file of scenes, which serve every split.
 
     Raises:
         SceneError: `name` is neither, or the folder has no valid scenes.
     """
-    if name in families.FAMILIES:
+    scenes = sources.read_files(name)
+    if scenes is None:
         return lru_cache(maxsize=64)(lambda split, index: families.draw(name, split, index))
-    if not Path(name).is_dir():
-        allowed = ", ".join(families.FAMILIES)
-        raise SceneError(f"source of scenes {name!r} is no folder; allowed are {allowed} and a folder of scene files")
-    scenes = scene.read_folder(Path(name))
     return lambda split, index: scenes[index % len(scenes)]
