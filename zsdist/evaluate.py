@@ -43,7 +43,8 @@ def make_parser() -> argparse.ArgumentParser:
     add("--resume", action="store_true", help="resume --out FILE: keep its episodes of the same code and weights")
     add("--variant", default=FULL, metavar="NAME", help=f"variant of a learned policy: {', '.join(VARIANTS)}")
     add("--no-shield", action="store_true", help="also drive a learned policy without the shield")
-    add("--compare", nargs=2, type=cli.path, metavar="FILE.jsonl", help="paired differences between two files of episodes")
+    compared = "paired differences between two files of episodes"
+    add("--compare", nargs=2, type=cli.path, metavar="FILE.jsonl", help=compared)
     add("--video", type=cli.path, metavar="DIR", help="film the first episodes into DIR, an MP4 and a still of each")
     add("--video-episodes", type=cli.count, default=3, metavar="N", help="number of episodes to film (default: 3)")
     add("--config", type=cli.path, metavar="FILE", help="configuration of a baseline's world; a run has its own")

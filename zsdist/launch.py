@@ -13,7 +13,6 @@ from zsdist.run.interruption import interruptible
 from zsdist.run.program import RunSpec
 from zsdist.telemetry.display import Display
 
-
 ONE_PROCESS = ("placement=inline", "transport.kind=memory", "run.address=null")  # `--single-process`
 
 
@@ -44,7 +43,7 @@ def main(options: argparse.Namespace) -> int:
     console.print(f"zsdist run [bold]{spec.folder}[/bold] (seed {spec.config.seed})", highlight=False, soft_wrap=True)
     summary = _train(spec, console, prefer_lines=options.plain)
     training.check_accounts(summary)
-    for line in training.describe_untrained_levels(summary, spec.config):
+    for line in training.describe_untrained_levels(summary, spec.config, spec.states):
         _print(console, line)
     final_evaluation.draw_training(spec.folder)
     if summary["ended"] == "interrupted":

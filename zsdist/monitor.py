@@ -12,7 +12,7 @@ from zsdist import config
 from zsdist.common import cli
 from zsdist.errors import RunError
 from zsdist.roles import permissions
-from zsdist.run import directory
+from zsdist.run import directory, location
 from zsdist.telemetry import watching
 from zsdist.telemetry.display import Display
 from zsdist.transport.base import Transport
@@ -26,7 +26,7 @@ def make_parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("--connect", metavar="ENDPOINT", help="endpoint of the run's hub, such as tcp/127.0.0.1:7447")
     add("--run", metavar="NAME", help="name of the run, which is that of its folder (default: the hub's only run)")
-    add("--runs", type=Path, default=Path("runs"), help="folder in which the newest run is watched (default: runs)")
+    add("--runs", type=cli.path, default=Path("runs"), help="folder in which the newest run is watched (default: runs)")
     tls = "folder with ca.pem, monitor.pem and monitor.key, for a hub that asks for certificates"
     add("--tls", metavar="DIR", help=tls)
     add("--once", action="store_true", help="print one snapshot, then exit")
@@ -39,7 +39,7 @@ def main(options: argparse.Namespace) -> int:
     """Show a run until Ctrl-C, or once."""
     endpoint, run, tls = options.connect, options.run, options.tls
     if endpoint is None:
-        folder = _newest_run(options.runs)
+        folder, run = (_newest_run(options.runs), run) if run is None or "/" not in run else (_run_at(run), None)
         endpoint, run = (folder / "endpoint").read_text(), run or directory.key_name(folder)
         if tls is None and endpoint.startswith("tls/"):
             tls = config.load(folder / "config.yaml").transport.tls
@@ -58,10 +58,20 @@ def main(options: argparse.Namespace) -> int:
 
 
 def _newest_run(runs: Path) -> Path:
+    if (location.find_run(runs) / "endpoint").is_file():  # a run itself
+        return location.find_run(runs)
     found = sorted(runs.glob("*/endpoint"), key=lambda path: path.stat().st_mtime)
     if not found:
         raise RunError(f"no run with a hub was found in {runs}; start one, or name --connect ENDPOINT and --run NAME")
     return found[-1].parent
+
+
+def _run_at(path: str) -> Path:
+    """Return the run directory that `--run` names by a path; raise `RunError` where it has no hub."""
+    folder = location.find_run(Path(path))
+    if not (folder / "endpoint").is_file():
+        raise RunError(f"--run {path} is no run directory with a hub; allowed is the name of a run, or its folder")
+    return folder
 
 
 def _show_live(display: Display, transport: Transport) -> NoReturn:

@@ -100,6 +100,8 @@ def pretrain(options: argparse.Namespace) -> int:
     """
     from zsdist.pretraining.train import train  # imports torch, which a check does not need
 
+    if options.resume is not None and options.resume.is_file():  # a file of the pretraining
+        options.resume = options.resume.parent
     folder = options.resume or options.out or Path("runs/visual-act")
     job = _reopened(options) if options.resume else _new(options)
     encoder = open_encoder(job.config.vision.encoder)

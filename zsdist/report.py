@@ -21,9 +21,8 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="RUN",
         help="run directories (several of one configuration: its seeds), and files or folders of evaluations",
     )
-    parser.add_argument(
-        "--out", type=cli.path, metavar="DIR", default=Path("runs/report"), help="folder of the page (default: runs/report)"
-    )
+    page = "folder of the page (default: runs/report)"
+    parser.add_argument("--out", type=cli.path, metavar="DIR", default=Path("runs/report"), help=page)
     vision = parser.add_argument_group("vision, instead of runs")
     vision.add_argument("--vision", action="store_true", help="report on the visual-act model")
     vision.add_argument("--config", type=cli.path, metavar="FILE", help="YAML configuration: camera and weights")

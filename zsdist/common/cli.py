@@ -5,6 +5,7 @@ An option that stands for a setting is added by `Parser.add_setting`. `overrides
 """
 
 import argparse
+import contextlib
 import errno
 import signal
 import sys
@@ -104,10 +105,8 @@ def overrides(options: argparse.Namespace) -> tuple[str, ...]:
     for words, text in said:
         for key, value in config.leaves_of(text).items():
             annotation = values.find_type(config.Config, key)
-            try:
+            with contextlib.suppress(ValueError):  # the check of the settings reports it
                 value = values.typed(annotation, value)
-            except ValueError:
-                pass  # reported by the check of the settings
             before, other = found.setdefault(key, (words, value))
             if repr(other) != repr(value):  # NaN does not equal itself
                 raise ConfigError(f"{before} and {words} give {key} different values; give one of the two")

@@ -21,7 +21,8 @@ def read(path: Path) -> dict[str, Any]:
     base_tree = _read_file(path.parent / str(base))
     if "base" in base_tree:
         raise ConfigError(f"configuration file {path}: its base {base} has a base too; allowed is one without")
-    return _overlay(base_tree, tree)
+    merged: dict[str, Any] = _overlay(base_tree, tree)
+    return merged
 
 
 def _read_file(path: Path) -> dict[str, Any]:
@@ -29,7 +30,9 @@ def _read_file(path: Path) -> dict[str, Any]:
     try:
         tree = strict_yaml.load(path.read_text()) or {}
     except IsADirectoryError as error:
-        raise ConfigError(f"configuration file {path} is a folder; allowed is a file, such as its config.yaml") from error
+        raise ConfigError(
+            f"configuration file {path} is a folder; allowed is a file, such as its config.yaml"
+        ) from error
     except OSError as error:
         raise ConfigError(f"configuration file {path}: {error.strerror or error}") from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: no UTF-8, or a wrong value with a tag
@@ -68,6 +71,9 @@ def apply(tree: dict[str, Any], override: str, model: type[BaseModel], short_for
         value = values.of_override(values.find_type(model, path), text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ConfigError(f"--set {path}: value {text[:200]!r} is not valid YAML") from error
+    for name, whole in short_forms.items():
+        if name in tree and not isinstance(tree[name], dict):
+            tree[name] = {whole.rpartition(".")[2]: tree[name]}
     *sections, leaf = path.split(".")
     node = tree
     for section in sections:

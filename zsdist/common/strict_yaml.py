@@ -5,7 +5,7 @@ YAML 1.1 takes 010 for 8, 12:30 for 750, `no` for false and 2026-11-30 for a dat
 """
 
 import re
-from typing import Any, ClassVar
+from typing import Any
 
 import yaml
 
@@ -24,8 +24,6 @@ class Plain(str):
 
 
 class _Loader(yaml.SafeLoader):
-    yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {"<": [("tag:yaml.org,2002:merge", re.compile("^<<$"))]}
-
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen = set()
         for key_node, _ in node.value:
@@ -43,6 +41,7 @@ class _Loader(yaml.SafeLoader):
         return Plain(node.value) if node.style is None else str(node.value)
 
 
+_Loader.yaml_implicit_resolvers = {"<": [("tag:yaml.org,2002:merge", re.compile("^<<$"))]}
 _Loader.add_constructor("tag:yaml.org,2002:str", _Loader.construct_text)
 
 

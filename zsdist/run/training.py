@@ -6,8 +6,10 @@ from typing import Any, Protocol
 
 from zsdist.config import Config
 from zsdist.errors import RunError
+from zsdist.roles.replay import shards
 from zsdist.run import directory, program
 from zsdist.run.program import RunSpec, Watch
+from zsdist.wire.messages import State
 
 Summary = Mapping[str, Any]  # `summary.json`
 
@@ -54,16 +56,29 @@ def check_accounts(summary: Summary) -> None:
             )
 
 
-def describe_untrained_levels(summary: Summary, settings: Config) -> list[str]:
-    """Return a line for each level whose learner made no update, with the reason."""
+def describe_untrained_levels(summary: Summary, settings: Config, states: Mapping[str, State]) -> list[str]:
+    """Return a line for each level whose learner made no update since this start of the run, with the reason.
+
+    Args:
+        summary: summary of the run.
+        settings: its configuration.
+        states: states from which it was resumed; empty for a new run.
+    """
     lines = []
     for level, updates in summary["learner_updates"].items():
-        if not updates:
-            stored, least = summary["transitions"][level]["stored"], getattr(settings, level).min_size
-            lines.append(
-                f"the {level} level was not trained: {stored} transitions were stored, and training starts at "
-                f"{least} ({level}.min_size)"
-            )
+        learner = states.get(f"learner-{level}")
+        if updates != (learner.meta["updates"] if learner else 0):
+            continue
+        stored, level_settings = summary["transitions"][level]["stored"], getattr(settings, level)
+        before = sum(state.meta[level]["stored"] for name, state in states.items() if shards.is_state_name(name))
+        when = " since it was resumed" if learner else ""
+        if stored < level_settings.min_size:
+            reason = f"{stored} transitions were stored, and training starts at {level_settings.min_size}"
+            setting = "min_size"
+        else:
+            reason = f"{stored - before} transitions were added, for {level_settings.updates_per_insert:g} updates each"
+            setting = "updates_per_insert"
+        lines.append(f"the {level} level was not trained{when}: {reason} ({level}.{setting})")
     return lines
 
 

@@ -314,7 +314,8 @@ def _keys(tree: Any, label: str, needed: tuple[str, ...], optional: tuple[str, .
 
 def _one_of(value: Any, label: str, allowed: dict[str, Any]) -> str:
     if not isinstance(value, str) or value not in allowed:
-        raise SceneError(f"{label} is {show(str(value) if isinstance(value, str) else value)}; allowed are {', '.join(allowed)}")
+        found = str(value) if isinstance(value, str) else value
+        raise SceneError(f"{label} is {show(found)}; allowed are {', '.join(allowed)}")
     return str(value)
 
 

@@ -1,7 +1,6 @@
 """Sources of scenes by name: a family, or a folder or file of scenes. A family's name is always the family."""
 
 from collections.abc import Iterable
-from pathlib import Path
 
 from zsdist.common import places
 from zsdist.errors import SceneError

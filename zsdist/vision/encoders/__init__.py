@@ -21,4 +21,5 @@ def open_encoder(spec: str) -> Encoder:
         return EfficientNetLite0()
     if Path(spec).is_dir():
         return ClipFolder(Path(spec))
-    raise WeightsError(f"vision.encoder is {places.shown(spec)!r}; allowed are {DEFAULT!r} and a folder with a CLIP model")
+    found = places.shown(spec)
+    raise WeightsError(f"vision.encoder is {found!r}; allowed are {DEFAULT!r} and a folder with a CLIP model")
