@@ -101,7 +101,7 @@ def find_policy(
     """
     if variant not in VARIANTS:
         raise RunError(f"--variant is {variant!r}; allowed are {', '.join(VARIANTS)}")
-    _check_overrides(overrides, learned=name not in BASELINES)
+    _check_overrides(overrides, name, variant)
     if notify and (line := places.find_clash("policy", name, (*BASELINES, *SHIPPED))):
         notify(line)
     if name in BASELINES:
@@ -115,12 +115,17 @@ def find_policy(
     return NamedPolicy(name, Contender(policy.config, policy.parameters, variant=variant), policy.sha256, note)
 
 
-def _check_overrides(overrides: tuple[str, ...], *, learned: bool) -> None:
-    """Raise `RunError` for a setting that cannot change an evaluation, or that a policy's networks depend on."""
+def _check_overrides(overrides: tuple[str, ...], policy: str, variant: str) -> None:
+    """Raise `RunError` for a setting without effect on an evaluation, or that policy or variant decide."""
+    learned = policy not in BASELINES
+    decided = VARIANTS[variant].agent if learned else ("high_policy", "low_policy")
     for key in (key for override in overrides for key in config.leaves_of(override)):
         section = key.partition(".")[0]
         if learned and section == "grid":
             raise RunError(f"--set {key}: the networks of a learned policy depend on it; allowed is the policy's own")
+        if section == "agent" and key.rpartition(".")[2] in decided:
+            owner = f"--variant {variant}" if learned else f"baseline {policy!r}"
+            raise RunError(f"--set {key}: {owner} has its own; remove one of the two")
         if section not in (*SECTIONS, "scenes") and section in config.Config.model_fields:
             allowed = ", ".join((*SECTIONS, "scenes"))
             raise RunError(f"--set {key} has no effect on an evaluation; allowed are settings of {allowed}")

@@ -111,6 +111,13 @@ def test_settings_of_an_evaluated_policy_may_change_unless_its_networks_depend_o
     assert evaluate.find_policy("astar", overrides=("grid.cells=16",)).contender.config.grid.cells == 16
 
 
+def test_a_setting_that_a_variant_or_a_baseline_decides_is_refused_by_both_names():
+    with pytest.raises(RunError, match=r"--set agent\.low_policy: --variant hybrid has its own"):
+        evaluate.find_policy("pretrained", variant="hybrid", overrides=("agent.low_policy=field",))
+    with pytest.raises(RunError, match=r"--set agent\.low_policy: baseline 'potential-field' has its own"):
+        evaluate.find_policy("potential-field", overrides=("agent={low_policy: field}",))
+
+
 def test_options_for_vision_are_refused_beside_runs(tmp_path):
     with pytest.raises(RunError, match="--weights is for --vision"):
         report.main(report.make_parser().parse_args([str(tmp_path), "--weights", "x"]))

@@ -134,7 +134,7 @@ def test_one_scene_file_serves_as_a_folder_of_it_and_a_wrong_name_is_shown_as_gi
     assert [chosen.name for chosen in select("a.yaml", Config(), None, 0)] == [scene_source("a.yaml")("train", 0).name]
     with pytest.raises(SceneError, match="'ood-laoyut' is no folder"):
         scene_source(config.load(None, ("scenes.train=ood-laoyut",)).scenes.train[0])
-    with pytest.raises(WeightsError, match="vision.encoder is 'resnet'"):
+    with pytest.raises(WeightsError, match=r"vision\.encoder is 'resnet'"):
         open_encoder(config.load(None, ("vision.encoder=resnet",)).vision.encoder)
     with pytest.raises(WeightsError, match="no checkpoint"):
         load_policy(here)

@@ -58,7 +58,9 @@ def test_untrained_weights_are_those_with_which_the_policy_began_its_training(se
     networks = Contender(config, TRAINED, variant="untrained").networks
     for level in Level:
         began = program.make_learner(config, level).parameters()
-        assert network.sha256(networks[level]) == network.sha256(began) == network.sha256(initial_weights(config, level))
+        assert (
+            network.sha256(networks[level]) == network.sha256(began) == network.sha256(initial_weights(config, level))
+        )
 
 
 def test_with_planners_on_both_levels_the_weights_do_not_matter():

@@ -66,7 +66,9 @@ def other_value(key):
     if isinstance(now, int | float):
         nearby = [now + 1, now - 1, now * 2, now / 2, now / 2 + 0.4]
         return next(str(value) for value in nearby if allowed(f"{key}={value}"))
-    return "[5]" if isinstance(now, tuple) and key.endswith("hidden") else "[/made]" if isinstance(now, tuple) else "made"
+    return (
+        "[5]" if isinstance(now, tuple) and key.endswith("hidden") else "[/made]" if isinstance(now, tuple) else "made"
+    )
 
 
 def allowed(override):
