@@ -145,10 +145,7 @@ def test_adjustments_count_from_the_change_of_their_interval(every, due):
     before, after = AdaptiveSizing(CONFIG), AdaptiveSizing(CONFIG.model_copy(update={"adjust_every_episodes": every}))
     before.adjust(100, None)
     after.restore(before.state(), 100)
-    sizes = []
-    for finished in range(101, 121):
-        if after.adjust(finished, -5000.0):
-            sizes.append((finished, after.size))
+    sizes = [(finished, after.size) for finished in range(101, 121) if after.adjust(finished, -5000.0)]
     assert sizes[0] == (due, math.floor(CONFIG.size_initial * CONFIG.shrink_rate)), "one adjustment, when it is due"
 
 

@@ -41,8 +41,8 @@ replay.shrink_rate replay.shrink_threshold replay.average_episodes replay.target
 merge.every_episodes merge.validation_scenes merge.drive_steps merge.distil_updates merge.drop_after_scenes
 transport.kind transport.endpoint transport.tls transport.mailbox_bytes transport.window_frames
 transport.resend_after_s transport.give_up_after_s
-""".split()  # by the role that uses it; no state that is restored contains it or follows from it
-READ = {key.replace("LEVEL", level) for key in READ_AT_THE_START for level in ("high", "low")}
+"""  # by the role that uses it; no state that is restored contains it or follows from it
+READ = {key.replace("LEVEL", level) for key in READ_AT_THE_START.split() for level in ("high", "low")}
 TOGETHER = {  # settings that are changed with another one, without which they would not be allowed
     "placement": ("transport.kind=memory",),
     "transport.kind": ("placement=inline",),
