@@ -144,7 +144,7 @@ def _new(options: argparse.Namespace) -> Job:
 def _reopened(options: argparse.Namespace) -> Job:
     own = ("images", "epochs", "out", "families", "cityscapes", "stages", "encoder", "seed", "config", "set")
     for name in own:
-        if getattr(options, name):
+        if getattr(options, name) not in (None, []):
             raise ConfigError(
                 f"--{name} cannot be combined with --resume: the pretraining in {options.resume} has its own"
             )

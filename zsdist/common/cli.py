@@ -25,22 +25,20 @@ INTERRUPTED = 130
 class Parser(argparse.ArgumentParser):
     """Argument parser that reports an error in one line, without the usage of all options before it."""
 
-    def add_setting(
-        self, option: str, *settings: str, group: argparse._ArgumentGroup | None = None, **arguments: Any
-    ) -> None:
+    def add_setting(self, option: str, *settings: str, group: Any = None, **arguments: Any) -> None:
         """Add an option that stands for settings.
 
         Args:
             option: name of the option.
             settings: path of the setting that has the option's value; or, for an option without a value, settings with
                 their values, as `key.path=value`.
-            group: group of the help that lists it; None: the general one.
+            group: group of the help that lists it, from `add_argument_group`; None: the general one.
             arguments: further arguments of `add_argument`.
         """
         action = (group or self).add_argument(option, **arguments)
         self.set_defaults(stands_for={**(self.get_default("stands_for") or {}), action.dest: settings})
 
-    def add_set(self, group: argparse._ArgumentGroup | None = None) -> None:
+    def add_set(self, group: Any = None) -> None:
         """Add `--set`, in a group of the help or among the general options."""
         (group or self).add_argument(
             "--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change one setting; repeatable"

@@ -15,6 +15,8 @@ NOTHING = ("", "~", "null", "Null", "NULL")  # without quotes, for a setting tha
 _WHOLE = re.compile(r"[+-]?[0-9]+(_[0-9]+)*")
 _REAL = re.compile(r"[+-]?([0-9]+(_[0-9]+)*\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _NOT_FINITE = re.compile(r"([+-]?)\.?(inf|infinity|nan)", re.IGNORECASE)
+_TRUTH = dict.fromkeys(("true", "yes", "on", "y", "t", "1"), True)
+_TRUTH |= dict.fromkeys(("false", "no", "off", "n", "f", "0"), False)
 _ITEM = re.compile(r"""\s*("(?:[^"\\]|\\.)*"|'(?:[^']|'')*'|[^,]*?)\s*(?:,|$)""")
 
 
@@ -36,6 +38,10 @@ def typed(annotation: Any, value: Any) -> Any:
         return [typed(inner[0], item) for item in items] if isinstance(items, list | tuple) else value
     if kind is int or kind is float:
         return number(value, whole=kind is int)
+    if kind is bool and isinstance(value, str):
+        if value.strip().lower() not in _TRUTH:
+            raise ValueError("allowed is true or false")
+        return _TRUTH[value.strip().lower()]
     if isinstance(kind, type) and issubclass(kind, BaseModel) and isinstance(value, Plain) and value in NOTHING:
         return {}  # a section with nothing in it
     return str(value) if isinstance(value, Plain) else value

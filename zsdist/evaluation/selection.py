@@ -31,7 +31,8 @@ def select(name: str, config: Config, episodes: int | None, seed: int) -> list[S
     split = next((split for split in SPLITS if split == name), None)
     if split is not None:
         families_of_split = config.scenes.test if split == "test" else config.scenes.train
-        files = {source: sources.read_files(source, grid=grid) for source in families_of_split}
+        setting = f"scenes.{'test' if split == 'test' else 'train'}"
+        files = {source: sources.read_files(source, setting, grid=grid) for source in families_of_split}
         drawn = []
         for index in range(episodes or DEFAULT_EPISODES):
             source, turn = families_of_split[index % len(families_of_split)], index // len(families_of_split)

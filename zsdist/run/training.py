@@ -72,13 +72,15 @@ def describe_untrained_levels(summary: Summary, settings: Config, states: Mappin
         stored, level_settings = summary["transitions"][level]["stored"], getattr(settings, level)
         before = sum(state.meta[level]["stored"] for name, state in states.items() if shards.is_state_name(name))
         when = " since it was resumed" if learner else ""
+        added, ratio = stored - before, level_settings.updates_per_insert
         if stored < level_settings.min_size:
-            reason = f"{stored} transitions were stored, and training starts at {level_settings.min_size}"
-            setting = "min_size"
+            reason = f"{stored} transitions were stored, and training starts at {level_settings.min_size} "
+            reason += f"({level}.min_size)"
+        elif added * ratio < 1:
+            reason = f"{added} transitions were added, for {ratio:g} updates each ({level}.updates_per_insert)"
         else:
-            reason = f"{stored - before} transitions were added, for {level_settings.updates_per_insert:g} updates each"
-            setting = "updates_per_insert"
-        lines.append(f"the {level} level was not trained{when}: {reason} ({level}.{setting})")
+            reason = f"{added} transitions were added, and the run ended before any update"
+        lines.append(f"the {level} level was not trained{when}: {reason}")
     return lines
 
 

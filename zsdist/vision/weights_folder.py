@@ -116,7 +116,7 @@ def read(path: Path) -> WeightsFolder:
     except OSError as error:
         raise WeightsError(
             f"weights {file} cannot be read: {error.strerror or error}; allowed are 'pretrained' and a folder "
-            "that `python -m zsdist.pretrain` made"
+            "that `python -m zsdist.pretrain` made, as vision.weights"
         ) from error
     except ValueError as error:
         raise WeightsError(f"weights {file} is damaged: {error}") from error

@@ -15,7 +15,12 @@ def test_a_level_that_was_not_trained_is_reported_with_the_reason():
 
 @pytest.mark.parametrize(
     ("now", "setting", "reason"),
-    [(8, {}, None), (7, {}, "60 transitions were added, for 0.25 updates"), (7, {"min_size": 2000}, "starts at 2000")],
+    [
+        (8, {}, None),
+        (7, {"updates_per_insert": 0.01}, "60 transitions were added, for 0.01 updates each"),
+        (7, {}, "60 transitions were added, and the run ended before any update"),
+        (7, {"min_size": 2000}, "starts at 2000"),
+    ],
 )
 def test_a_resumed_run_that_did_not_train_since_says_so_whatever_it_learned_before(now, setting, reason):
     states = {
