@@ -65,7 +65,9 @@ def main() -> None:
     )
     options = parser.parse_args()
     episodes = options.episodes or (20 if options.quick else 300)
-    settings = [*QUIET, f"vision.weights={options.weights}", *options.set]
+    given = {text.partition("=")[0] for text in options.set}
+    settings = [*QUIET, f"vision.weights={options.weights}"]
+    settings = [*(text for text in settings if text.partition("=")[0] not in given), *options.set]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         _use_empty_cache(folder / "machine")

@@ -2,7 +2,6 @@
 
 import argparse
 import socket
-from pathlib import Path
 
 from zsdist.common import cli, commands
 from zsdist.common.console import say
@@ -16,7 +15,7 @@ def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command's options."""
     parser = cli.Parser(prog="zsdist.certs", description="Make an authority and the certificates of a run's roles.")
     add = parser.add_argument
-    add("folder", type=Path, metavar="DIR", help="folder of the certificates; existing files stay as they are")
+    add("folder", type=cli.path, metavar="DIR", help="folder of the certificates; existing files stay as they are")
     host = "name or address of the hub's machine; repeatable"
     add("--host", action="append", default=[], metavar="NAME", help=host)
     add("--actors", type=cli.count, default=16, metavar="N", help="number of actors that get a certificate (16)")

@@ -7,35 +7,38 @@ what is allowed. `Table n`, `Eq. (n)` and `Algorithm n` refer to the paper.
 
 import difflib
 import ipaddress
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator, model_validator
 
-from zsdist.common import ranges, strict_yaml
+from zsdist.common import places, ranges, values
+from zsdist.common import setting_trees as trees
+from zsdist.common.places import Place
 from zsdist.errors import ConfigError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
-Folder = Annotated[str, Field(min_length=1), AfterValidator(lambda path: str(Path(path).absolute()))]
-
-
-def _absolute_or_name(name: str) -> str:
-    """Return a path as an absolute one, since a run may be resumed from another folder, and a plain name unchanged."""
-    return str(Path(name).absolute()) if "/" in name or name in (".", "..") else name
-
-
-NameOrFolder = Annotated[str, Field(min_length=1), AfterValidator(_absolute_or_name)]
-Sources = Annotated[tuple[NameOrFolder, ...], Field(min_length=1)]  # scene families or folders of scene files
+Text = Annotated[str, Field(min_length=1)]
+Folder = Annotated[Text, Place()]
+Source = Annotated[Text, Place(places.FAMILIES)]  # scene family, or folder of scene files
+Sources = Annotated[tuple[Source, ...], Field(min_length=1)]
+Weights = Annotated[Text, Place((places.WEIGHTS,))]
+Encoder = Annotated[Text, Place((places.ENCODER,))]
 
 
 class Section(BaseModel):
     """Group of settings. It is frozen and accepts neither unknown keys nor NaN nor infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _typed(cls, value: Any, info: ValidationInfo) -> Any:
+        return values.typed(cls.model_fields[str(info.field_name)].annotation, value)
 
 
 class GridConfig(Section):
@@ -77,8 +80,8 @@ class SimConfig(Section):
 class VisionConfig(Section):
     """Visual-act model: what the agent perceives from a picture."""
 
-    weights: NameOrFolder = "pretrained"  # the weights in the package, or a folder made by `zsdist.pretrain`
-    encoder: NameOrFolder = "efficientnet-lite0"  # or a folder with a CLIP model of open_clip or Hugging Face
+    weights: Weights = places.WEIGHTS  # the weights in the package, or a folder made by `zsdist.pretrain`
+    encoder: Encoder = places.ENCODER  # or a folder with a CLIP model of open_clip or Hugging Face
     network: Literal["head", "student"] = "head"  # head on the encoder's tokens, or small network without an encoder
     rays: Literal["all", "three", "none"] = "all"  # rays the agent gets; three: one per direction; none: no vision
     ray_quantile: Annotated[float, Field(gt=0, lt=1)] = 0.1  # quantile of the prediction used as a ray's distance
@@ -181,6 +184,9 @@ class MergeConfig(Section):
     drop_after_scenes: Count = 6  # scenes after which a candidate that is clearly behind is dropped
 
 
+SHORT_FORMS = {"transport": "transport.kind"}  # settings that the name of their section alone stands for
+
+
 def is_loopback(endpoint: str) -> bool:
     """Return whether an endpoint, `PROTOCOL/HOST:PORT`, can be reached from this machine only."""
     host = endpoint.partition("/")[2].rpartition(":")[0].strip("[]")
@@ -204,9 +210,9 @@ class TransportConfig(Section):
     @model_validator(mode="before")
     @classmethod
     def _short_forms(cls, value: Any) -> Any:
-        if isinstance(value, str):
+        if isinstance(value, str) and value:
             return {"kind": value}
-        if isinstance(value, dict) and value.get("tls") is not None:
+        if isinstance(value, dict) and values.typed(str | None, value.get("tls")) is not None:
             return {"endpoint": "tls/127.0.0.1:7447"} | value
         return value
 
@@ -282,19 +288,61 @@ class Config(Section):
         return self
 
 
-def load(path: str | Path | None = None, overrides: tuple[str, ...] = ()) -> Config:
+Notify = Callable[[str], None]  # shows one line to the user
+
+
+def load(path: str | Path | None = None, overrides: tuple[str, ...] = (), notify: Notify | None = None) -> Config:
     """Return the configuration of a YAML file, or the defaults, with `key.path=value` overrides applied.
 
     A file may name another file as its `base`, by a path relative to itself. It then holds only what differs from the
-    base, and the base may not have a base itself.
+    base, and the base may not have a base itself. The type of a setting decides what its text means (`common.values`).
+
+    Args:
+        path: YAML file; None: the defaults.
+        overrides: settings to change; of two values of one setting the later counts.
+        notify: called where a given name is a built-in one and also a file or folder here.
 
     Raises:
         ConfigError: the file cannot be read or is no YAML mapping; a key is unknown; a value is not allowed.
     """
-    tree = {} if path is None else _read_with_base(Path(path))
-    for override in overrides:
-        _apply(tree, override)
+    tree = _changed({} if path is None else trees.read(Path(path)), overrides)
+    _note_clashes(tree, notify)
     return parse(tree)
+
+
+def load_kept(path: Path, overrides: tuple[str, ...] = (), notify: Notify | None = None) -> Config:
+    """Return the configuration that a run keeps, with overrides applied, wherever this process runs.
+
+    Raises:
+        ConfigError: as `load`; or a path in it is relative, as earlier versions kept some.
+    """
+    changes = _changed({}, overrides)
+    _note_clashes(changes, notify)
+    tree, given = _changed(trees.read(path), overrides), trees.flat(changes)
+    for key, place, text in trees.find_places(tree, Config):
+        if key not in given and text not in place.names and not Path(text).is_absolute():
+            raise ConfigError(
+                f"{path} has {key} {text!r}, a relative path that an earlier version kept; "
+                f"say where it is now with --set {key}=PATH"
+            )
+    return parse(tree)
+
+
+def _changed(tree: dict[str, Any], overrides: tuple[str, ...]) -> dict[str, Any]:
+    for override in overrides:
+        trees.apply(tree, override, Config, SHORT_FORMS)
+    return tree
+
+
+def _note_clashes(tree: dict[str, Any], notify: Notify | None) -> None:
+    for key, place, text in trees.find_places(tree, Config):
+        if notify is not None and (line := places.find_clash(key, text, place.names)):
+            notify(line)
+
+
+def leaves_of(override: str) -> dict[str, Any]:
+    """Return the values in an override by the paths of their settings; a section has several."""
+    return trees.flat(_changed({}, (override,)))
 
 
 def parse(tree: dict[str, Any]) -> Config:
@@ -318,60 +366,6 @@ def known_keys(model: type[BaseModel] = Config, prefix: str = "") -> list[str]:
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
             keys += known_keys(field.annotation, f"{prefix}{name}.")
     return keys
-
-
-def _read_with_base(path: Path) -> dict[str, Any]:
-    """Return the unchecked settings of a YAML file over those of its base, if it names one."""
-    tree = _read(path)
-    base = tree.pop("base", None)
-    if not base:
-        return tree
-    base_tree = _read(path.parent / str(base))
-    if "base" in base_tree:
-        raise ConfigError(f"configuration file {path}: its base {base} has a base too; allowed is one without")
-    return _overlay(base_tree, tree)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    """Return the unchecked settings of a YAML file."""
-    try:
-        tree = strict_yaml.load(path.read_text(encoding="utf-8")) or {}
-    except OSError as error:
-        raise ConfigError(f"configuration file {path}: {error.strerror or error}") from error
-    except (
-        yaml.YAMLError,
-        ValueError,
-        RecursionError,
-    ) as error:  # ValueError: no UTF-8, date or number
-        raise ConfigError(f"configuration file {path} is not valid YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(tree, dict):
-        raise ConfigError(f"configuration file {path} holds a {type(tree).__name__}; allowed is a mapping of settings")
-    return tree
-
-
-def _overlay(base: Any, changes: Any) -> Any:
-    """Return a tree of settings with changes applied: sections are merged, values are replaced."""
-    if not (isinstance(base, dict) and isinstance(changes, dict)):
-        return changes
-    return base | {key: _overlay(base.get(key), value) for key, value in changes.items()}
-
-
-def _apply(tree: dict[str, Any], override: str) -> None:
-    """Set the value of an override `key.path=value` in a tree of settings."""
-    path, equals, text = override.partition("=")
-    if not equals or not path:
-        raise ConfigError(f"--set {override!r} is not of the form key.path=value")
-    try:
-        value = strict_yaml.load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise ConfigError(f"--set {path}: value {text[:200]!r} is not valid YAML") from error
-    *sections, leaf = path.split(".")
-    node = tree
-    for section in sections:
-        node = node.setdefault(section, {})
-        if not isinstance(node, dict):
-            raise ConfigError(f"--set {path}: {section!r} is a value, not a section")
-    node[leaf] = value
 
 
 def _explain(item: Mapping[str, Any]) -> str:

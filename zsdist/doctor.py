@@ -2,7 +2,6 @@
 
 import argparse
 import json
-from pathlib import Path
 
 from zsdist.common import cli
 from zsdist.common.console import PlainConsole
@@ -17,7 +16,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser = cli.Parser(prog="zsdist.doctor", description=__doc__)
     parser.add_argument("--address", metavar="RAY", help="also check this Ray cluster: HOST:PORT or auto")
     parser.add_argument("--endpoint", help="also check this endpoint of the cluster's hub (transport.endpoint)")
-    parser.add_argument("--tls", type=Path, metavar="DIR", help="also check these certificates (transport.tls)")
+    parser.add_argument("--tls", type=cli.path, metavar="DIR", help="also check these certificates (transport.tls)")
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
     return parser
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from zsdist import config
-from zsdist.common import cli, commands, output_files
+from zsdist.common import cli, commands, output_files, places
 from zsdist.common.allowed_resources import allowed_cores
 from zsdist.common.console import PlainConsole, say
 from zsdist.errors import RunError
@@ -18,9 +18,10 @@ from zsdist.evaluation.baselines import BASELINES
 from zsdist.evaluation.comparison import compare
 from zsdist.evaluation.contenders import FULL, VARIANTS, Contender
 from zsdist.evaluation.drivers import Observability
+from zsdist.evaluation.fingerprint import SECTIONS
 from zsdist.evaluation.policies import NamedPolicy, check_together
 from zsdist.evaluation.report import Report, evaluate, show_together, together
-from zsdist.evaluation.selection import select
+from zsdist.evaluation.selection import BUILT_IN, select
 from zsdist.run.checkpoint import check_vision
 from zsdist.run.policies import SHIPPED, load_by_name
 
@@ -35,15 +36,17 @@ def make_parser() -> argparse.ArgumentParser:
     add("--scenes", default="test", help=scenes)
     add("--episodes", type=cli.count, help="number of episodes (default: every file of a folder, else 50)")
     add("--seed", type=cli.natural, default=0, help="seed that selects the scenes of a family (default: 0)")
-    add("--json", type=Path, metavar="FILE", help="write the result to FILE")
-    add("--out", type=Path, metavar="FILE.jsonl", help="append each episode to FILE as it ends, as one JSON line")
+    add("--json", type=cli.path, metavar="FILE", help="write the result to FILE")
+    add("--out", type=cli.path, metavar="FILE.jsonl", help="append each episode to FILE as it ends, as one JSON line")
     add("--resume", action="store_true", help="resume --out FILE: keep its episodes of the same code and weights")
     add("--variant", default=FULL, metavar="NAME", help=f"variant of a learned policy: {', '.join(VARIANTS)}")
     add("--no-shield", action="store_true", help="also drive a learned policy without the shield")
-    add("--compare", nargs=2, type=Path, metavar="FILE.jsonl", help="paired differences between two files of episodes")
-    add("--video", type=Path, metavar="DIR", help="film the first episodes into DIR, an MP4 and a still of each")
+    compared = "paired differences between two files of episodes"
+    add("--compare", nargs=2, type=cli.path, metavar="FILE.jsonl", help=compared)
+    add("--video", type=cli.path, metavar="DIR", help="film the first episodes into DIR, an MP4 and a still of each")
     add("--video-episodes", type=cli.count, default=3, metavar="N", help="number of episodes to film (default: 3)")
-    add("--config", type=Path, metavar="FILE", help="configuration of a baseline's world; a run has its own")
+    add("--config", type=cli.path, metavar="FILE", help="configuration of a baseline's world; a run has its own")
+    parser.add_set()
     add(
         "--workers",
         type=cli.count,
@@ -86,13 +89,21 @@ def main(options: argparse.Namespace) -> int:
     return 0
 
 
-def find_policy(name: str, config_file: Path | None = None, variant: str = FULL) -> NamedPolicy:
+def find_policy(
+    name: str,
+    config_file: Path | None = None,
+    variant: str = FULL,
+    overrides: tuple[str, ...] = (),
+    notify: config.Notify | None = None,
+) -> NamedPolicy:
     """Return the policy that a POLICY argument names.
 
     Args:
         name: name of a baseline or a shipped policy, or path of a run directory or a checkpoint.
         config_file: configuration of a baseline's world; a learned policy has its own.
         variant: variant of a learned policy.
+        overrides: settings to change, as `KEY.PATH=VALUE`: where its weights are now, or another world.
+        notify: called with lines for the user.
 
     Raises:
         WeightsError: it is neither a baseline nor a folder with weights, or was trained with another encoder than the
@@ -102,15 +113,34 @@ def find_policy(name: str, config_file: Path | None = None, variant: str = FULL)
     """
     if variant not in VARIANTS:
         raise RunError(f"--variant is {variant!r}; allowed are {', '.join(VARIANTS)}")
+    _check_overrides(overrides, name, variant)
+    if notify and (line := places.find_clash("policy", name, (*BASELINES, *SHIPPED))):
+        notify(line)
     if name in BASELINES:
         if variant != FULL:
             raise RunError(f"--variant {variant}: baseline {name!r} has no variants; allowed is a learned policy")
-        return NamedPolicy(name, Contender(config.load(config_file), baseline=name))
+        return NamedPolicy(name, Contender(config.load(config_file, overrides, notify), baseline=name))
     if config_file is not None:
         raise RunError(f"--config {config_file}: a learned policy has its own configuration; remove the option")
-    policy = load_by_name(name, BASELINES)
+    policy = load_by_name(name, BASELINES, overrides, notify)
     note = check_vision(policy)
     return NamedPolicy(name, Contender(policy.config, policy.parameters, variant=variant), policy.sha256, note)
+
+
+def _check_overrides(overrides: tuple[str, ...], policy: str, variant: str) -> None:
+    """Raise `RunError` for a setting without effect on an evaluation, or that policy or variant decide."""
+    learned = policy not in BASELINES
+    decided = VARIANTS[variant].agent if learned else ("high_policy", "low_policy")
+    for key in (key for override in overrides for key in config.leaves_of(override)):
+        section = key.partition(".")[0]
+        if learned and section == "grid":
+            raise RunError(f"--set {key}: the networks of a learned policy depend on it; allowed is the policy's own")
+        if section == "agent" and key.rpartition(".")[2] in decided:
+            owner = f"--variant {variant}" if learned else f"baseline {policy!r}"
+            raise RunError(f"--set {key}: {owner} has its own; remove one of the two")
+        if section not in (*SECTIONS, "scenes") and section in config.Config.model_fields:
+            allowed = ", ".join((*SECTIONS, "scenes"))
+            raise RunError(f"--set {key} has no effect on an evaluation; allowed are settings of {allowed}")
 
 
 def _list_policies() -> None:
@@ -130,11 +160,13 @@ def _evaluate_all(options: argparse.Namespace, console: PlainConsole) -> list[Re
     _check_out(options.out, options.resume)
     if options.video is not None and options.video.is_file():
         raise RunError(f"--video {options.video} is a file; allowed is a folder, which is made where it does not exist")
+    if line := places.find_clash("--scenes", options.scenes, BUILT_IN):
+        _note(line)
     policies = []
     for name in options.policy:
-        policies.append(find_policy(name, options.config, options.variant))
+        policies.append(find_policy(name, options.config, options.variant, cli.overrides(options), _note))
         if policies[-1].note:
-            say(policies[-1].note, error=True)
+            _note(policies[-1].note)
     check_together(policies, options.no_shield)
     reports = []
     for policy in policies:
@@ -183,6 +215,10 @@ def _check_out(out: Path | None, resume: bool) -> None:
     output_files.check_place("--out", out)
     if out.exists() and out.stat().st_size and not resume:
         raise RunError(f"--out {out} exists already; allowed are a new file, and --resume to resume this one")
+
+
+def _note(line: str) -> None:
+    say(line, error=True)
 
 
 def _write(file: Path | None, result: dict[str, Any]) -> None:

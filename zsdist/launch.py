@@ -1,8 +1,6 @@
 """`python -m zsdist.launch`: train a policy, show progress, evaluate the result, and write a run directory."""
 
 import argparse
-import json
-from pathlib import Path
 
 from zsdist import config
 from zsdist.common import cli, commands
@@ -14,20 +12,25 @@ from zsdist.run.interruption import interruptible
 from zsdist.run.program import RunSpec
 from zsdist.telemetry.display import Display
 
+ONE_PROCESS = ("placement=inline", "transport.kind=memory", "run.address=null")  # `--single-process`
+
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command's options."""
     parser = cli.Parser(prog="zsdist.launch", description="Train the hierarchical policy with distributed actors.")
     add = parser.add_argument
-    add("--actors", type=int, metavar="N", help="number of actor processes (run.actors)")
-    add("--episodes", type=int, metavar="N", help="training episodes in total, also with --resume (run.episodes)")
-    add("--seed", type=int, metavar="S", help="seed of scenes, exploration and initial weights")
-    add("--config", type=Path, metavar="FILE", help="YAML configuration; see configs/")
-    add("--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change one setting; repeatable")
-    add("--single-process", action="store_true", help="run all roles in this process, on a virtual clock")
-    add("--run-dir", type=Path, metavar="DIR", help="folder of the run (default: a new one in runs/)")
-    add("--resume", type=Path, metavar="DIR", help="resume the run in DIR and append to its files")
-    add("--address", metavar="RAY", help="Ray cluster to run on, from one of its nodes: auto or HOST:PORT")
+    setting = parser.add_setting
+    setting("--actors", "run.actors", type=int, metavar="N", help="number of actor processes (run.actors)")
+    episodes = "training episodes in total, also with --resume (run.episodes)"
+    setting("--episodes", "run.episodes", type=int, metavar="N", help=episodes)
+    setting("--seed", "seed", type=int, metavar="S", help="seed of scenes, exploration and initial weights")
+    add("--config", type=cli.path, metavar="FILE", help="YAML configuration; see configs/")
+    parser.add_set()
+    setting("--single-process", *ONE_PROCESS, action="store_true", help="run all roles here, on a virtual clock")
+    add("--run-dir", type=cli.path, metavar="DIR", help="folder of the run (default: a new one in runs/)")
+    add("--resume", type=cli.path, metavar="DIR", help="resume the run in DIR and append to its files")
+    address = "Ray cluster to run on, from one of its nodes: auto or HOST:PORT"
+    setting("--address", "run.address", metavar="RAY", help=address)
     add("--plain", action="store_true", help="show progress as lines, also on a terminal")
     return parser
 
@@ -39,7 +42,7 @@ def main(options: argparse.Namespace) -> int:
     console.say("zsdist run ", (str(spec.folder), "bold"), f" (seed {spec.config.seed})")
     summary = _train(spec, console, prefer_lines=options.plain)
     training.check_accounts(summary)
-    for line in training.describe_untrained_levels(summary, spec.config):
+    for line in training.describe_untrained_levels(summary, spec.config, spec.states):
         console.say(line)
     final_evaluation.draw_training(spec.folder)
     if summary["ended"] == "interrupted":
@@ -57,28 +60,15 @@ def main(options: argparse.Namespace) -> int:
 
 
 def _open(options: argparse.Namespace, console: PlainConsole) -> RunSpec:
-    overrides = _overrides(options)
+    overrides = cli.overrides(options)
     if options.resume is None:
-        return opening.open_new(config.load(options.config, overrides), options.run_dir, console.say)
+        return opening.open_new(config.load(options.config, overrides, console.say), options.run_dir, console.say)
     for name in ("config", "seed", "run_dir"):
         if getattr(options, name) is not None:
             raise ConfigError(
                 f"--{name.replace('_', '-')} cannot be combined with --resume: the run in {options.resume} has its own"
             )
     return opening.open_resumed(options.resume, overrides, console.say)
-
-
-def _overrides(options: argparse.Namespace) -> tuple[str, ...]:
-    flags = {
-        "run.actors": options.actors,
-        "run.episodes": options.episodes,
-        "seed": options.seed,
-        "run.address": options.address,
-    }
-    overrides = [*options.set, *(f"{key}={json.dumps(value)}" for key, value in flags.items() if value is not None)]
-    if options.single_process:
-        overrides += ["placement=inline", "transport.kind=memory"]
-    return tuple(overrides)
 
 
 def _train(spec: RunSpec, console: PlainConsole, *, prefer_lines: bool) -> training.Summary:

@@ -32,7 +32,7 @@ def make_parser() -> argparse.ArgumentParser:
     add(
         "--run", metavar="NAME", help="name of the run, which is that of its folder (default: the newest, or the hub's)"
     )
-    add("--runs", type=Path, default=Path("runs"), help="folder in which the run is looked for (default: runs)")
+    add("--runs", type=cli.path, default=Path("runs"), help="folder in which the run is looked for (default: runs)")
     tls = "folder with ca.pem, monitor.pem and monitor.key, for a hub that asks for certificates"
     add("--tls", metavar="DIR", help=tls)
     add("--once", action="store_true", help="print one snapshot, then exit")

@@ -7,7 +7,6 @@ less or more.
 """
 
 import argparse
-import json
 import math
 import sys
 from pathlib import Path
@@ -44,16 +43,13 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="M",
         help="time limit; cuts pictures and epochs short",
     )
-    add("--out", type=Path, metavar="DIR", help="folder of the weights (default: runs/visual-act)")
-    add("--resume", type=Path, metavar="DIR", help="resume the pretraining in DIR")
+    add("--out", type=cli.path, metavar="DIR", help="folder of the weights (default: runs/visual-act)")
+    add("--resume", type=cli.path, metavar="DIR", help="resume the pretraining in DIR")
     add("--families", metavar="A,B", help=f"scene families of the pictures (default: {','.join(PURPOSE.families)})")
-    add("--cityscapes", type=Path, metavar="DIR", help="train on the photographs in DIR instead of on scenes")
+    add("--cityscapes", type=cli.path, metavar="DIR", help="train on the photographs in DIR instead of on scenes")
     add("--stages", metavar="A,B", help=f"parts to train (default: {','.join(STAGES)})")
-    add(
-        "--encoder",
-        metavar="NAME|DIR",
-        help="vision.encoder: efficientnet-lite0, or a folder with a CLIP model",
-    )
+    encoder = "vision.encoder: efficientnet-lite0, or a folder with a CLIP model"
+    parser.add_setting("--encoder", "vision.encoder", metavar="NAME|DIR", help=encoder)
     add(
         "--workers",
         type=cli.count,
@@ -63,7 +59,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     add("--keep-pictures", action="store_true", help="keep the pictures when training has ended")
     add("--check", action="store_true", help="check trained weights instead of training")
-    add("--json", type=Path, metavar="FILE", help="write the figures of the check to FILE")
+    add("--json", type=cli.path, metavar="FILE", help="write the figures of the check to FILE")
     add(
         "--objects",
         type=cli.natural,
@@ -73,14 +69,15 @@ def make_parser() -> argparse.ArgumentParser:
     )
     add(
         "--objects-file",
-        type=Path,
+        type=cli.path,
         metavar="FILE",
         help="record of each object, from which a check resumes",
     )
     add("--unseen-kinds", action="store_true", help="also check words for kinds that the projection was not trained on")
-    add("--seed", type=cli.natural, metavar="S", help="seed of scenes, poses, appearance and weights (default: 0)")
-    add("--config", type=Path, metavar="FILE", help="YAML configuration: camera, encoder, weights to check")
-    add("--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change one setting; repeatable")
+    seed = "seed of scenes, poses, appearance and weights (default: 0)"
+    parser.add_setting("--seed", "seed", type=cli.natural, metavar="S", help=seed)
+    add("--config", type=cli.path, metavar="FILE", help="YAML configuration: camera, encoder, weights to check")
+    parser.add_set()
     add("--plain", action="store_true", help="show progress as lines, also on a terminal")
     return parser
 
@@ -88,10 +85,11 @@ def make_parser() -> argparse.ArgumentParser:
 def main(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     if options.check:
+        config = _config(options)
         check(
-            _config(options),
+            config,
             options.images or CHECK_IMAGES,
-            options.seed or 0,
+            config.seed,
             options.json,
             options.objects,
             options.objects_file,
@@ -109,6 +107,8 @@ def pretrain(options: argparse.Namespace) -> int:
     """
     from zsdist.pretraining.train import train  # imports torch, which a check does not need
 
+    if options.resume is not None and options.resume.is_file():  # a file of the pretraining
+        options.resume = options.resume.parent
     folder = options.resume or options.out or Path("runs/visual-act")
     job = _reopened(options) if options.resume else _new(options)
     encoder = open_encoder(job.config.vision.encoder)
@@ -124,7 +124,7 @@ def pretrain(options: argparse.Namespace) -> int:
         say(f"  {commands.module('zsdist.pretrain', '--resume', folder, *again)}")
         return cli.INTERRUPTED
     if "head" in job.stages:
-        vision = job.config.vision.model_copy(update={"weights": str(folder)})
+        vision = job.config.vision.model_copy(update={"weights": str(folder.absolute())})
         check(job.config.model_copy(update={"vision": vision}), CHECK_IMAGES, job.seed, options.json, object_count=0)
     use = commands.quoted("--set", f"vision.weights={folder.resolve()}")
     say(f"weights are in {folder}; use them with {use}")
@@ -138,14 +138,15 @@ def _new(options: argparse.Namespace) -> Job:
     jobs.check_families(families)
     stages = _names(options.stages, STAGES)
     jobs.check_stages(stages)
+    config = _config(options)
     return Job(
         images=options.images or IMAGES,
         epochs=options.epochs or 0,
-        seed=options.seed or 0,
+        seed=config.seed,
         families=families,
-        cityscapes=str(options.cityscapes or ""),
+        cityscapes=str(options.cityscapes.absolute()) if options.cityscapes else "",
         stages=tuple(stage for stage in STAGES if stage in stages),
-        config=_config(options),
+        config=config,
         command=commands.quoted("python", "-m", "zsdist.pretrain", *sys.argv[1:]),
     )
 
@@ -153,7 +154,7 @@ def _new(options: argparse.Namespace) -> Job:
 def _reopened(options: argparse.Namespace) -> Job:
     own = ("images", "epochs", "out", "families", "cityscapes", "stages", "encoder", "seed", "config", "set")
     for name in own:
-        if getattr(options, name):
+        if getattr(options, name) not in (None, []):
             raise ConfigError(
                 f"--{name} cannot be combined with --resume: the pretraining in {options.resume} has its own"
             )
@@ -161,8 +162,7 @@ def _reopened(options: argparse.Namespace) -> Job:
 
 
 def _config(options: argparse.Namespace) -> Config:
-    encoder = [f"vision.encoder={json.dumps(options.encoder)}"] if options.encoder else []
-    return configuration.load(options.config, (*options.set, *encoder))
+    return configuration.load(options.config, cli.overrides(options), lambda line: print(line, file=sys.stderr))
 
 
 def _names(text: str | None, default: tuple[str, ...]) -> tuple[str, ...]:

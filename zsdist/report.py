@@ -1,6 +1,7 @@
 """`python -m zsdist.report RUN...`: write a page with the paper's figures and tables, of runs or of vision."""
 
 import argparse
+import sys
 from pathlib import Path
 
 from zsdist import config as configuration
@@ -15,19 +16,19 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "runs",
         nargs="*",
-        type=Path,
+        type=cli.path,
         metavar="RUN",
         help="run directories (several of one configuration: its seeds), and files or folders of evaluations",
     )
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", default=Path("runs/report"), help="folder of the page (default: runs/report)"
-    )
+    page = "folder of the page (default: runs/report)"
+    parser.add_argument("--out", type=cli.path, metavar="DIR", default=Path("runs/report"), help=page)
     vision = parser.add_argument_group("vision, instead of runs")
     vision.add_argument("--vision", action="store_true", help="report on the visual-act model")
-    vision.add_argument("--config", type=Path, metavar="FILE", help="YAML configuration: camera and weights")
-    vision.add_argument("--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change one setting")
-    vision.add_argument("--weights", metavar="DIR", help="folder of weights (default: vision.weights)")
-    vision.add_argument("--seed", type=cli.natural, default=0, help="seed of the pictures (default: 0)")
+    vision.add_argument("--config", type=cli.path, metavar="FILE", help="YAML configuration: camera and weights")
+    parser.add_set(vision)
+    weights, seed = "folder of weights (default: vision.weights)", "seed of the pictures (default: 0)"
+    parser.add_setting("--weights", "vision.weights", group=vision, metavar="DIR", help=weights)
+    parser.add_setting("--seed", "seed", group=vision, type=cli.natural, metavar="S", help=seed)
     vision.add_argument("--images", type=cli.count, default=200, help="number of pictures in each set (default: 200)")
     return parser
 
@@ -36,6 +37,9 @@ def main(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     if bool(options.runs) == options.vision:
         raise RunError("name either run directories or --vision, not both and not neither")
+    given = [name for name in ("config", "set", "weights", "seed") if getattr(options, name) not in (None, [])]
+    if options.runs and given:
+        raise RunError(f"--{given[0]} is for --vision; a run has its own configuration; remove the option")
     page = _write_vision(options) if options.vision else _write_runs(options)
     say(f"page: {page}")
     return 0
@@ -54,9 +58,8 @@ def _write_runs(options: argparse.Namespace) -> Path:
 def _write_vision(options: argparse.Namespace) -> Path:
     from zsdist.pretraining.check import report
 
-    overrides = (*options.set, *((f"vision.weights={options.weights}",) if options.weights else ()))
-    config = configuration.load(options.config, overrides)
-    return report.write(config, options.images, options.seed, options.out)
+    config = configuration.load(options.config, cli.overrides(options), lambda line: print(line, file=sys.stderr))
+    return report.write(config, options.images, config.seed, options.out)
 
 
 if __name__ == "__main__":

@@ -67,7 +67,7 @@ def test_a_folder_is_driven_once_and_the_json_is_the_documented_one(folder, tmp_
     [
         ((), "no policy was named"),
         (("nowhere",), "'nowhere' is no folder; allowed are a run directory, a checkpoint and pretrained"),
-        (("astar", "--scenes", "mars"), "scenes is 'mars'"),
+        (("astar", "--scenes", "mars"), "--scenes 'mars' is no folder; allowed are train, validation, test"),
         (("astar", "--video", __file__), "is a file; allowed is a folder"),
         (("astar", "--episodes", "0"), "allowed is a whole number of 1 or more"),
         (("astar", "--seed", "-1"), "--seed"),

@@ -45,7 +45,7 @@ def test_an_unknown_key_is_refused_with_the_nearest_known_one(capsys, tmp_path):
         (["--set", "camera.forward_m=.nan"], "camera.forward_m is nan"),
         (["--set", "replay.target_return=.nan"], "replay.target_return is nan"),
         (["--set", "reward.step=.inf"], "reward.step is inf"),
-        (["--set", "seed=2024-13-45"], "not valid YAML"),
+        (["--set", "seed=2024-13-45"], "seed is 2024-13-45: allowed is a whole number"),
         (["--config", "no/such.yaml"], "no/such.yaml"),
         (["--frobnicate"], "--frobnicate"),
     ],

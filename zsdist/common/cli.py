@@ -1,16 +1,24 @@
-"""Common behaviour of all commands: errors in one line, exit statuses, interruption, options that are whole numbers."""
+"""Common behaviour of all commands: errors in one line, exit statuses, interruption, and options of common kinds.
+
+An option that stands for a setting is added by `Parser.add_setting`. `overrides` returns what all such options and
+`--set` say, and refuses options that contradict each other.
+"""
 
 import argparse
+import contextlib
 import errno
 import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
+from zsdist import config
+from zsdist.common import places, values
 from zsdist.common.console import plain, say
-from zsdist.errors import ZsdistError
+from zsdist.errors import ConfigError, ZsdistError
 
 REFUSED = 2
 INTERRUPTED = 130
@@ -19,6 +27,25 @@ _LINE_END = re.compile(r"\s*\n\s*")  # a message of several lines is shown in on
 
 class Parser(argparse.ArgumentParser):
     """Argument parser that reports an error in one line, without the usage of all options before it."""
+
+    def add_setting(self, option: str, *settings: str, group: Any = None, **arguments: Any) -> None:
+        """Add an option that stands for settings.
+
+        Args:
+            option: name of the option.
+            settings: path of the setting that has the option's value; or, for an option without a value, settings with
+                their values, as `key.path=value`.
+            group: group of the help that lists it, from `add_argument_group`; None: the general one.
+            arguments: further arguments of `add_argument`.
+        """
+        action = (group or self).add_argument(option, **arguments)
+        self.set_defaults(stands_for={**(self.get_default("stands_for") or {}), action.dest: settings})
+
+    def add_set(self, group: Any = None) -> None:
+        """Add `--set`, in a group of the help or among the general options."""
+        (group or self).add_argument(
+            "--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change one setting; repeatable"
+        )
 
     def error(self, message: str) -> NoReturn:
         """Print the error and exit with status 2."""
@@ -62,6 +89,44 @@ def execute(
     finally:
         signal.signal(signal.SIGTERM, before)
     sys.exit(status)
+
+
+def overrides(options: argparse.Namespace) -> tuple[str, ...]:
+    """Return the settings that `--set` and the options of `Parser.add_setting` change, as `key.path=value`.
+
+    Raises:
+        ConfigError: two of them give a setting different values; the message names both.
+    """
+    said = [(f"--set {text}", text) for text in options.set]
+    for name, settings in getattr(options, "stands_for", {}).items():
+        value, option = getattr(options, name), f"--{name.replace('_', '-')}"
+        if value is not None and value is not False:
+            said += [(option if value is True else f"{option} {value}", _override(text, value)) for text in settings]
+    found: dict[str, tuple[str, Any]] = {}
+    for words, text in said:
+        for key, value in config.leaves_of(text).items():
+            annotation = values.find_type(config.Config, key)
+            with contextlib.suppress(ValueError):  # the check of the settings reports it
+                value = values.typed(annotation, value)
+            before, other = found.setdefault(key, (words, value))
+            if repr(other) != repr(value):  # NaN does not equal itself
+                raise ConfigError(f"{before} and {words} give {key} different values; give one of the two")
+    return tuple(text for _, text in said)
+
+
+def _override(setting: str, value: Any) -> str:
+    """Return an override from the setting that an option stands for, and the option's value."""
+    return setting if "=" in setting else f"{setting}={value}"
+
+
+def path(text: str) -> Path:
+    """Return the value of an option that is a path, with `~` as the home folder."""
+    if not text:
+        raise argparse.ArgumentTypeError("path is empty; allowed is a file or a folder, such as . for this one")
+    try:
+        return places.expand(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r}: {error}") from error
 
 
 def count(text: str) -> int:

@@ -1,5 +1,10 @@
-"""Reader of YAML that refuses a repeated key instead of silently dropping its first value."""
+"""Reader of YAML whose values are all text, so that whoever uses a value decides its type, and not its spelling.
 
+YAML 1.1 takes 010 for 8, 12:30 for 750, `no` for false and 2026-11-30 for a date. Here each stays as it is written;
+`zsdist.common.values` makes numbers of them. A repeated key is refused instead of silently dropping its first value.
+"""
+
+import re
 from typing import Any
 
 import yaml
@@ -7,6 +12,15 @@ import yaml
 
 class DuplicateKeyError(yaml.YAMLError):
     """Mapping that has a key twice."""
+
+
+class Plain(str):
+    """Text that was written without quotes: it may mean nothing at all (`values.NOTHING`), and shows as written."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        return str(self) if self.strip() else super().__repr__()
 
 
 class _Loader(yaml.SafeLoader):
@@ -19,15 +33,24 @@ class _Loader(yaml.SafeLoader):
                         f"line {key_node.start_mark.line + 1}: key {key_node.value!r} appears twice"
                     )
                 seen.add(key_node.value)
-        return super().construct_mapping(node, deep)
+        mapping = super().construct_mapping(node, deep)
+        return {str(key) if isinstance(key, Plain) else key: value for key, value in mapping.items()}
+
+    def construct_text(self, node: yaml.ScalarNode) -> str:
+        """Return a scalar as it is written."""
+        return Plain(node.value) if node.style is None else str(node.value)
+
+
+_Loader.yaml_implicit_resolvers = {"<": [("tag:yaml.org,2002:merge", re.compile("^<<$"))]}
+_Loader.add_constructor("tag:yaml.org,2002:str", _Loader.construct_text)
 
 
 def load(text: str) -> Any:
-    """Return the tree in a text of plain YAML.
+    """Return the tree in a text of YAML: dictionaries and lists of texts; None for an empty text.
 
     Raises:
         yaml.YAMLError: the text is not YAML, or a mapping has a key twice.
-        ValueError: a date or number is impossible.
+        ValueError: a value with a tag, such as `!!int`, is impossible.
         RecursionError: it is nested too deeply.
     """
     return yaml.load(text, Loader=_Loader)

@@ -5,10 +5,10 @@ from functools import cached_property
 from typing import Any
 
 from zsdist.config import Config
-from zsdist.dqn import network
 from zsdist.evaluation.baselines import BASELINES
 from zsdist.evaluation.drivers import Driver, LearnedDriver, Observability, ViewPredictor
 from zsdist.evaluation.oracle_view import by_camera, by_truth
+from zsdist.roles.shapes import initial_weights
 from zsdist.types import Level, Parameters
 
 FULL, HYBRID = "full", "hybrid"
@@ -96,7 +96,7 @@ class Contender:
             return None
         fresh = VARIANTS[self.variant].untrained
         return {
-            level: untrained(parameters, self.config.seed) if level in fresh else parameters
+            level: initial_weights(self.config, level) if level in fresh else parameters
             for level, parameters in self.parameters.items()
         }
 
@@ -108,10 +108,3 @@ class Contender:
         assert self.networks is not None, "a learned policy has networks"
         shuffled = VARIANTS[self.variant].shuffled
         return LearnedDriver(self.settings, self.networks, see, shielded=self.shielded, shuffled=shuffled)
-
-
-def untrained(parameters: Parameters, seed: int) -> Parameters:
-    """Return initial weights of the same shapes, drawn with `seed`."""
-    hidden = [len(value) for name, value in parameters.items() if name.startswith("hidden") and name.endswith(".bias")]
-    actions = len(parameters["output.bias"])
-    return network.initial_parameters(parameters["hidden0.weight"].shape[1], actions, hidden, seed)

@@ -122,6 +122,8 @@ def read(file: Path) -> list[Line]:
 
 def _read(file: Path) -> tuple[list[Line], int]:
     """Return the complete lines of a file, and the number of bytes that they take."""
+    if file.is_dir():
+        raise RunError(f"{file} is a folder; allowed is a file that zsdist.evaluate --out FILE.jsonl wrote")
     try:
         content = file.read_bytes()
         size = content.rfind(b"\n") + 1

@@ -19,6 +19,7 @@ from zsdist.vision.visual_act import VisualAct
 
 ROOT = "zsdist.evaluation.workers"  # imports everything that drives an episode
 EQUIVALENT_CODE = Path(__file__).with_name("equivalent_code.yaml")
+SECTIONS = ("grid", "sim", "camera", "vision", "agent")  # of the settings, on which an episode depends
 _HASH = re.compile(rf"[0-9a-f]{{{code_hash.DIGITS}}}")
 _ENTRY = {"commit", "hashes", "proof"}
 
@@ -86,7 +87,7 @@ def contender_sha256(contender: Contender) -> str:
     Raises:
         WeightsError: the vision weights are missing or damaged.
     """
-    settings = contender.settings.model_dump(mode="json", include={"grid", "sim", "camera", "vision", "agent"})
+    settings = contender.settings.model_dump(mode="json", include=set(SECTIONS))
     settings["vision"].pop("cache_bytes")
     perception = None
     if contender.observability is Observability.CAMERA:

@@ -50,6 +50,11 @@ class Job:
     def from_json(cls, tree: dict[str, Any]) -> Self:
         """Return the job that `to_json` described; raise `ConfigError`, `KeyError` or `TypeError` if it is damaged."""
         lists = {name: tuple(tree[name]) for name in ("families", "stages")}
+        if tree["cityscapes"] and not Path(tree["cityscapes"]).is_absolute():
+            raise ConfigError(
+                f"cityscapes is {tree['cityscapes']!r}, a relative path that an earlier version kept; "
+                "write the folder of the photographs there"
+            )
         return cls(**{**tree, **lists, "config": configuration.parse(tree["config"])})
 
 
@@ -80,7 +85,9 @@ def reopen(folder: Path) -> Job:
         return Job.from_json(json.loads(path.read_text(encoding="utf-8")))
     except OSError as error:
         raise RunError(f"--resume {folder} holds no pretraining: {path} {error.strerror or error}") from error
-    except (ConfigError, KeyError, TypeError, ValueError) as error:
+    except ConfigError as error:
+        raise RunError(f"--resume {folder}: {path}: {error}") from error
+    except (KeyError, TypeError, ValueError) as error:
         raise RunError(f"--resume {folder}: {path} is damaged: {error}") from error
 
 

@@ -7,6 +7,8 @@ With `r` updates per insert, two bounds hold once `min_size` transitions are sto
    of the learner.
 
 Each open stream is granted at least one `grain` beyond what it inserted. All streams share the `band` on top of that.
+Where a run resumes with another `r`, both counts are taken from there on; what either side owed by the old `r` remains.
+
 So whenever the learner must wait, every open stream has an unused grain, even if all the others use none of theirs, and
 one side can always proceed. Before `min_size` is reached nothing is limited; credit in use at that moment is added to
 the second bound.
@@ -68,6 +70,7 @@ class Limiter:
         self.patience = max(1, int(self._ratio * band / 2))
         self.stored = 0
         self.updates = 0
+        self._since = (0, 0)  # transitions stored, and updates due, at which the present ratio began
         self._streams: dict[str, _Stream] = {}
         self._stale = True  # something changed since the last grant
 
@@ -98,8 +101,7 @@ class Limiter:
     @property
     def allowed(self) -> int:
         """Number of batches that the learner may take now, one for each update."""
-        ratio = self._ratio  # as integers: a product of fractions takes longer than sampling a batch
-        return max(0, ratio.numerator * self.stored // ratio.denominator - self.updates) if self.limited else 0
+        return max(0, self._due() - self.updates) if self.limited else 0
 
     @property
     def lacking(self) -> int:
@@ -136,23 +138,48 @@ class Limiter:
     def state(self) -> dict[str, Any]:
         """Return the totals and the counts of each open stream."""
         streams = {name: [stream.inserted, stream.granted] for name, stream in self._streams.items()}
-        return {"stored": self.stored, "updates": self.updates, "streams": streams}
+        ratio = [self._ratio.numerator, self._ratio.denominator]
+        return {
+            "stored": self.stored,
+            "updates": self.updates,
+            "ratio": ratio,
+            "since": list(self._since),
+            "streams": streams,
+        }
 
     def restore(self, state: dict[str, Any], *, same_run: bool) -> None:
-        """Restore what `state` returned; its streams only in the same run, since epochs end with a run."""
+        """Restore what `state` returned; its streams only in the same run, since epochs end with a run.
+
+        A state of an earlier version names no ratio; then the present one begins here, and nothing is owed.
+        """
         self.stored, self.updates = int(state["stored"]), int(state["updates"])
+        if "ratio" in state:
+            present, self._ratio = self._ratio, Fraction(*state["ratio"])
+            self._since = (int(state["since"][0]), int(state["since"][1]))
+            if present != self._ratio:
+                self._since, self._ratio = (self.stored, self._due()), present
+        else:
+            self._since = (self.stored, self.updates)
         self._streams = {name: _Stream(*counts) for name, counts in state["streams"].items()} if same_run else {}
         self._stale = True
 
     def _grant(self) -> None:
         """Grant credit: first a grain to every stream, then shares of the band."""
         streams = self._streams.values()
-        room = int((self.updates + 1) / self._ratio) + self._band + self._grain * len(streams) - self.stored
+        stored, due = self._since
+        room = stored + int((self.updates + 1 - due) / self._ratio) - self.stored + self._band
+        room += self._grain * len(streams)
         room -= sum(stream.ahead for stream in streams)
         room -= self._top_up(self._grain, room)
         # Unused credit beyond the grains must not exceed the band, or idle streams could take a late stream's grain.
         beyond = sum(max(stream.ahead - self._grain, 0) for stream in streams)
         self._top_up(self._grain + self._band // len(streams), min(room, self._band - beyond))
+
+    def _due(self) -> int:
+        """Return the number of updates that the stored transitions ask for."""
+        ratio, (stored, due) = self._ratio, self._since
+        # As integers: a product of fractions takes longer than sampling a batch.
+        return due + ratio.numerator * (self.stored - stored) // ratio.denominator
 
     def _top_up(self, ahead: int, room: int) -> int:
         """Raise every stream towards `ahead`, in proportion if `room` is short; return the credit granted."""

@@ -141,14 +141,30 @@ class AdaptiveSizing:
 
     def state(self) -> dict[str, int]:
         """Return all counts as plain numbers, for `restore`."""
-        return {"size": self.size, "batch_size": self.batch_size, "adjustments": self._adjustments}
-
-    def restore(self, state: dict[str, int]) -> None:
-        """Restore what `state` returned; sizes outside the present bounds move to the nearest allowed ones."""
         config = self._config
-        self.size = min(max(int(state["size"]), config.size_min), config.size_max)
-        self.batch_size = min(max(int(state["batch_size"]), config.batch_min), config.batch_max)
-        self._adjustments = int(state["adjustments"])
+        return {
+            "size": self.size,
+            "batch_size": self.batch_size,
+            "adjustments": self._adjustments,
+            "size_initial": config.size_initial,
+            "batch_initial": config.batch_initial,
+        }
+
+    def restore(self, state: dict[str, int], finished: int) -> None:
+        """Restore what `state` returned, under settings that may have changed.
+
+        A size whose initial value is another one now begins from that. Sizes outside the present bounds move to the
+        nearest allowed ones. Adjustments go on from `finished` episodes, however often they are made now.
+        """
+        config = self._config
+        size, batch = state["size"], state["batch_size"]
+        if state.get("size_initial", config.size_initial) != config.size_initial:
+            size = config.size_initial
+        if state.get("batch_initial", config.batch_initial) != config.batch_initial:
+            batch = config.batch_initial
+        self.size = min(max(int(size), config.size_min), config.size_max)
+        self.batch_size = min(max(int(batch), config.batch_min), config.batch_max)
+        self._adjustments = finished // config.adjust_every_episodes
 
     def _towards(self, size: int, wanted: int) -> int:
         """Return `size` after one adjustment towards `wanted`."""

@@ -15,6 +15,7 @@ from zsdist.evaluation import episode_store
 from zsdist.evaluation.contenders import FULL
 from zsdist.evaluation.fingerprint import equivalent
 from zsdist.evaluation.metrics import summarise_scenes
+from zsdist.run import location
 from zsdist.types import Level
 
 Row = dict[str, Any]
@@ -135,6 +136,8 @@ def read(places: Sequence[Path]) -> Material:
     for place in dict.fromkeys(path.resolve() for path in places):
         home = read_run(place) if (place / "config.yaml").is_file() else None
         results = list(_results(place)) if place.exists() else []
+        if home is None and not results and (run := location.find_run(place)) != place:
+            home, results = read_run(run), list(_results(run))  # the path of something inside a run
         if home is not None:
             runs.append(home)
         elif not results:

@@ -8,7 +8,7 @@ from zsdist import config
 from zsdist.config import Config
 from zsdist.dqn import network
 from zsdist.errors import ConfigError, WeightsError
-from zsdist.run import directory, program
+from zsdist.run import directory, location, program
 from zsdist.types import Level, Parameters
 from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.wire.messages import State
@@ -33,19 +33,24 @@ class Policy:
     vision: VisionIdentity | None = None
 
 
-def load_policy(path: Path) -> Policy:
+def load_policy(path: Path, overrides: tuple[str, ...] = (), notify: config.Notify | None = None) -> Policy:
     """Return the policy of a run directory (its newest checkpoint) or of one checkpoint folder.
+
+    Args:
+        path: either of them, or a path inside it.
+        overrides: settings to change, as `KEY.PATH=VALUE`.
+        notify: called with lines for the user.
 
     Raises:
         WeightsError: it has no weights, or they are damaged.
     """
-    checkpoint = path if (path / "manifest.json").is_file() else None
+    checkpoint = location.find_checkpoint(path)
     try:
         if checkpoint is None:
-            checkpoint = directory.newest_checkpoint(path)
+            checkpoint = directory.newest_checkpoint(location.find_run(path))
         states = directory.read_checkpoint(checkpoint)
         vision = directory.read_vision(checkpoint)
-        settings = config.load(checkpoint.parent.parent / "config.yaml")
+        settings = config.load_kept(checkpoint.absolute().parent.parent / "config.yaml", overrides, notify)
     except ConfigError as error:
         raise WeightsError(f"policy {path}: {error}") from error
     except directory.RunError as error:

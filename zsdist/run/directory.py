@@ -18,7 +18,7 @@ from zsdist.common import atomic_files, commands, folders, json_lines
 from zsdist.common.ownership import Owned
 from zsdist.config import Config
 from zsdist.errors import ConfigError, DecodeError, RunError
-from zsdist.run import board
+from zsdist.run import board, location
 from zsdist.run.figures_file import FiguresFile, spacing
 from zsdist.telemetry.snapshot import Fields
 from zsdist.vision.fingerprint import VisionIdentity
@@ -70,16 +70,20 @@ def create(path: Path | None, settings: Config, root: Path = Path("runs")) -> Pa
     return folder
 
 
-def reopen(folder: Path, overrides: tuple[str, ...] = ()) -> tuple[Config, dict[str, State]]:
+def reopen(
+    folder: Path, overrides: tuple[str, ...] = (), notify: config.Notify | None = None
+) -> tuple[Config, dict[str, State]]:
     """Return configuration (with overrides) and newest checkpoint of an earlier run; change nothing yet.
 
     Raises:
         RunError: there is no run, or no complete checkpoint in it, or an override changes a fixed setting.
     """
     if not (folder / "config.yaml").is_file():
-        raise RunError(f"resume folder {folder} holds no run: there is no config.yaml in it")
+        hint = location.suggest_run(folder)
+        raise RunError(f"resume folder {folder} holds no run: there is no config.yaml in it{hint}")
     try:
-        original, settings = (config.load(folder / "config.yaml", changes) for changes in ((), overrides))
+        original = config.load(folder / "config.yaml")
+        settings = config.load_kept(folder / "config.yaml", overrides, notify)
     except ConfigError as error:
         raise RunError(f"resume folder {folder}: {error}") from error
     for key in FIXED:
@@ -88,11 +92,15 @@ def reopen(folder: Path, overrides: tuple[str, ...] = ()) -> tuple[Config, dict[
             raise RunError(f"resume folder {folder}: {key} is {now}; allowed is the run's original value, {before}")
     newest = newest_checkpoint(folder)
     try:
-        return settings, read_checkpoint(newest)
+        states = read_checkpoint(newest)
     except RunError as error:
         older = [path.name for path in checkpoints(folder) if path != newest]
         remedy = f"; remove {newest} to resume from {older[-1]}" if older else ""
         raise RunError(f"{error}{remedy}") from error
+    # Checkpoints of earlier versions do not name the initial sizes that they began from.
+    for key in ("size_initial", "batch_initial"):
+        states["scheduler"].meta.get("sizing", {}).setdefault(key, getattr(original.replay, key))
+    return settings, states
 
 
 def ended(folder: Path) -> str | None:

@@ -10,7 +10,7 @@ from typing import Any
 from zsdist import config
 from zsdist.common import commands
 from zsdist.errors import ConfigError, RunError
-from zsdist.run import directory
+from zsdist.run import directory, location
 
 SIGNS = ("config.yaml", "epochs", "endpoint", "metrics.jsonl", "episodes.jsonl", "summary.json")
 ALIVE_WITHIN_S = 60.0  # a run that has not ended and wrote something within this time counts as running
@@ -117,14 +117,15 @@ def find(runs: Path, name: str | None = None) -> RunLife:
     """Return the run of a name, or the newest one: of those that run the last started, else the last started of all.
 
     Args:
-        runs: folder of run directories.
-        name: name of a run, or path of its folder; None: the newest.
+        runs: folder of run directories, or one of them.
+        name: name of a run, or path of its folder or of something in it; None: the newest.
 
     Raises:
         RunError: there is none.
     """
-    if name is not None and (Path(name) / "config.yaml").is_file():
-        return read(Path(name))
+    for place in (runs, *(() if name is None else (location.find_run(Path(name)),))):
+        if (place / location.CONFIG_FILE).is_file():
+            return read(place)
     found = [read(path.parent) for path in sorted(runs.glob("*/config.yaml"))]
     if not found:
         raise RunError(f"no run was found in {runs}; start one, or name --runs DIR, or --connect ENDPOINT")

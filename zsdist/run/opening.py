@@ -5,7 +5,7 @@ from pathlib import Path
 
 from zsdist.config import Config
 from zsdist.errors import RunError
-from zsdist.run import directory, local_ray, preflight
+from zsdist.run import directory, local_ray, location, preflight
 from zsdist.run.program import RunSpec
 from zsdist.vision.fingerprint import VisionIdentity
 
@@ -32,7 +32,7 @@ def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify) -> Ru
     """Reset the directory of an earlier run to its newest checkpoint.
 
     Args:
-        folder: run directory.
+        folder: run directory, or a path inside it.
         overrides: settings to change, as `KEY.PATH=VALUE`.
         notify: called with lines for the user.
 
@@ -40,7 +40,9 @@ def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify) -> Ru
         RunError: there is no run or no checkpoint to resume from, or the run is complete.
         ZsdistError: the settings cannot be run on this machine.
     """
-    settings, states = directory.reopen(folder, overrides)
+    given, folder = folder, location.find_run(folder)
+    settings, states = directory.reopen(folder, overrides, notify)
+    location.check_is_newest(given, directory.newest_checkpoint(folder))
     preflight.check_shards(settings, states)
     finished = len(states["scheduler"].meta["finished"])
     # With all episodes finished, the last merge or the evaluation may still be missing: then the run may be resumed.

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 
 from zsdist.agent.hierarchy import q_functions
 from zsdist.config import Config
-from zsdist.dqn import network
 from zsdist.driving.actor_car import ActorCar, EpisodeTask
 from zsdist.driving.perception import Perception
 from zsdist.errors import ConfigError
@@ -12,11 +11,11 @@ from zsdist.planning.grid import Grid
 from zsdist.replay.buffer import row_bytes
 from zsdist.roles import permissions
 from zsdist.roles.replay import shards
-from zsdist.roles.shapes import SHAPES
+from zsdist.roles.shapes import SHAPES, initial_weights
 from zsdist.run.program import ActorParts, simulation
 from zsdist.run.scene_schedule import scene_source
 from zsdist.transport.certificates import Identity
-from zsdist.types import Level, Parameters
+from zsdist.types import Level
 from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.wire.messages import State
 
@@ -92,14 +91,9 @@ def try_out(parts: ActorParts, config: Config) -> None:
     """Drive a car for two steps, which loads everything that is loaded at first use (half a second)."""
     car = ActorCar(parts.make_env(), config)
     car.begin(EpisodeTask(parts.schedule.training(1), 1, 1.0, True, (0,)), dict.fromkeys(Level, 0))
-    q = q_functions({level: _untrained(config, level) for level in Level})
+    q = q_functions({level: initial_weights(config, level) for level in Level})
     perception = Perception(parts.visual_act, Grid.from_config(config.grid), config.vision.rays, None)
     for _ in range(2):
         (view,) = perception.views([car])
         car.advance(view, q)
     car.env.close()
-
-
-def _untrained(config: Config, level: Level) -> Parameters:
-    shape, settings = SHAPES[level], config.high if level is Level.HIGH else config.low
-    return network.initial_parameters(shape.state_size, shape.actions, settings.hidden, config.seed)

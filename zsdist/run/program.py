@@ -22,7 +22,7 @@ from zsdist.roles.hub import Hub
 from zsdist.roles.replay import shards
 from zsdist.roles.replay.role import Replay
 from zsdist.roles.scheduler.role import Scheduler
-from zsdist.roles.shapes import SHAPES
+from zsdist.roles.shapes import SHAPES, learner_seed, level_settings
 from zsdist.run.directory import RunDirectory
 from zsdist.run.scene_schedule import SceneSchedule
 from zsdist.sim.env import CarNavigation
@@ -221,8 +221,7 @@ def make_learner(config: Config, level: Level) -> "BaseDqnLearner":
     """Return the DQN of one level, untrained; its initial weights follow from the run's seed."""
     from zsdist.dqn.fused import FusedDqnLearner
 
-    shape, settings = SHAPES[level], config.high if level is Level.HIGH else config.low
-    seed = 2 * config.seed + (level is Level.HIGH)
+    shape, settings, seed = SHAPES[level], level_settings(config, level), learner_seed(config, level)
     return FusedDqnLearner(shape.state_size, shape.actions, settings, seed=seed, mirror=features.mirror(level))
 
 

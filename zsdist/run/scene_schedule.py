@@ -2,12 +2,10 @@
 
 from collections.abc import Callable
 from functools import lru_cache
-from pathlib import Path
 
 from zsdist.common import random_streams
 from zsdist.config import Config
-from zsdist.errors import SceneError
-from zsdist.sim.scenes import families, manifest, scene
+from zsdist.sim.scenes import families, manifest, sources
 from zsdist.sim.scenes.scene import Scene
 
 SplitScenes = Callable[[manifest.Split, int], Scene]  # the scene of a split and a number
@@ -39,29 +37,26 @@ class SceneSchedule:
 
 
 def scene_source(name: str, stride: int = 1) -> SplitScenes:
-    """Return the function that gives scenes of a family, or of a folder of scene files, which serve every split.
+    """Return the function that gives scenes of a family, or of a folder or file of scenes, which serve every split.
 
     Any number of 0 or more has a scene: a folder begins again after its last file, a family after the last scene of
     the split.
 
     Args:
-        name: family or folder.
+        name: family, folder or file.
         stride: number of scenes by which a family is further on when it begins again (`manifest.wrapped`).
 
     Raises:
-        SceneError: `name` is neither, or the folder has no valid scenes.
+        SceneError: `name` is none of these, or the folder has no valid scenes.
     """
-    if name in families.FAMILIES:
+    scenes = sources.read_files(name)
+    if scenes is not None:
+        return lambda split, number: scenes[number % len(scenes)]
 
-        @lru_cache(maxsize=64)
-        def drawn(split: manifest.Split, number: int) -> Scene:
-            # The ten scenes of `singleton` are taken by the number itself.
-            index = number if name == families.SINGLETON else manifest.wrapped(number, stride)
-            return families.draw(name, split, index)
+    @lru_cache(maxsize=64)
+    def drawn(split: manifest.Split, number: int) -> Scene:
+        # The ten scenes of `singleton` are taken by the number itself.
+        index = number if name == families.SINGLETON else manifest.wrapped(number, stride)
+        return families.draw(name, split, index)
 
-        return drawn
-    if not Path(name).is_dir():
-        allowed = ", ".join(families.FAMILIES)
-        raise SceneError(f"source of scenes {name!r} is no folder; allowed are {allowed} and a folder of scene files")
-    scenes = scene.read_folder(Path(name))
-    return lambda split, index: scenes[index % len(scenes)]
+    return drawn

@@ -7,8 +7,10 @@ from typing import Any, Protocol
 from zsdist.common import commands
 from zsdist.config import Config
 from zsdist.errors import RunError
+from zsdist.roles.replay import shards
 from zsdist.run import directory, local_ray, program
 from zsdist.run.program import RunSpec, Watch
+from zsdist.wire.messages import State
 
 Summary = Mapping[str, Any]  # `summary.json`
 
@@ -57,16 +59,31 @@ def check_accounts(summary: Summary) -> None:
             )
 
 
-def describe_untrained_levels(summary: Summary, settings: Config) -> list[str]:
-    """Return a line for each level whose learner made no update, with the reason."""
+def describe_untrained_levels(summary: Summary, settings: Config, states: Mapping[str, State]) -> list[str]:
+    """Return a line for each level whose learner made no update since this start of the run, with the reason.
+
+    Args:
+        summary: summary of the run.
+        settings: its configuration.
+        states: states from which it was resumed; empty for a new run.
+    """
     lines = []
     for level, updates in summary["learner_updates"].items():
-        if not updates:
-            stored, least = summary["transitions"][level]["stored"], getattr(settings, level).min_size
-            lines.append(
-                f"the {level} level was not trained: {stored} transitions were stored, and training starts at "
-                f"{least} ({level}.min_size)"
-            )
+        learner = states.get(f"learner-{level}")
+        if updates != (learner.meta["updates"] if learner else 0):
+            continue
+        stored, level_settings = summary["transitions"][level]["stored"], getattr(settings, level)
+        before = sum(state.meta[level]["stored"] for name, state in states.items() if shards.is_state_name(name))
+        when = " since it was resumed" if learner else ""
+        added, ratio = stored - before, level_settings.updates_per_insert
+        if stored < level_settings.min_size:
+            reason = f"{stored} transitions were stored, and training starts at {level_settings.min_size} "
+            reason += f"({level}.min_size)"
+        elif added * ratio < 1:
+            reason = f"{added} transitions were added, for {ratio:g} updates each ({level}.updates_per_insert)"
+        else:
+            reason = f"{added} transitions were added, and the run ended before any update"
+        lines.append(f"the {level} level was not trained{when}: {reason}")
     return lines
 
 

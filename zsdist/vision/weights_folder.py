@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from zsdist.common import atomic_files
+from zsdist.common import atomic_files, places
 from zsdist.config import CameraConfig
 from zsdist.errors import WeightsError
 from zsdist.vision.encoders.base import Encoder
@@ -101,7 +101,7 @@ class WeightsFolder:
 
 def locate(weights: str) -> Path:
     """Return the folder that `vision.weights` names: "pretrained" is the shipped one, anything else is a path."""
-    return SHIPPED if weights == "pretrained" else Path(weights)
+    return SHIPPED if weights == places.WEIGHTS else Path(weights)
 
 
 def read(path: Path) -> WeightsFolder:
@@ -116,7 +116,7 @@ def read(path: Path) -> WeightsFolder:
     except OSError as error:
         raise WeightsError(
             f"weights {file} cannot be read: {error.strerror or error}; allowed are 'pretrained' and a folder "
-            "that `python -m zsdist.pretrain` made"
+            "that `python -m zsdist.pretrain` made, as vision.weights"
         ) from error
     except ValueError as error:
         raise WeightsError(f"weights {file} is damaged: {error}") from error

@@ -5,9 +5,10 @@ from fakes import FakeVisualAct, LatticeEnv
 from zsdist.config import load
 from zsdist.dqn import network
 from zsdist.evaluation.baselines import BASELINES
-from zsdist.evaluation.contenders import VARIANTS, Contender, untrained
+from zsdist.evaluation.contenders import VARIANTS, Contender
 from zsdist.evaluation.drivers import Observability
 from zsdist.evaluation.workers import Simulation, make_runner
+from zsdist.roles.shapes import initial_weights
 from zsdist.run import program
 from zsdist.sim.scenes import families
 from zsdist.types import Level, Outcome
@@ -51,14 +52,21 @@ def test_untrained_levels_have_fresh_networks_of_the_same_shapes_and_the_others_
         }
 
 
-def test_untrained_weights_are_the_initial_ones_of_a_learner_of_these_shapes_and_this_seed():
-    assert network.sha256(untrained(TRAINED[Level.LOW], 0)) == network.sha256(TRAINED[Level.LOW])
+@pytest.mark.parametrize("seed", [0, 1, 7])
+def test_untrained_weights_are_those_with_which_the_policy_began_its_training(seed):
+    config = load(overrides=(f"seed={seed}",))
+    networks = Contender(config, TRAINED, variant="untrained").networks
+    for level in Level:
+        began = program.make_learner(config, level).parameters()
+        assert (
+            network.sha256(networks[level]) == network.sha256(began) == network.sha256(initial_weights(config, level))
+        )
 
 
 def test_with_planners_on_both_levels_the_weights_do_not_matter():
     one, other = (
-        drive(Contender(CONFIG, {level: untrained(TRAINED[level], seed) for level in Level}, variant="oracle-levels"))
-        for seed in (1, 2)
+        drive(Contender(CONFIG, {level: initial_weights(of, level) for level in Level}, variant="oracle-levels"))
+        for of in (CONFIG, load(overrides=("seed=1",)))
     )
     assert one.poses == other.poses and one.outcome is Outcome.SUCCESS
 

@@ -51,6 +51,16 @@ def test_train_and_validation_scenes_are_of_the_training_families_and_never_the_
     assert train == [families.draw("iid", "train", index).hash() for index in range(4)]
 
 
+@pytest.mark.parametrize("train_scenes", [1000, 60, 3])
+def test_training_scenes_are_those_that_training_draws_from_whatever_the_seed(train_scenes):
+    config = load(overrides=("scenes.train=[iid]", f"scenes.train_scenes={train_scenes}"))
+    drawn = {f"iid-{index:06d}" for index in range(train_scenes)}
+    for seed in (0, 1, 2, 999):
+        assert {chosen.name for chosen in select("train", config, 5, seed)} <= drawn
+    if train_scenes == 1000:
+        assert not set(hashes("train", config, 5, 0)) & set(hashes("train", config, 5, 1))
+
+
 def test_a_configured_folder_serves_as_a_training_family(folder):
     config = load(overrides=(f"scenes.train=[{folder}, iid]",))
     chosen = hashes("train", config, 4, 0)

@@ -1,3 +1,4 @@
+import json
 from fractions import Fraction
 
 import pytest
@@ -190,6 +191,52 @@ def test_totals_survive_a_restart_and_streams_do_not():
     assert (resumed.stored, resumed.updates, resumed.limited) == (20, 1, True)
     resumed.open("a")
     assert 4 <= resumed.credit("a") < limiter.credit("a")
+
+
+def learned(limiter):
+    """Take all batches that are allowed; return their number."""
+    taken = 0
+    while limiter.allowed:
+        limiter.take_batch()
+        taken += 1
+    return taken
+
+
+@pytest.mark.parametrize("ratio", [0.05, 0.25, 1.0, 4.0])
+def test_another_ratio_counts_from_where_a_run_resumes_with_it(ratio):
+    before = opened(Limiter(0.5, min_size=10, grain=4, band=8), "a")
+    before.count_inserts("a", 1001)
+    assert learned(before) == 500
+    limiter = Limiter(ratio, min_size=10, grain=4, band=8)
+    limiter.restore(json.loads(json.dumps(before.state())), same_run=False)
+    assert not limiter.allowed, "neither a burst of updates, nor a debt"
+    limiter.open("b")
+    assert limiter.credit("b") <= 4 + 8 + 1 / ratio, "and the actors do not run ahead either"
+    limiter.count_inserts("b", 100)
+    assert learned(limiter) == 100 * ratio
+    assert limiter.credit("b") >= 104
+    again = Limiter(ratio, min_size=10, grain=4, band=8)
+    again.restore(json.loads(json.dumps(limiter.state())), same_run=False)
+    again.open("c")
+    again.count_inserts("c", 100)
+    assert learned(again) == 100 * ratio, "from the change on, also after another start"
+
+
+def test_what_was_owed_at_a_change_of_the_ratio_remains_owed():
+    before = opened(Limiter(0.5, min_size=10, grain=4, band=8), "a")
+    before.count_inserts("a", 20)
+    before.take_batch()
+    limiter = Limiter(2.0, min_size=10, grain=4, band=8)
+    limiter.restore(before.state(), same_run=False)
+    assert limiter.allowed == 9
+
+
+def test_in_a_state_of_an_earlier_version_the_ratio_begins_anew():
+    limiter = Limiter(2.0, min_size=10, grain=4)
+    limiter.restore({"stored": 1000, "updates": 250, "streams": {}}, same_run=False)
+    limiter.open("a")
+    limiter.count_inserts("a", 10)
+    assert limiter.allowed == 20
 
 
 def test_calls_that_contradict_the_counts_are_rejected():

@@ -1,4 +1,5 @@
 import json
+import math
 
 import pytest
 from hypothesis import given
@@ -109,7 +110,7 @@ def test_a_restored_sizing_continues_the_same_through_json():
     for episode in range(1, 16):
         averages.add_episode(-10.0 * episode / 3, episode)
         sizing.adjust(episode, averages.mean_return)
-    restored.restore(json.loads(json.dumps(sizing.state())))
+    restored.restore(json.loads(json.dumps(sizing.state())), 15)
     same.restore(json.loads(json.dumps(averages.state())))
     averages.add_episode(5.0, 2)
     same.add_episode(5.0, 2)
@@ -121,9 +122,31 @@ def test_a_restored_sizing_continues_the_same_through_json():
 def test_sizes_of_other_bounds_are_restored_within_the_present_ones():
     sizing = AdaptiveSizing(CONFIG)
     for size, batch in ((CONFIG.size_max + 1, CONFIG.batch_max + 1), (CONFIG.size_min - 1, CONFIG.batch_min - 1)):
-        sizing.restore({"size": size, "batch_size": batch, "adjustments": 0})
+        sizing.restore({"size": size, "batch_size": batch, "adjustments": 0}, 0)
         assert CONFIG.size_min <= sizing.size <= CONFIG.size_max, "a replay refuses all orders with any other"
         assert CONFIG.batch_min <= sizing.batch_size <= CONFIG.batch_max
+
+
+def test_other_initial_sizes_begin_where_they_are_set_and_equal_ones_change_nothing():
+    sizing = AdaptiveSizing(CONFIG)
+    sizing.adjust(100, -5000.0)
+    state = sizing.state()
+    assert state["size"] != CONFIG.size_initial
+    changed = AdaptiveSizing(CONFIG.model_copy(update={"size_initial": 7000, "batch_initial": 64}))
+    changed.restore(state, 100)
+    assert (changed.size, changed.batch_size) == (7000, 64)
+    again = AdaptiveSizing(CONFIG.model_copy(update={"size_initial": 7000, "batch_initial": 64}))
+    again.restore(changed.state() | {"size": 6000}, 100)
+    assert again.size == 6000, "it began at the change, not at every start"
+
+
+@pytest.mark.parametrize(("every", "due"), [(1, 101), (20, 120), (10, 110)])
+def test_adjustments_count_from_the_change_of_their_interval(every, due):
+    before, after = AdaptiveSizing(CONFIG), AdaptiveSizing(CONFIG.model_copy(update={"adjust_every_episodes": every}))
+    before.adjust(100, None)
+    after.restore(before.state(), 100)
+    sizes = [(finished, after.size) for finished in range(101, 121) if after.adjust(finished, -5000.0)]
+    assert sizes[0] == (due, math.floor(CONFIG.size_initial * CONFIG.shrink_rate)), "one adjustment, when it is due"
 
 
 @pytest.mark.parametrize(("paper_return", "actions"), [(float("nan"), 3), (float("inf"), 3), (1.0, -1)])

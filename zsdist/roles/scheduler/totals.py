@@ -91,7 +91,7 @@ class RunTotals:
     def restore(self, meta: dict[str, Any]) -> None:
         """Restore the totals from a `state`."""
         self.averages.restore(meta["averages"])
-        self.sizing.restore(meta["sizing"])
+        self.sizing.restore(meta["sizing"], sum(meta["outcomes"].values()))
         self._recent = [Outcome(name) for name in meta["recent"]]
         self.outcomes = {Outcome(name): count for name, count in meta["outcomes"].items()}
         self.env_steps = meta["env_steps"]

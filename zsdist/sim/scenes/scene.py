@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from zsdist.common import folders, strict_yaml
+from zsdist.common import folders, strict_yaml, values
 from zsdist.config import GridConfig
 from zsdist.errors import SceneError
 from zsdist.planning.grid import Grid
@@ -252,12 +252,12 @@ def _flow(value: Any) -> str:
 
 def _scene(tree: Any) -> Scene:
     _keys(tree, "the file", ("version", "name", "ground", "start", "goal", "obstacles"))
-    if type(tree["version"]) is not int or tree["version"] != 1:
+    if tree["version"] not in ("1", 1) or isinstance(tree["version"], bool):
         raise SceneError(f"version is {show(tree['version'])}; allowed is 1")
     name = tree["name"]
     if not isinstance(name, str) or not re.fullmatch(r"\w[\w. -]{0,99}", name):
         raise SceneError(f"name is {show(name)}; allowed are up to 100 letters, digits, spaces, '_', '.' and '-'")
-    _one_of(tree["ground"], "ground", GROUNDS)
+    ground = _one_of(tree["ground"], "ground", GROUNDS)
     _keys(tree["start"], "start", ("x", "y", "heading_deg"))
     _keys(tree["goal"], "goal", ("x", "y"))
     start = Start(*(_number(tree["start"][key], f"start.{key}") for key in ("x", "y", "heading_deg")))
@@ -267,7 +267,7 @@ def _scene(tree: Any) -> Scene:
         found = f"{len(entries)} entries" if isinstance(entries, list) else show(entries)
         raise SceneError(f"obstacles is {found}; allowed is a list of up to {MAX_OBSTACLES}")
     obstacles = tuple(_obstacle(entry, f"obstacles[{index}]") for index, entry in enumerate(entries))
-    return Scene(name, tree["ground"], start, goal, obstacles)
+    return Scene(str(name), ground, start, goal, obstacles)
 
 
 def _obstacle(entry: Any, label: str) -> Obstacle:
@@ -319,12 +319,17 @@ def _keys(tree: Any, label: str, needed: tuple[str, ...], optional: tuple[str, .
 
 def _one_of(value: Any, label: str, allowed: dict[str, Any]) -> str:
     if not isinstance(value, str) or value not in allowed:
-        raise SceneError(f"{label} is {show(value)}; allowed are {', '.join(allowed)}")
-    return value
+        found = str(value) if isinstance(value, str) else value
+        raise SceneError(f"{label} is {show(found)}; allowed are {', '.join(allowed)}")
+    return str(value)
 
 
 def _number(value: Any, label: str, above: float = -MAX_NUMBER, most: float = MAX_NUMBER) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    try:
+        value = values.number(value)
+    except ValueError as error:
+        raise SceneError(f"{label} is {show(value)}; {error}") from error
+    if not isinstance(value, int | float):
         raise SceneError(f"{label} is {show(value)}; allowed is a number")
     if not above < value <= most:  # NaN fails every comparison
         raise SceneError(f"{label} is {show(value)}; allowed is a number above {above:g}, at most {most:g}")

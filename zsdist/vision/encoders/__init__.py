@@ -2,12 +2,13 @@
 
 from pathlib import Path
 
+from zsdist.common import places
 from zsdist.errors import WeightsError
 from zsdist.vision.encoders.base import Encoder
 from zsdist.vision.encoders.clip_folder import ClipFolder
 from zsdist.vision.encoders.lite0 import EfficientNetLite0
 
-DEFAULT = "efficientnet-lite0"
+DEFAULT = places.ENCODER
 
 
 def open_encoder(spec: str) -> Encoder:
@@ -20,4 +21,5 @@ def open_encoder(spec: str) -> Encoder:
         return EfficientNetLite0()
     if Path(spec).is_dir():
         return ClipFolder(Path(spec))
-    raise WeightsError(f"vision.encoder is {spec!r}; allowed are {DEFAULT!r} and a folder with a CLIP model")
+    found = places.shown(spec)
+    raise WeightsError(f"vision.encoder is {found!r}; allowed are {DEFAULT!r} and a folder with a CLIP model")

@@ -1,0 +1,40 @@
+"""Run directories and checkpoints from the paths that people give: the folder itself, or anything inside it."""
+
+from pathlib import Path
+
+from zsdist.errors import RunError
+
+CONFIG_FILE = "config.yaml"
+MANIFEST_FILE = "manifest.json"
+CHECKPOINTS = "checkpoints"
+_DEPTH = 3  # folders between a file of a run and its run directory: checkpoints/00000050/manifest.json
+
+
+def find_run(path: Path) -> Path:
+    """Return the run directory that a path is or lies in; the path itself where it is neither."""
+    inside = path.absolute().parents[:_DEPTH]
+    if not path.exists() or (path / CONFIG_FILE).is_file():
+        return path
+    found = (place for place in inside if (place / CONFIG_FILE).is_file() and (place / CHECKPOINTS).is_dir())
+    return next(found, path)
+
+
+def find_checkpoint(path: Path) -> Path | None:
+    """Return the checkpoint folder that a path is or lies in; None where it is neither."""
+    return next((place for place in (path, path.parent) if (place / MANIFEST_FILE).is_file()), None)
+
+
+def check_is_newest(path: Path, newest: Path) -> None:
+    """Raise `RunError` where a path names a checkpoint that is not the newest of its run, from which a run resumes."""
+    asked = find_checkpoint(path)
+    if asked is not None and asked.resolve() != newest.resolve():
+        raise RunError(
+            f"{path} is in checkpoint {asked.resolve().name}, and a run is resumed from its newest, {newest.name}; "
+            f"to resume from the older one, move the later ones out of {newest.parent}"
+        )
+
+
+def suggest_run(folder: Path) -> str:
+    """Return the end of a message that names the newest run in a folder of runs; empty where there is none."""
+    runs = sorted(folder.glob(f"*/{CONFIG_FILE}"), key=lambda file: file.stat().st_mtime)
+    return f"; it holds runs, such as {runs[-1].parent}" if runs else ""
