@@ -167,7 +167,7 @@ def _ended_fields(life: RunLife) -> dict[str, object]:
     """Return the fields of `--once --json` for a run that has ended."""
     return {
         "run": life.name,
-        "ended": life.summary,
+        "ended": life.summary(),
         "last_seen": lives.clock(life.seen_s),
         "alive": [],
         "figures": {},

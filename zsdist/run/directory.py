@@ -56,6 +56,10 @@ def create(path: Path | None, settings: Config, root: Path = Path("runs")) -> Pa
     """
     folder = path or root / f"{settings.run.name}-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
     try:
+        str(folder.resolve()).encode()
+    except UnicodeEncodeError as error:  # TensorBoard cannot write into such a folder
+        raise RunError(f"run directory {folder} is no name in UTF-8; allowed is one in UTF-8") from error
+    try:
         if (folder / "config.yaml").exists():
             raise RunError(
                 f"run directory {folder} holds a run already; allowed are a new folder or "

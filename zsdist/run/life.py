@@ -26,7 +26,7 @@ class RunLife:
         started_s: unix time of its last start.
         seen_s: unix time at which it last wrote something.
         endpoint: endpoint of its hub; None: no hub was started yet.
-        summary: content of `summary.json`; None: it has not ended.
+        ended: whether it has ended and saved everything.
     """
 
     folder: Path
@@ -34,7 +34,7 @@ class RunLife:
     started_s: float
     seen_s: float
     endpoint: str | None
-    summary: dict[str, Any] | None
+    ended: bool
 
     @property
     def title(self) -> str:
@@ -42,19 +42,14 @@ class RunLife:
         return self.folder.resolve().name
 
     @property
-    def ended(self) -> bool:
-        """True if it has ended and saved everything."""
-        return self.summary is not None
-
-    @property
     def runs(self) -> bool:
         """True if it seems to run."""
         return not self.ended and time.time() - self.seen_s < ALIVE_WITHIN_S
 
     def farewell(self) -> str:
-        """Return one line about a run that has ended."""
-        assert self.summary is not None, "only a run that has ended has a summary"
-        how, episodes = self.summary.get("ended", "ended"), self.summary.get("episodes", "?")
+        """Return one line about a run that has ended; raise `RunError` where its summary is damaged."""
+        summary = self.summary()
+        how, episodes = summary.get("ended", "ended"), summary.get("episodes", "?")
         ended_s = _written_s(self.folder / "summary.json") or self.seen_s
         return (
             f"run {self.title} ended at {clock(ended_s)}: {how} after {episodes} episodes; "
@@ -70,6 +65,21 @@ class RunLife:
         if not any(self.folder.glob("checkpoints/*/manifest.json")):
             return f"{line}; it has no checkpoint to resume from"
         return f"{line}; if it was killed, resume it with {commands.module('zsdist.launch', '--resume', self.folder)}"
+
+    def summary(self) -> dict[str, Any]:
+        """Return the content of `summary.json`.
+
+        Raises:
+            RunError: it is damaged.
+        """
+        path = self.folder / "summary.json"
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError) as error:
+            raise RunError(f"{path} is not a run's summary: {error!r}") from error
+        if not isinstance(content, dict):
+            raise RunError(f"{path} is not a run's summary; allowed is a JSON object")
+        return content
 
     def settings(self) -> config.Config:
         """Return its configuration.
@@ -92,7 +102,7 @@ def read(folder: Path) -> RunLife:
     """Return the life of the run in a folder.
 
     Raises:
-        RunError: the folder holds no run, or its summary is damaged.
+        RunError: the folder holds no run.
     """
     started_s = _written_s(folder / "config.yaml")
     if started_s is None:
@@ -101,16 +111,8 @@ def read(folder: Path) -> RunLife:
         endpoint = (folder / "endpoint").read_text(encoding="utf-8").strip() or None
     except OSError:  # not there yet
         endpoint = None
-    try:
-        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        summary = None
-    except (OSError, ValueError) as error:
-        raise RunError(f"{folder / 'summary.json'} is not a run's summary: {error!r}") from error
-    if summary is not None and not isinstance(summary, dict):
-        raise RunError(f"{folder / 'summary.json'} is not a run's summary; allowed is a JSON object")
     seen_s = max(at for name in SIGNS if (at := _written_s(folder / name)) is not None)
-    return RunLife(folder, directory.key_name(folder), started_s, seen_s, endpoint, summary)
+    return RunLife(folder, directory.key_name(folder), started_s, seen_s, endpoint, (folder / "summary.json").exists())
 
 
 def find(runs: Path, name: str | None = None) -> RunLife:

@@ -262,3 +262,9 @@ def test_a_policy_without_weights_is_refused(folder, run_log):
 def test_every_folder_gets_a_name_that_is_valid_in_keys(tmp_path, name, key):
     (tmp_path / name).mkdir(parents=True)
     assert directory.key_name(tmp_path / name) == key
+
+
+def test_a_folder_whose_name_is_no_utf_8_is_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(RunError, match="UTF-8"):
+        directory.create(tmp_path / "x\udcff" / "run", config.Config())
+    assert not list(tmp_path.iterdir())

@@ -76,5 +76,7 @@ def test_where_there_is_no_run_the_folder_is_named(tmp_path):
 def test_a_damaged_summary_is_named(tmp_path, text):
     folder = make_run(tmp_path / "run")
     (folder / "summary.json").write_text(text)
+    make_run(tmp_path / "other")
+    assert lives.find(tmp_path).name == "other"
     with pytest.raises(RunError, match=r"summary\.json"):
-        lives.read(folder)
+        lives.read(folder).farewell()
