@@ -5,7 +5,9 @@ Several policies are taken as training seeds of one method: each is evaluated, t
 """
 
 import argparse
+import contextlib
 import os
+import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +16,7 @@ from typing import Any
 from rich.console import Console
 
 from zsdist import config
-from zsdist.common import cli, output_files
+from zsdist.common import cli, locks, output_files, streams
 from zsdist.errors import RunError
 from zsdist.evaluation.baselines import BASELINES
 from zsdist.evaluation.comparison import compare
@@ -56,17 +58,34 @@ def main(options: argparse.Namespace) -> int:
     if options.list:
         _list_policies()
         return 0
+    with contextlib.ExitStack() as held:
+        return _evaluate(options, console, held)
+
+
+def _evaluate(options: argparse.Namespace, console: Console, held: contextlib.ExitStack) -> int:
     if options.json is not None:
         output_files.check_writable("--json", options.json)
+    for option, file in (("--json", options.json), ("--out", options.out)):
+        if file is not None:
+            output_files.check_place(option, file)
+            held.enter_context(locks.held(file, f"{option} {file}"))
     if options.compare:
         first, second = options.compare
         comparison = compare(first, second, options.seed)
         _write(options.json, comparison.result)
         comparison.show(console)
         return 0
-    reports = _evaluate_all(options, console)
+    try:
+        reports = _evaluate_all(options, console)
+    except KeyboardInterrupt:
+        if options.out is not None and options.out.exists():
+            again = [*sys.argv[1:], *([] if options.resume else ["--resume"])]
+            streams.tell(
+                f"interrupted; the episodes that have ended are in {options.out}. Resume with\n"
+                f"  python -m zsdist.evaluate {shlex.join(again)}"
+            )
+        raise
     if len(reports) == 1:
-        _write(options.json, reports[0].result)
         return 0
     result = together(reports, options.seed)
     _write(options.json, result)
@@ -127,6 +146,8 @@ def _evaluate_all(options: argparse.Namespace, console: Console) -> list[Report]
     reports = []
     for policy in policies:
         reports.append(_evaluate_one(options, policy))
+        if len(policies) == 1:
+            _write(options.json, reports[0].result)  # before it is shown: nobody may be reading the output any longer
         reports[-1].show(console)
         if options.video is not None:
             folder = options.video if len(policies) == 1 else options.video / Path(policy.name).name
@@ -160,7 +181,10 @@ def _film(options: argparse.Namespace, contender: Contender, folder: Path) -> No
     from zsdist.reporting.film import film  # imports matplotlib, which an evaluation does not need
 
     scenes = select(options.scenes, contender.config, options.episodes, options.seed)[: options.video_episodes]
-    film(contender, scenes, options.seed, folder, lambda file: print(f"film: {file}", flush=True))
+    with output_files.written(f"--video {folder}"):
+        folder.mkdir(parents=True, exist_ok=True)
+        with locks.held(folder, f"--video {folder}"):
+            film(contender, scenes, options.seed, folder, lambda file: print(f"film: {file}", flush=True))
 
 
 def _check_out(out: Path | None, resume: bool) -> None:

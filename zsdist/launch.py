@@ -1,19 +1,21 @@
 """`python -m zsdist.launch`: train a policy, show progress, evaluate the result, and write a run directory."""
 
 import argparse
+import contextlib
 import json
 from pathlib import Path
 
 from rich.console import Console
 
 from zsdist import config
-from zsdist.common import cli
+from zsdist.common import cli, output_files, streams
+from zsdist.common.signals import Interruption, handled_by, status_of
 from zsdist.errors import ConfigError
 from zsdist.reporting import final_evaluation
 from zsdist.run import opening, training
-from zsdist.run.interruption import interruptible
 from zsdist.run.program import RunSpec
 from zsdist.telemetry.display import Display
+from zsdist.transport.base import Transport
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -34,47 +36,66 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def main(options: argparse.Namespace) -> int:
-    """Train as the options say; return 0 when the work is done, 130 where it was interrupted."""
-    console = Console()
-    spec = _open(options, console)
+    """Train as the options say; return 0 when the work is done, 128 plus its number where a signal interrupted it."""
+    with contextlib.ExitStack() as held:
+        return _launch(options, Console(), held)
+
+
+def _launch(options: argparse.Namespace, console: Console, held: contextlib.ExitStack) -> int:
+    spec = _open(options, console, held)
     console.print(f"zsdist run [bold]{spec.folder}[/bold] (seed {spec.config.seed})", highlight=False, soft_wrap=True)
-    summary = _train(spec, console, prefer_lines=options.plain)
+    interruption = Interruption()
+    try:
+        summary = _train(spec, console, interruption, prefer_lines=options.plain)
+    except KeyboardInterrupt:
+        if spec.folder.exists():  # it does not where nothing had begun
+            streams.tell(
+                "stopped at once; what came after the last checkpoint is not saved. Resume with\n"
+                f"  python -m zsdist.launch --resume {spec.folder}"
+            )
+        raise
+    interrupted = summary["ended"] == "interrupted"
+    if interrupted:
+        streams.tell(
+            f"interrupted after {summary['episodes']} episodes; everything is saved. Resume with\n"
+            f"  python -m zsdist.launch --resume {spec.folder}"
+        )
+    try:
+        with output_files.written(f"the training is saved; run directory {spec.folder}"):
+            _conclude(spec, summary, console)
+    except KeyboardInterrupt as error:
+        if not interrupted:
+            streams.tell(
+                "the training is complete and saved; only its evaluation was interrupted. Evaluate it with\n"
+                f"  python -m zsdist.evaluate {spec.folder}"
+            )
+        return status_of(error)
+    return interruption.status if interrupted else 0
+
+
+def _conclude(spec: RunSpec, summary: training.Summary, console: Console) -> None:
+    """Check and draw the training, and evaluate it where it is complete."""
     training.check_accounts(summary)
     for line in training.describe_untrained_levels(summary, spec.config):
         _print(console, line)
     final_evaluation.draw_training(spec.folder)
-    if summary["ended"] == "interrupted":
-        _print(
-            console,
-            f"interrupted after {summary['episodes']} episodes; everything is saved. Resume with\n"
-            f"  python -m zsdist.launch --resume {spec.folder}",
-        )
-        return cli.INTERRUPTED
-    try:
+    if summary["ended"] != "interrupted":
         final_evaluation.compare(spec.folder, spec.config, console)
-    except KeyboardInterrupt:
-        _print(
-            console,
-            "the training is complete and saved; only its evaluation was interrupted. Evaluate it with\n"
-            f"  python -m zsdist.evaluate {spec.folder}",
-        )
-        return cli.INTERRUPTED
-    return 0
 
 
-def _open(options: argparse.Namespace, console: Console) -> RunSpec:
+def _open(options: argparse.Namespace, console: Console, held: contextlib.ExitStack) -> RunSpec:
     def notify(line: str) -> None:
         _print(console, line)
 
     overrides = _overrides(options)
     if options.resume is None:
-        return opening.open_new(config.load(options.config, overrides), options.run_dir, notify)
+        return opening.open_new(config.load(options.config, overrides), options.run_dir, notify, held)
     for name in ("config", "seed", "run_dir"):
         if getattr(options, name) is not None:
             raise ConfigError(
                 f"--{name.replace('_', '-')} cannot be combined with --resume: the run in {options.resume} has its own"
             )
-    return opening.open_resumed(options.resume, overrides, notify)
+    return opening.open_resumed(options.resume, overrides, notify, held)
 
 
 def _overrides(options: argparse.Namespace) -> tuple[str, ...]:
@@ -90,9 +111,18 @@ def _overrides(options: argparse.Namespace) -> tuple[str, ...]:
     return tuple(overrides)
 
 
-def _train(spec: RunSpec, console: Console, *, prefer_lines: bool) -> training.Summary:
-    with interruptible() as interruption, Display(spec.run, console, prefer_lines=prefer_lines) as display:
-        return training.train(spec, interruption, display.refresh)
+def _train(spec: RunSpec, console: Console, interruption: Interruption, *, prefer_lines: bool) -> training.Summary:
+    with handled_by(interruption), Display(spec.run, console, prefer_lines=prefer_lines) as display:
+        told = False
+
+        def watch(transport: Transport, now: float) -> None:
+            nonlocal told
+            display.refresh(transport, now)
+            if interruption() and not told:
+                told = True
+                _print(console, f"{interruption.name}: stopping and saving; a second signal stops at once, unsaved")
+
+        return training.train(spec, interruption, watch)
 
 
 def _print(console: Console, line: str) -> None:

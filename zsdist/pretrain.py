@@ -7,6 +7,7 @@ less or more.
 """
 
 import argparse
+import contextlib
 import json
 import math
 import os
@@ -15,7 +16,7 @@ import sys
 from pathlib import Path
 
 from zsdist import config as configuration
-from zsdist.common import cli
+from zsdist.common import cli, locks, output_files, signals, streams
 from zsdist.config import Config
 from zsdist.errors import ConfigError
 from zsdist.pretraining import job as jobs
@@ -80,7 +81,13 @@ def make_parser() -> argparse.ArgumentParser:
 
 def main(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    if options.check:
+    if not options.check:
+        return pretrain(options)
+    with contextlib.ExitStack() as held:
+        for option, file in (("--json", options.json), ("--objects-file", options.objects_file)):
+            if file is not None:
+                output_files.check_place(option, file)
+                held.enter_context(locks.held(file, f"{option} {file}"))
         check(
             _config(options),
             options.images or CHECK_IMAGES,
@@ -90,30 +97,49 @@ def main(options: argparse.Namespace) -> int:
             options.objects_file,
             options.unseen_kinds,
         )
-        return 0
-    return pretrain(options)
+    return 0
 
 
 def pretrain(options: argparse.Namespace) -> int:
-    """Train and then check the result; return 130 where it was interrupted.
+    """Train and then check the result; return 128 plus its number where a signal interrupted it.
 
     Raises:
         ZsdistError: an option, the folder or the encoder cannot be used.
     """
+    folder = options.resume or options.out or Path("runs/visual-act")
+    with contextlib.ExitStack() as held:
+        if options.json is not None:
+            output_files.check_place("--json", options.json)
+            held.enter_context(locks.held(options.json, f"--json {options.json}"))
+        return _pretrain(options, folder, held)
+
+
+def _pretrain(options: argparse.Namespace, folder: Path, held: contextlib.ExitStack) -> int:
     from zsdist.pretraining.train import train  # imports torch, which a check does not need
 
-    folder = options.resume or options.out or Path("runs/visual-act")
     job = _reopened(options) if options.resume else _new(options)
     encoder = open_encoder(job.config.vision.encoder)
     check_disk(job, encoder, folder)
-    if not options.resume:
-        jobs.create(folder, job)
+
+    def lock(made: Path) -> None:
+        held.enter_context(locks.held(made, f"pretraining {made}"))
+
+    if options.resume:
+        lock(folder)
+        job = _reopened(options)  # again: another process may have finished it meanwhile
+    else:
+        jobs.create(folder, job, lock)
     try:
-        with PretrainingProgress(prefer_lines=options.plain) as watch:
+        with (
+            PretrainingProgress(prefer_lines=options.plain) as watch,
+            output_files.written(f"pretraining {folder}"),
+        ):
             train(job, folder, encoder, options.minutes, options.workers, options.keep_pictures, watch)
-    except KeyboardInterrupt:
-        print(f"interrupted; finished parts are kept. Resume with\n  python -m zsdist.pretrain --resume {folder}")
-        return cli.INTERRUPTED
+    except KeyboardInterrupt as error:
+        streams.tell(
+            f"interrupted; finished parts are kept. Resume with\n  python -m zsdist.pretrain --resume {folder}"
+        )
+        return signals.status_of(error)
     if "head" in job.stages:
         vision = job.config.vision.model_copy(update={"weights": str(folder)})
         check(job.config.model_copy(update={"vision": vision}), CHECK_IMAGES, job.seed, options.json, object_count=0)

@@ -72,13 +72,6 @@ def test_an_empty_resume_folder_is_refused_and_left_as_it_is(capsys, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_run_without_a_checkpoint_cannot_be_resumed(capsys, tmp_path):
-    folder = directory.create(tmp_path / "run", config.Config())
-    before = (folder / "config.yaml").read_bytes()
-    assert "no checkpoint" in refusal(capsys, "--resume", folder)
-    assert (folder / "config.yaml").read_bytes() == before
-
-
 def test_ctrl_c_in_the_evaluation_reports_that_the_training_is_saved_and_how_to_evaluate_it(
     capsys, tmp_path, monkeypatch
 ):
@@ -87,7 +80,7 @@ def test_ctrl_c_in_the_evaluation_reports_that_the_training_is_saved_and_how_to_
 
     spec = RunSpec(config.Config(), "run", tmp_path, {}, None)
     summary = {"ended": "complete", "transitions": {}, "learner_updates": {}}
-    monkeypatch.setattr(opening, "open_new", lambda settings, folder, notify: spec)
+    monkeypatch.setattr(opening, "open_new", lambda settings, folder, notify, held: spec)
     monkeypatch.setattr(training, "train", lambda spec, interrupted, watch: summary)
     monkeypatch.setattr(launch.final_evaluation, "draw_training", lambda folder: None)
     monkeypatch.setattr(launch.final_evaluation, "compare", interrupted)

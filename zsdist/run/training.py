@@ -4,8 +4,9 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
+from zsdist.common import output_files
 from zsdist.config import Config
-from zsdist.errors import RunError
+from zsdist.errors import RunError, ZsdistError
 from zsdist.run import directory, program
 from zsdist.run.program import RunSpec, Watch
 
@@ -30,18 +31,27 @@ def train(spec: RunSpec, interrupted: Callable[[], bool], watch: Watch) -> Summa
         The run's summary.
 
     Raises:
-        RunError: a role failed for good.
+        ZsdistError: a role failed for good, or could not start; where none has begun in a new run directory, it is
+            removed.
     """
     run = _runner(spec.config.placement)
-    epochs = directory.issue_epochs(spec.folder, program.epoch_count(spec.config))
-    (spec.folder / "summary.json").unlink(missing_ok=True)
+    is_first = not (spec.folder / "epochs").exists()
     try:
-        run(spec, epochs, interrupted=interrupted, watch=watch)
-    except RunError as error:
-        if not any(spec.folder.glob("checkpoints/*/manifest.json")):
+        return _train(run, spec, interrupted, watch)
+    except BaseException as error:
+        discarded = is_first and directory.discard(spec.folder)
+        if discarded or not isinstance(error, ZsdistError):
             raise
-        raise RunError(f"{error}; resume from the last checkpoint with --resume {spec.folder}") from error
-    return json.loads((spec.folder / "summary.json").read_text())
+        where = "resume from the last checkpoint" if directory.has_checkpoint(spec.folder) else "begin anew"
+        raise RunError(f"{error}; {where} with --resume {spec.folder}") from error
+
+
+def _train(run: _Run, spec: RunSpec, interrupted: Callable[[], bool], watch: Watch) -> Summary:
+    epochs = directory.issue_epochs(spec.folder, program.epoch_count(spec.config))
+    with output_files.written(f"run directory {spec.folder}"):
+        (spec.folder / "summary.json").unlink(missing_ok=True)
+        run(spec, epochs, interrupted=interrupted, watch=watch)
+        return json.loads((spec.folder / "summary.json").read_text())
 
 
 def check_accounts(summary: Summary) -> None:

@@ -5,7 +5,6 @@ no lock. A slot that is torn, by two writers at once or by a crash during a writ
 """
 
 import errno
-import fcntl
 import mmap
 import os
 import tempfile
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from zsdist.common import locks
 from zsdist.errors import ConfigError, RunError
 from zsdist.types import LatticeState
 from zsdist.vision.rays import BINS, RAYS
@@ -59,7 +59,7 @@ class ReadingCache:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
             if os.fstat(self._file).st_uid != os.getuid():  # the name can be guessed and the folder is shared
                 raise PermissionError(errno.EPERM, "it belongs to another user")
-            fcntl.flock(self._file, fcntl.LOCK_SH)
+            locks.share(self._file)
             os.posix_fallocate(self._file, 0, size)
             self._memory = mmap.mmap(self._file, size)
         except OSError as error:
@@ -116,9 +116,9 @@ def _remove_others(kept: Path) -> None:
         except OSError:  # another process removed it, or it is no file of ours
             continue
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            path.unlink(missing_ok=True)
-        except OSError:  # in use, or no file of ours
+            if locks.is_unused(file):
+                path.unlink(missing_ok=True)
+        except OSError:  # no file of ours
             pass
         finally:
             os.close(file)
