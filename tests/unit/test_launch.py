@@ -84,7 +84,7 @@ def test_ctrl_c_in_the_evaluation_reports_that_the_training_is_saved_and_how_to_
     monkeypatch.setattr(training, "train", lambda spec, interrupted, watch: summary)
     monkeypatch.setattr(launch.final_evaluation, "draw_training", lambda folder: None)
     monkeypatch.setattr(launch.final_evaluation, "compare", interrupted)
-    assert launch.main(launch.make_parser().parse_args([])) == cli.INTERRUPTED
+    assert launch.main(launch.make_parser().parse_args([])) == 130
     printed = capsys.readouterr().out
     assert "training is complete and saved" in printed and f"python -m zsdist.evaluate {tmp_path}" in printed
 

@@ -14,7 +14,7 @@ CONNECT_TIMEOUT_S = 3.0
 RAY_PORT, RAY_CLIENT_PORT = 6379, 10001
 OWN_FOLDER = ("RAY_TMPDIR", "TMPDIR")  # variables that name the folder for temporary files, as Ray reads them
 LONGEST_SOCKET = 107  # bytes in the path of a Unix socket
-SOCKET_IN_FOLDER = "/ray/session_2026-01-01_00-00-00_000000_/sockets/plasma_store"  # as Ray names it, without the number of the process
+SOCKET_IN_FOLDER = "/ray/session_2026-01-01_00-00-00_000000_/sockets/plasma_store"  # less its process number
 _HTTP_2 = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])  # beginning of a gRPC connection
 _SETTINGS_AT, _SETTINGS = 3, 4  # place and value of the byte that says which frame a server has answered with
 

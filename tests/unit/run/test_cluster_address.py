@@ -30,14 +30,11 @@ def server():
             with connection:
                 if self.answer is not None:
                     connection.sendall(self.answer)
-                    self.done.wait()
-                else:
-                    self.done.wait()
+                self.done.wait()
 
     made = Server()
     yield made
     made.done.set()
-    made.socket.close()
 
 
 def test_a_cluster_that_answers_as_ray_does_is_well(server):
@@ -55,10 +52,11 @@ def test_what_listens_and_is_not_ray_is_refused_in_time(server, monkeypatch, ans
     assert time.monotonic() - began_s < 5
 
 
-def test_an_address_at_which_nobody_listens_is_refused_before_a_run_starts(server):
-    server.socket.close()
+def test_an_address_at_which_nobody_listens_is_refused_before_a_run_starts():
+    with socket.create_server(("127.0.0.1", 0)) as closed:
+        address = f"127.0.0.1:{closed.getsockname()[1]}"
     settings = config.parse(
-        {"run": {"address": f"127.0.0.1:{server.port}"}, "transport": {"endpoint": "tls/10.0.0.1:1"}}
+        {"run": {"address": address}, "transport": {"endpoint": "tls/10.0.0.1:7447", "tls": "certificates"}}
     )
     with pytest.raises(RunError, match="does not answer"):
         cluster_address.check(settings)

@@ -1,4 +1,6 @@
+import errno
 import json
+import os
 
 import numpy as np
 import pytest
@@ -198,3 +200,43 @@ def test_a_policy_without_weights_is_refused(folder, run_log):
 def test_every_folder_gets_a_name_that_is_valid_in_keys(tmp_path, name, key):
     (tmp_path / name).mkdir(parents=True)
     assert directory.key_name(tmp_path / name) == key
+
+
+@pytest.mark.parametrize("file", ["episodes.jsonl", "metrics.jsonl"])
+def test_a_full_disk_ends_lines_in_one_line(folder, file):
+    (folder / file).symlink_to("/dev/full")
+    run_log = RunDirectory(folder, VISION)
+    with pytest.raises(RunError, match=f"run directory {folder} cannot be written: No space left on device"):
+        if file == "episodes.jsonl":
+            run_log.episode({"finished_as": 1, "return": 1.0, "steps": 7, "epsilon": 0.5})
+        else:
+            run_log.metrics({"time_s": 1.0})
+    (folder / file).unlink()  # with the file open at the end, Python would report what it still holds back
+    (folder / file).touch()
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO])
+def test_a_checkpoint_that_the_disk_does_not_take_is_one_line_and_leaves_those_before(
+    folder, run_log, monkeypatch, number
+):
+    run_log.checkpoint(1, states())
+    before = {path for path in folder.rglob("*")}
+
+    def fail(descriptor):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "fsync", fail)
+    for write in (
+        lambda: run_log.checkpoint(2, states()),
+        lambda: run_log.summary({}),
+        lambda: directory.issue_epochs(folder, 1),
+    ):
+        with pytest.raises(RunError, match=f"run directory {folder} cannot be written: {os.strerror(number)}"):
+            write()
+    assert {path for path in folder.rglob("*")} == before
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(RunError, match=r"run directory .* cannot be written: Not a directory"):
+        RunDirectory(tmp_path / "file", VISION)
