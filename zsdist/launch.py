@@ -63,24 +63,26 @@ def _launch(options: argparse.Namespace, console: Console, held: contextlib.Exit
     try:
         with output_files.written(f"the training is saved; run directory {spec.folder}"):
             _conclude(spec, summary, console)
+            if not interruption():
+                final_evaluation.compare(spec.folder, spec.config, console)
+                return 0
+        status = interruption.status
     except KeyboardInterrupt as error:
-        if not interrupted:
-            streams.tell(
-                "the training is complete and saved; only its evaluation was interrupted. Evaluate it with\n"
-                f"  python -m zsdist.evaluate {spec.folder}"
-            )
-        return status_of(error)
-    return interruption.status if interrupted else 0
+        status = status_of(error)
+    if not interrupted:
+        streams.tell(
+            "the training is complete and saved; only its evaluation was interrupted. Evaluate it with\n"
+            f"  python -m zsdist.evaluate {spec.folder}"
+        )
+    return status
 
 
 def _conclude(spec: RunSpec, summary: training.Summary, console: Console) -> None:
-    """Check and draw the training, and evaluate it where it is complete."""
+    """Check and draw the training."""
     training.check_accounts(summary)
     for line in training.describe_untrained_levels(summary, spec.config):
         _print(console, line)
     final_evaluation.draw_training(spec.folder)
-    if summary["ended"] != "interrupted":
-        final_evaluation.compare(spec.folder, spec.config, console)
 
 
 def _open(options: argparse.Namespace, console: Console, held: contextlib.ExitStack) -> RunSpec:

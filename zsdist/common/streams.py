@@ -76,7 +76,7 @@ def guarded() -> Iterator[None]:
     before = sys.stdout, sys.stderr
     names = ("standard output", "standard error")
     guards = [stream and GuardedStream(stream, name) for stream, name in zip(before, names, strict=True)]
-    sys.stdout, sys.stderr = guards  # type: ignore[assignment]  # has all members by delegation
+    sys.stdout, sys.stderr = guards
     try:
         yield
     finally:
