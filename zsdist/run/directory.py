@@ -65,6 +65,7 @@ def create(
             (folder / name).mkdir(parents=True, exist_ok=True)
         rewrite_config(folder, settings)
     except OSError as error:
+        discard(folder)
         raise RunError(f"run directory {folder} cannot be written: {error.strerror}") from error
     return folder
 

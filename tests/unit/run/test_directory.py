@@ -240,3 +240,13 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(RunError, match=r"run directory .* cannot be written: Not a directory"):
         RunDirectory(tmp_path / "file", VISION)
+
+
+def test_a_folder_that_the_disk_does_not_take_whole_is_not_left_behind(tmp_path, monkeypatch):
+    def fail(descriptor):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(RunError, match=r"run directory .*/run cannot be written: No space left on device"):
+        directory.create(tmp_path / "run", config.Config())
+    assert list(tmp_path.iterdir()) == []
