@@ -17,9 +17,14 @@ os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 def own_temporary_folder(tmp_path_factory):
     """Replace the machine's folder for temporary files, here and in child processes.
 
-    Tests then neither find readings cached by earlier runs nor leave any.
+    Tests then neither find readings cached by earlier runs nor leave any. Ray gets a folder with a short name, in which
+    the paths of its sockets fit.
     """
-    with pytest.MonkeyPatch.context() as patch:
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        tempfile.TemporaryDirectory(dir="/tmp", ignore_cleanup_errors=True) as short,
+    ):
+        patch.setenv("RAY_TMPDIR", short)
         folder = str(tmp_path_factory.mktemp("machine"))
         patch.setenv("TMPDIR", folder)
         patch.setattr(tempfile, "tempdir", folder)

@@ -5,12 +5,13 @@ Several policies are taken as training seeds of one method: each is evaluated, t
 """
 
 import argparse
+import contextlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from zsdist import config
-from zsdist.common import cli, commands, output_files, places
+from zsdist.common import cli, commands, locks, output_files, places, streams
 from zsdist.common.allowed_resources import allowed_cores
 from zsdist.common.console import PlainConsole, say
 from zsdist.errors import RunError
@@ -62,8 +63,17 @@ def main(options: argparse.Namespace) -> int:
     if options.list:
         _list_policies()
         return 0
+    with contextlib.ExitStack() as held:
+        return _evaluate(options, console, held)
+
+
+def _evaluate(options: argparse.Namespace, console: PlainConsole, held: contextlib.ExitStack) -> int:
     if options.json is not None:
         output_files.check_writable("--json", options.json)
+    for option, file in (("--json", options.json), ("--out", options.out)):
+        if file is not None:
+            output_files.check_place(option, file)
+            held.enter_context(locks.held(file, f"{option} {file}"))
     if options.compare:
         first, second = options.compare
         comparison = compare(first, second, options.seed)
@@ -77,11 +87,12 @@ def main(options: argparse.Namespace) -> int:
             others = ("policy", "list", "compare", "resume", "debug")
             given = [name.replace("_", "-") for name in vars(options) if name not in others]
             again = commands.repeated(make_parser(), options, given)
-            say("finished episodes are kept. Resume with", error=True)
-            say(f"  {commands.module('zsdist.evaluate', *options.policy, '--resume', *again)}", error=True)
+            streams.tell(
+                f"interrupted; the episodes that have ended are in {options.out}. Resume with",
+                f"  {commands.module('zsdist.evaluate', *options.policy, '--resume', *again)}",
+            )
         raise
     if len(reports) == 1:
-        _write(options.json, reports[0].result)
         return 0
     result = together(reports, options.seed)
     _write(options.json, result)
@@ -171,6 +182,8 @@ def _evaluate_all(options: argparse.Namespace, console: PlainConsole) -> list[Re
     reports = []
     for policy in policies:
         reports.append(_evaluate_one(options, policy))
+        if len(policies) == 1:
+            _write(options.json, reports[0].result)  # before it is shown: nobody may be reading the output any longer
         reports[-1].show(console)
         if options.video is not None:
             folder = options.video if len(policies) == 1 else options.video / Path(policy.name).name
@@ -204,7 +217,10 @@ def _film(options: argparse.Namespace, contender: Contender, folder: Path) -> No
     from zsdist.reporting.film import film  # imports matplotlib, which an evaluation does not need
 
     scenes = select(options.scenes, contender.config, options.episodes, options.seed)[: options.video_episodes]
-    film(contender, scenes, options.seed, folder, lambda file: say(f"film: {file}"))
+    with output_files.written(f"--video {folder}"):
+        folder.mkdir(parents=True, exist_ok=True)
+        with locks.held(folder, f"--video {folder}"):
+            film(contender, scenes, options.seed, folder, lambda file: say(f"film: {file}"))
 
 
 def _check_out(out: Path | None, resume: bool) -> None:

@@ -1,16 +1,18 @@
 """`python -m zsdist.launch`: train a policy, show progress, evaluate the result, and write a run directory."""
 
 import argparse
+import contextlib
 
 from zsdist import config
-from zsdist.common import cli, commands
+from zsdist.common import cli, commands, output_files, streams
 from zsdist.common.console import PlainConsole
+from zsdist.common.signals import Interruption, handled_by, status_of
 from zsdist.errors import ConfigError
 from zsdist.reporting import final_evaluation
 from zsdist.run import opening, training
-from zsdist.run.interruption import interruptible
 from zsdist.run.program import RunSpec
 from zsdist.telemetry.display import Display
+from zsdist.transport.base import Transport
 
 ONE_PROCESS = ("placement=inline", "transport.kind=memory", "run.address=null")  # `--single-process`
 
@@ -36,44 +38,76 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def main(options: argparse.Namespace) -> int:
-    """Train as the options say; return 0 when the work is done, 130 where it was interrupted."""
-    console = PlainConsole()
-    spec = _open(options, console)
+    """Train as the options say; return 0 when the work is done, 128 plus its number where a signal interrupted it."""
+    with contextlib.ExitStack() as held:
+        return _launch(options, PlainConsole(), held)
+
+
+def _launch(options: argparse.Namespace, console: PlainConsole, held: contextlib.ExitStack) -> int:
+    spec = _open(options, console, held)
     console.say("zsdist run ", (str(spec.folder), "bold"), f" (seed {spec.config.seed})")
-    summary = _train(spec, console, prefer_lines=options.plain)
+    shown = commands.repeated(make_parser(), options, ("plain",))
+    resume = f"  {commands.module('zsdist.launch', '--resume', spec.folder, *shown)}"
+    interruption = Interruption()
+    try:
+        summary = _train(spec, console, interruption, prefer_lines=options.plain)
+    except KeyboardInterrupt:
+        if spec.folder.exists():  # it does not where nothing had begun
+            streams.tell("stopped at once; what came after the last checkpoint is not saved. Resume with", resume)
+        raise
+    interrupted = summary["ended"] == "interrupted"
+    if interrupted:
+        streams.tell(f"interrupted after {summary['episodes']} episodes; everything is saved. Resume with", resume)
+    try:
+        with output_files.written(f"the training is saved; run directory {spec.folder}"):
+            _conclude(spec, summary, console)
+            if not interruption():
+                final_evaluation.compare(spec.folder, spec.config, console)
+                return 0
+        status = interruption.status
+    except KeyboardInterrupt as error:
+        status = status_of(error)
+    if not interrupted:
+        streams.tell(
+            "the training is complete and saved; only its evaluation was interrupted. Evaluate it with",
+            f"  {commands.module('zsdist.evaluate', spec.folder)}",
+        )
+    return status
+
+
+def _conclude(spec: RunSpec, summary: training.Summary, console: PlainConsole) -> None:
+    """Check and draw the training."""
     training.check_accounts(summary)
     for line in training.describe_untrained_levels(summary, spec.config, spec.states):
         console.say(line)
     final_evaluation.draw_training(spec.folder)
-    if summary["ended"] == "interrupted":
-        console.say(f"interrupted after {summary['episodes']} episodes; everything is saved. Resume with")
-        shown = commands.repeated(make_parser(), options, ("plain",))
-        console.say(f"  {commands.module('zsdist.launch', '--resume', spec.folder, *shown)}")
-        return cli.INTERRUPTED
-    try:
-        final_evaluation.compare(spec.folder, spec.config, console)
-    except KeyboardInterrupt:
-        console.say("the training is complete and saved; only its evaluation was interrupted. Evaluate it with")
-        console.say(f"  {commands.module('zsdist.evaluate', spec.folder)}")
-        return cli.INTERRUPTED
-    return 0
 
 
-def _open(options: argparse.Namespace, console: PlainConsole) -> RunSpec:
+def _open(options: argparse.Namespace, console: PlainConsole, held: contextlib.ExitStack) -> RunSpec:
     overrides = cli.overrides(options)
     if options.resume is None:
-        return opening.open_new(config.load(options.config, overrides, console.say), options.run_dir, console.say)
+        settings = config.load(options.config, overrides, console.say)
+        return opening.open_new(settings, options.run_dir, console.say, held)
     for name in ("config", "seed", "run_dir"):
         if getattr(options, name) is not None:
             raise ConfigError(
                 f"--{name.replace('_', '-')} cannot be combined with --resume: the run in {options.resume} has its own"
             )
-    return opening.open_resumed(options.resume, overrides, console.say)
+    return opening.open_resumed(options.resume, overrides, console.say, held)
 
 
-def _train(spec: RunSpec, console: PlainConsole, *, prefer_lines: bool) -> training.Summary:
-    with interruptible() as interruption, Display(spec.run, console, prefer_lines=prefer_lines) as display:
-        return training.train(spec, interruption, display.refresh)
+def _train(spec: RunSpec, console: PlainConsole, interruption: Interruption, *, prefer_lines: bool) -> training.Summary:
+    with handled_by(interruption), Display(spec.run, console, prefer_lines=prefer_lines) as display:
+        told = False
+
+        def watch(transport: Transport, now: float) -> None:
+            nonlocal told
+            display.refresh(transport, now)
+            if interruption() and not told:
+                told = True
+                console.say(f"{interruption.name}: stopping and saving; a second signal stops at once, unsaved")
+
+        return training.train(spec, interruption, watch)
 
 
 if __name__ == "__main__":

@@ -7,12 +7,13 @@ less or more.
 """
 
 import argparse
+import contextlib
 import math
 import sys
 from pathlib import Path
 
 from zsdist import config as configuration
-from zsdist.common import cli, commands
+from zsdist.common import cli, commands, locks, output_files, signals, streams
 from zsdist.common.allowed_resources import allowed_cores
 from zsdist.common.console import say
 from zsdist.config import Config
@@ -84,7 +85,13 @@ def make_parser() -> argparse.ArgumentParser:
 
 def main(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    if options.check:
+    if not options.check:
+        return pretrain(options)
+    with contextlib.ExitStack() as held:
+        for option, file in (("--json", options.json), ("--objects-file", options.objects_file)):
+            if file is not None:
+                output_files.check_place(option, file)
+                held.enter_context(locks.held(file, f"{option} {file}"))
         config = _config(options)
         check(
             config,
@@ -95,34 +102,53 @@ def main(options: argparse.Namespace) -> int:
             options.objects_file,
             options.unseen_kinds,
         )
-        return 0
-    return pretrain(options)
+    return 0
 
 
 def pretrain(options: argparse.Namespace) -> int:
-    """Train and then check the result; return 130 where it was interrupted.
+    """Train and then check the result; return 128 plus its number where a signal interrupted it.
 
     Raises:
         ZsdistError: an option, the folder or the encoder cannot be used.
     """
-    from zsdist.pretraining.train import train  # imports torch, which a check does not need
-
     if options.resume is not None and options.resume.is_file():  # a file of the pretraining
         options.resume = options.resume.parent
     folder = options.resume or options.out or Path("runs/visual-act")
+    with contextlib.ExitStack() as held:
+        if options.json is not None:
+            output_files.check_place("--json", options.json)
+            held.enter_context(locks.held(options.json, f"--json {options.json}"))
+        return _pretrain(options, folder, held)
+
+
+def _pretrain(options: argparse.Namespace, folder: Path, held: contextlib.ExitStack) -> int:
+    from zsdist.pretraining.train import train  # imports torch, which a check does not need
+
     job = _reopened(options) if options.resume else _new(options)
     encoder = open_encoder(job.config.vision.encoder)
     check_disk(job, encoder, folder)
-    if not options.resume:
-        jobs.create(folder, job)
+
+    def lock(made: Path) -> None:
+        held.enter_context(locks.held(made, f"pretraining {made}"))
+
+    if options.resume:
+        lock(folder)
+        job = _reopened(options)  # again: another process may have finished it meanwhile
+    else:
+        jobs.create(folder, job, lock)
     try:
-        with PretrainingProgress(prefer_lines=options.plain) as watch:
+        with (
+            PretrainingProgress(prefer_lines=options.plain) as watch,
+            output_files.written(f"pretraining {folder}"),
+        ):
             train(job, folder, encoder, options.minutes, options.workers, options.keep_pictures, watch)
-    except KeyboardInterrupt:
-        say("interrupted; finished parts are kept. Resume with")
+    except KeyboardInterrupt as error:
         again = commands.repeated(make_parser(), options, NOT_KEPT)
-        say(f"  {commands.module('zsdist.pretrain', '--resume', folder, *again)}")
-        return cli.INTERRUPTED
+        streams.tell(
+            "interrupted; finished parts are kept. Resume with",
+            f"  {commands.module('zsdist.pretrain', '--resume', folder, *again)}",
+        )
+        return signals.status_of(error)
     if "head" in job.stages:
         vision = job.config.vision.model_copy(update={"weights": str(folder.absolute())})
         check(job.config.model_copy(update={"vision": vision}), CHECK_IMAGES, job.seed, options.json, object_count=0)

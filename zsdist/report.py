@@ -1,13 +1,18 @@
 """`python -m zsdist.report RUN...`: write a page with the paper's figures and tables, of runs or of vision."""
 
 import argparse
-import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from zsdist import config as configuration
-from zsdist.common import cli
+from zsdist.common import cli, locks, output_files
 from zsdist.common.console import PlainConsole, say
 from zsdist.errors import RunError
+
+if TYPE_CHECKING:
+    from zsdist.reporting.runs import Material
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -46,20 +51,37 @@ def main(options: argparse.Namespace) -> int:
 
 
 def _write_runs(options: argparse.Namespace) -> Path:
-    from zsdist.reporting import page, runs  # imports matplotlib and the simulator, which --help does not need
+    from zsdist.reporting import runs  # imports matplotlib and the simulator, which --help does not need
 
     material, console = runs.read(options.runs), PlainConsole(stderr=True)
+    with _alone(options.out):
+        return _write_page(material, options.out, console)
+
+
+def _write_page(material: "Material", out: Path, console: PlainConsole) -> Path:
+    from zsdist.reporting import page
+
     if not console.is_terminal:
-        return page.write(material, options.out, lambda step: console.say(f"report: {step}"))
+        return page.write(material, out, lambda step: console.say(f"report: {step}"))
     with console.working("report") as show:
-        return page.write(material, options.out, lambda step: show(f"report: {step}"))
+        return page.write(material, out, lambda step: show(f"report: {step}"))
 
 
 def _write_vision(options: argparse.Namespace) -> Path:
     from zsdist.pretraining.check import report
 
-    config = configuration.load(options.config, cli.overrides(options), lambda line: print(line, file=sys.stderr))
-    return report.write(config, options.images, config.seed, options.out)
+    config = configuration.load(options.config, cli.overrides(options), lambda line: say(line, error=True))
+    with _alone(options.out):
+        return report.write(config, options.images, config.seed, options.out)
+
+
+@contextmanager
+def _alone(out: Path) -> Iterator[None]:
+    """Make the folder of the page and lock it."""
+    with output_files.written(f"--out {out}"):
+        out.mkdir(parents=True, exist_ok=True)
+        with locks.held(out, f"--out {out}"):
+            yield
 
 
 if __name__ == "__main__":

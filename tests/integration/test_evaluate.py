@@ -1,3 +1,4 @@
+import os
 import signal
 import subprocess
 import sys
@@ -5,7 +6,6 @@ import sys
 import psutil
 import pytest
 
-from zsdist.common import cli
 from zsdist.config import Config
 from zsdist.evaluation.contenders import Contender
 from zsdist.evaluation.workers import drive_all
@@ -25,10 +25,14 @@ def test_several_processes_and_one_drive_the_same_trajectories():
     assert [record.scene for _, record in sorted(heard, key=lambda one: one[0])] == [scene.name for scene in scenes]
 
 
-def begin_and_wait_for_progress():
-    command = [sys.executable, "-m", "zsdist.evaluate", "random", "--scenes", "iid", "--episodes", "3000"]
+def begin_and_wait_for_progress(*more):
+    command = [sys.executable, "-m", "zsdist.evaluate", "random", "--scenes", "iid", "--episodes", "3000", *more]
     process = subprocess.Popen(
-        [*command, "--workers", "2"], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+        [*command, "--workers", "2"],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
     )
     assert any(line.startswith("random: ") for line in process.stderr)  # a line of progress: the workers drive
     children = psutil.Process(process.pid).children(recursive=True)
@@ -36,12 +40,17 @@ def begin_and_wait_for_progress():
     return process, children
 
 
-def test_ctrl_c_ends_the_command_in_one_line_and_its_workers_too(hears_ctrl_c):
-    process, children = begin_and_wait_for_progress()
-    process.send_signal(signal.SIGINT)
-    _, complaint = process.communicate(timeout=30)
-    assert process.returncode == cli.INTERRUPTED
-    assert complaint.splitlines()[-1] == "zsdist.evaluate: interrupted" and "Traceback" not in complaint
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_to_the_process_group_ends_the_command_in_one_line_and_its_workers_too(hears_ctrl_c, tmp_path, number):
+    out = tmp_path / "episodes.jsonl"
+    process, children = begin_and_wait_for_progress("--out", str(out))
+    os.killpg(process.pid, number)
+    printed, complaint = process.communicate(timeout=30)
+    assert process.returncode == 128 + number
+    assert complaint.splitlines()[-1] == f"zsdist.evaluate: interrupted by {number.name}"
+    assert "Traceback" not in complaint
+    assert printed.splitlines()[-1].endswith(f"--out {out} --workers 2 --resume")
+    assert out.read_text().count("\n") > 0 and list(tmp_path.iterdir()) == [out]
     assert psutil.wait_procs(children, timeout=10)[1] == []
 
 

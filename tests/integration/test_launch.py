@@ -84,7 +84,9 @@ def begin(folder, *more):
     command = [*LAUNCH, *QUICK, *more]
     if "--resume" not in more:
         command += ["--run-dir", str(folder)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+    )
     until((folder / "endpoint").exists, process, "the hub listens")
     return process
 
@@ -146,16 +148,21 @@ def test_another_client_sees_every_role_and_a_killed_actor_hub_and_replay_are_re
     assert (folder / "figures" / "fig09-rewards.png").stat().st_size > 0
 
 
-def test_ctrl_c_saves_and_names_the_command_that_resumes(tmp_path):
+def test_sigterm_to_the_whole_process_group_saves_and_names_the_command_that_resumes(tmp_path):
     folder = tmp_path / "interrupted"
     process = begin(folder, "--episodes", "500", "--set", "replay.shards=2")
     try:
         until(lambda: (folder / "episodes.jsonl").exists() and len(episodes(folder)) > 2, process, "some episodes")
-        process.send_signal(signal.SIGINT)
+        second = subprocess.run(
+            [*LAUNCH, "--resume", str(folder)], capture_output=True, text=True, timeout=PATIENCE_S, check=False
+        )
+        assert second.returncode == 2, second.stderr
+        assert f"run directory {folder} is in use by process {process.pid} on " in second.stderr
+        os.killpg(process.pid, signal.SIGTERM)
         output, _ = process.communicate(timeout=PATIENCE_S)
     finally:
         process.kill()
-    assert process.returncode == 130, output
+    assert process.returncode == 143, output
     assert f"--resume {folder}" in output
     assert "Traceback" not in output
     before = summary_of(folder)

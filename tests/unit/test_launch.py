@@ -1,10 +1,11 @@
 import shlex
+import signal
 
 import pytest
 from hostile import NAMES
 
 from zsdist import config, evaluate, launch
-from zsdist.common import cli
+from zsdist.common import cli, signals
 from zsdist.errors import RunError
 from zsdist.run import directory, opening, training
 from zsdist.run.program import RunSpec
@@ -75,11 +76,24 @@ def test_an_empty_resume_folder_is_refused_and_left_as_it_is(capsys, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_run_without_a_checkpoint_cannot_be_resumed(capsys, tmp_path):
-    folder = directory.create(tmp_path / "run", config.Config())
-    before = (folder / "config.yaml").read_bytes()
-    assert "no checkpoint" in refusal(capsys, "--resume", folder)
-    assert (folder / "config.yaml").read_bytes() == before
+@pytest.fixture
+def trained(monkeypatch, tmp_path):
+    """Folder of a run whose training is complete at once; `during` is called meanwhile."""
+
+    class Trained:
+        folder, during, evaluated = tmp_path, staticmethod(lambda: None), False
+
+    def train(spec, interrupted, watch):
+        made.during()
+        return {"ended": "complete", "transitions": {}, "learner_updates": {}}
+
+    made = Trained()
+    spec = RunSpec(config.Config(), "run", tmp_path, {}, None)
+    monkeypatch.setattr(opening, "open_new", lambda settings, folder, notify, held: spec)
+    monkeypatch.setattr(training, "train", train)
+    monkeypatch.setattr(launch.final_evaluation, "draw_training", lambda folder: None)
+    monkeypatch.setattr(launch.final_evaluation, "compare", lambda *run: setattr(made, "evaluated", True))
+    return made
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name.isprintable() and "/" not in name and len(name) < 200])
@@ -110,20 +124,31 @@ def test_the_command_that_goes_on_is_read_back_by_the_shell_and_by_its_own_parse
 
 
 def test_ctrl_c_in_the_evaluation_reports_that_the_training_is_saved_and_how_to_evaluate_it(
-    capsys, tmp_path, monkeypatch
+    capsys, monkeypatch, trained
 ):
     def interrupted(folder, settings, console):
         raise KeyboardInterrupt
 
-    spec = RunSpec(config.Config(), "run", tmp_path, {}, None)
-    summary = {"ended": "complete", "transitions": {}, "learner_updates": {}}
-    monkeypatch.setattr(opening, "open_new", lambda settings, folder, notify: spec)
-    monkeypatch.setattr(training, "train", lambda spec, interrupted, watch: summary)
-    monkeypatch.setattr(launch.final_evaluation, "draw_training", lambda folder: None)
     monkeypatch.setattr(launch.final_evaluation, "compare", interrupted)
-    assert launch.main(launch.make_parser().parse_args([])) == cli.INTERRUPTED
+    assert launch.main(launch.make_parser().parse_args([])) == 130
     printed = capsys.readouterr().out
-    assert "training is complete and saved" in printed and f"python -m zsdist.evaluate {tmp_path}" in printed
+    assert "training is complete and saved" in printed and f"python -m zsdist.evaluate {trained.folder}" in printed
+
+
+def test_a_signal_in_the_last_moment_of_the_training_leaves_out_the_evaluation(capsys, trained):
+    trained.during = lambda: signal.raise_signal(signal.SIGTERM)
+    assert launch.main(launch.make_parser().parse_args([])) == 143
+    assert "training is complete and saved" in capsys.readouterr().out and not trained.evaluated
+
+
+def test_a_second_signal_in_the_training_says_how_to_resume(capsys, monkeypatch, trained):
+    def stop():
+        raise signals.Interrupted(signal.SIGTERM)
+
+    trained.during = stop
+    with pytest.raises(KeyboardInterrupt):
+        launch.main(launch.make_parser().parse_args([]))
+    assert f"--resume {trained.folder}" in capsys.readouterr().out
 
 
 def test_a_folder_that_holds_a_run_is_not_overwritten(capsys, tmp_path):

@@ -30,6 +30,7 @@ STRANGERS = {  # units that do not import each other although the rows would all
 }
 OWNERS = {
     "numba": "common/compiled.py",
+    "fcntl": "common/locks.py",
     "ray": "run/ray.py",
     "zenoh": "transport/zenoh.py",
     "cryptography": "transport/certificates.py",

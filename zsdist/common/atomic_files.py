@@ -7,8 +7,12 @@ from pathlib import Path
 def replace(path: Path, content: bytes) -> None:
     """Replace a file in one step: a reader finds either the old content or the new one."""
     partial = path.with_name(f".{path.name}.partial")
-    write(partial, content)
-    partial.replace(path)
+    try:
+        write(partial, content)
+        partial.replace(path)
+    except OSError:
+        partial.unlink(missing_ok=True)  # it may be what fills the disk
+        raise
     sync_folder(path.parent)
 
 

@@ -6,22 +6,19 @@ An option that stands for a setting is added by `Parser.add_setting`. `overrides
 
 import argparse
 import contextlib
-import errno
 import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import FrameType
 from typing import Any, NoReturn
 
 from zsdist import config
-from zsdist.common import places, values
+from zsdist.common import output_files, places, signals, streams, values
 from zsdist.common.console import plain, say
 from zsdist.errors import ConfigError, ZsdistError
 
 REFUSED = 2
-INTERRUPTED = 130
 _LINE_END = re.compile(r"\s*\n\s*")  # a message of several lines is shown in one
 
 
@@ -60,8 +57,8 @@ def execute(
     """Run a command and exit with its status; a `--debug` option is added to the parser.
 
     A `ZsdistError` becomes one line on standard error and status 2, or a traceback and status 1 with `--debug`. So does
-    a file name that is too long for the system. Ctrl-C gives status 130, and so does SIGTERM, which a service manager
-    sends to stop a command. Any other exception is a defect and keeps its traceback.
+    an error of the system in `output_files.OF_THE_SYSTEM`. A signal of `signals.STOPPING` gives 128 plus its number; so
+    does SIGPIPE, when nobody reads the output any longer. Any other exception is a defect and keeps its traceback.
 
     Args:
         main: the command; returns its exit status.
@@ -69,26 +66,40 @@ def execute(
         arguments: used instead of the arguments of the process.
     """
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    with signals.handled_by(signals.Interruption(at_once=True)), streams.guarded():
+        try:
+            status = _execute(main, parser, arguments)
+        except KeyboardInterrupt as interruption:
+            status = _report(parser.prog, interruption)
+    sys.exit(status)
+
+
+def _execute(
+    main: Callable[[argparse.Namespace], int], parser: argparse.ArgumentParser, arguments: Sequence[str] | None
+) -> int:
     options = parser.parse_args(arguments)
-    before = signal.signal(signal.SIGTERM, _interrupt)
     try:
         status = main(options)
+        streams.check_output()
+        return status
     except ZsdistError as error:
         if options.debug:
             raise
         say(f"{parser.prog}: error: {_LINE_END.sub(' ', str(error)).strip()}", error=True)
-        status = REFUSED
     except OSError as error:
-        if options.debug or error.errno != errno.ENAMETOOLONG:  # only a user can have given such a name
+        if options.debug or error.errno not in output_files.OF_THE_SYSTEM:
             raise
-        say(f"{parser.prog}: error: {error.filename}: {error.strerror}", error=True)
-        status = REFUSED
-    except KeyboardInterrupt:
-        say(f"{parser.prog}: interrupted", error=True)
-        status = INTERRUPTED
-    finally:
-        signal.signal(signal.SIGTERM, before)
-    sys.exit(status)
+        place = "" if error.filename is None else f"{error.filename}: "
+        say(f"{parser.prog}: error: {place}{error.strerror}", error=True)
+    return REFUSED
+
+
+def _report(prog: str, interruption: KeyboardInterrupt) -> int:
+    """Say which signal has stopped a command, and return its exit status."""
+    number = signals.number_of(interruption)
+    if number != signal.SIGPIPE:
+        say(f"{prog}: interrupted by {signals.name_of(number)}", error=True)
+    return signals.status_of(interruption)
 
 
 def overrides(options: argparse.Namespace) -> tuple[str, ...]:
@@ -143,7 +154,3 @@ def _whole_number(text: str, minimum: int) -> int:
     if not text.isdecimal() or int(text) < minimum:
         raise argparse.ArgumentTypeError(f"value is {text!r}; allowed is a whole number of {minimum} or more")
     return int(text)
-
-
-def _interrupt(signal_number: int, frame: FrameType | None) -> NoReturn:
-    raise KeyboardInterrupt

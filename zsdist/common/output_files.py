@@ -1,11 +1,40 @@
-"""Files that commands write: checked before the work begins, written when it is done."""
+"""Files that commands write: checked before the work begins, written when it is done; errors of disks in one line."""
 
+import errno
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from zsdist.common import atomic_files
 from zsdist.errors import RunError
+
+OF_THE_SYSTEM = (  # errors that only a user can correct: of names, rights, disks and limits
+    errno.ENAMETOOLONG,
+    errno.EACCES,
+    errno.EPERM,
+    errno.EROFS,
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EFBIG,
+    errno.EIO,
+    errno.ESTALE,
+    errno.EMFILE,
+    errno.ENFILE,
+)
+
+
+@contextmanager
+def written(what: str) -> Iterator[None]:
+    """Turn an error of the system in `OF_THE_SYSTEM` into a `RunError` that says what cannot be written, and why."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in OF_THE_SYSTEM:
+            raise
+        raise RunError(f"{what} cannot be written: {error.strerror}") from error
 
 
 def check_place(option: str, file: Path) -> None:
@@ -35,7 +64,11 @@ def write_json(option: str, file: Path, result: dict[str, Any]) -> None:
     Raises:
         RunError: it cannot be written.
     """
+    content = json.dumps(result, indent=1, allow_nan=False) + "\n"
     try:
-        file.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        if file.exists() and not file.is_file():  # a pipe or a device
+            file.write_text(content, encoding="utf-8")
+        else:
+            atomic_files.replace(file.resolve(), content.encode())
     except OSError as error:
         raise RunError(f"the result cannot be written to {option} {file}: {error.strerror or error}") from error

@@ -3,7 +3,6 @@
 import multiprocessing
 import multiprocessing.connection
 import os
-import signal
 import threading
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -11,6 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import resource_tracker
 from typing import Any, TypeVar
 
+from zsdist.common import signals
 from zsdist.errors import RunError
 
 Item = TypeVar("Item")
@@ -70,7 +70,7 @@ def each(
         raise RunError("a worker process died; run with --workers 1 to see its own message") from error
     finally:
         for child in set(multiprocessing.active_children()) - others:
-            child.terminate()
+            child.kill()
         # Wait: Python prints a traceback if the pool's own thread is still ending when the interpreter exits.
         pool.shutdown(wait=True, cancel_futures=True)
         for name, value in environment.items():
@@ -78,19 +78,15 @@ def each(
 
 
 def submit(pool: ProcessPoolExecutor, work: Callable[[Item], Result], item: Item) -> Future[Result]:
-    """Submit an item to a pool whose workers do not react to Ctrl-C, since the parent does.
+    """Submit an item to a pool whose workers do not react to signals that ask to stop, since the parent does.
 
-    A worker that is started here inherits the blocked SIGINT. The signal is blocked and not ignored, so that a Ctrl-C
-    meanwhile takes effect right afterwards.
+    A worker that is started here inherits the blocked signals. They are blocked and not ignored, so that one that
+    arrives meanwhile takes effect right afterwards.
     """
-    if threading.current_thread() is not threading.main_thread():
+    with signals.withheld():
+        resource_tracker.ensure_running()  # at its start it unblocks some
+    with signals.withheld():
         return pool.submit(work, item)
-    resource_tracker.ensure_running()  # at its start it would unblock the signal
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        return pool.submit(work, item)
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin(begin: Callable[..., None], arguments: tuple[Any, ...]) -> None:

@@ -2,36 +2,30 @@
 
 import os
 import socket
-import tempfile
-from pathlib import Path
 
 from zsdist.diagnostics.result import CheckResult, CheckStatus
-
-CONNECT_TIMEOUT_S = 3.0
-RAY_PORT, RAY_CLIENT_PORT = 6379, 10001
+from zsdist.errors import RunError
+from zsdist.run import cluster_address
 
 
 def check_address(address: str) -> CheckResult:
-    """Check that something listens at a Ray address.
+    """Check that a Ray cluster answers at an address.
 
     Args:
         address: `HOST[:PORT]`, `ray://HOST[:PORT]` or `auto`.
     """
     check = f"cluster {address}"
+    advice = "Check that the head node runs, and that this port is open between this machine and the head node."
     target = _current_cluster() if address == "auto" else address
     if target is None:
         advice = "Start one: ray start --head"
         return CheckResult(check, CheckStatus.FAIL, "no Ray cluster runs on this machine", advice)
-    port = RAY_CLIENT_PORT if target.startswith("ray://") else RAY_PORT
-    host, _, digits = target.removeprefix("ray://").rpartition(":")
-    if not digits.isdecimal():
-        host, digits = digits, str(port)
     try:
-        socket.create_connection((host, int(digits)), timeout=CONNECT_TIMEOUT_S).close()
-    except (OSError, OverflowError) as error:
-        advice = "Check that the head node runs, and that this port is open between this machine and the head node."
-        return CheckResult(check, CheckStatus.FAIL, f"{host}:{digits} does not answer: {error}", advice)
-    return CheckResult(check, CheckStatus.OK, f"{host}:{digits} answers")
+        host, port = cluster_address.resolve(target)
+        cluster_address.check_answers(host, port)
+    except RunError as error:
+        return CheckResult(check, CheckStatus.FAIL, str(error), advice)
+    return CheckResult(check, CheckStatus.OK, f"{host}:{port} answers")
 
 
 def check_endpoint(endpoint: str) -> CheckResult:
@@ -61,5 +55,5 @@ def _current_cluster() -> str | None:
     """Return the address that `auto` means: `RAY_ADDRESS`, else that of the cluster started last on this machine."""
     if address := os.environ.get("RAY_ADDRESS"):
         return address
-    note = Path(tempfile.gettempdir()) / "ray" / "ray_current_cluster"
+    note = cluster_address.temporary_folder() / "ray" / "ray_current_cluster"
     return note.read_text(encoding="utf-8").strip() or None if note.is_file() else None

@@ -9,7 +9,7 @@ import numpy as np
 
 from zsdist.config import Config
 from zsdist.diagnostics.result import CheckResult, CheckStatus
-from zsdist.errors import CacheError, WeightsError
+from zsdist.errors import CacheError, RunError, WeightsError
 
 if TYPE_CHECKING:
     from zsdist.transport.zenoh import ZenohTransport
@@ -80,10 +80,18 @@ def check_zenoh() -> CheckResult:
 
 
 def check_ray() -> CheckResult:
-    """Import the Ray runner."""
-    from zsdist.run import ray  # noqa: F401 (the import itself is the check)
+    """Start Ray on this machine as a run does, and end it."""
+    from zsdist.run import cluster_address, ray
 
-    return CheckResult("ray", CheckStatus.OK, f"version {importlib.metadata.version('ray')}")
+    version = f"version {importlib.metadata.version('ray')}"
+    began_s = time.perf_counter()
+    try:
+        cluster_address.check(Config())
+        ray.try_start()
+    except RunError as error:
+        advice = "Correct that, or train in one process: python -m zsdist.launch --single-process."
+        return CheckResult("ray", CheckStatus.FAIL, f"{version}; {error}", advice)
+    return CheckResult("ray", CheckStatus.OK, f"{version}, started in {time.perf_counter() - began_s:.1f} s")
 
 
 def send_message(check: str, endpoint: str, clients: "list[ZenohTransport]") -> CheckResult:

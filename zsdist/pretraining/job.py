@@ -1,6 +1,7 @@
 """Settings of a pretraining, kept in its folder so that it can be resumed."""
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -58,22 +59,33 @@ class Job:
         return cls(**{**tree, **lists, "config": configuration.parse(tree["config"])})
 
 
-def create(folder: Path, job: Job) -> None:
+def create(folder: Path, job: Job, lock: Callable[[Path], None] = lambda folder: None) -> None:
     """Create the folder of a new pretraining.
+
+    Args:
+        folder: folder to make.
+        job: settings that are kept in it.
+        lock: called with the folder once it exists, before anything is written to it.
 
     Raises:
         RunError: the folder already holds a pretraining or weights, or cannot be created.
     """
+    _check_new(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock(folder)
+        _check_new(folder)  # again: another process may have been faster
+        atomic_files.replace(folder / JOB_FILE, json.dumps(job.to_json(), indent=1).encode())
+    except OSError as error:
+        raise RunError(f"--out {folder} cannot be made: {error.strerror or error}") from error
+
+
+def _check_new(folder: Path) -> None:
     if (folder / JOB_FILE).exists():
         again = commands.quoted("--resume", folder.absolute())
         raise RunError(f"--out {folder} already holds a pretraining; allowed are a new folder, or {again}")
     if (folder / METADATA_FILE).exists():
         raise RunError(f"--out {folder} holds finished weights; allowed is a new folder")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        atomic_files.replace(folder / JOB_FILE, json.dumps(job.to_json(), indent=1).encode())
-    except OSError as error:
-        raise RunError(f"--out {folder} cannot be made: {error.strerror or error}") from error
 
 
 def reopen(folder: Path) -> Job:

@@ -1,5 +1,6 @@
 """The run directory: the files of a run, from which it is resumed. While it runs, only the scheduler writes them."""
 
+import contextlib
 import hashlib
 import json
 import os
@@ -8,7 +9,7 @@ import secrets
 import shutil
 import time
 import weakref
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ CHECKPOINTS_KEPT = 3
 BOARD_DENSE = 100  # first rows of figures, and first episodes, that are all on the board; later ones ever further apart
 BOARD_LEAST_OFTEN = 64  # rows of figures from one on the board to the next, at most
 _FOLDERS = ("checkpoints", "figures", "logs")
+FILES_OF_A_START = ("config.yaml", "epochs", "endpoint", "metrics.jsonl")  # written before a run has done anything
 FIXED = (  # settings that cannot change when a run is resumed, since its states depend on them
     "seed",
     "grid.cells",
@@ -40,13 +42,19 @@ FIXED = (  # settings that cannot change when a run is resumed, since its states
 )
 
 
-def create(path: Path | None, settings: Config, root: Path = Path("runs")) -> Path:
+def create(
+    path: Path | None,
+    settings: Config,
+    root: Path = Path("runs"),
+    lock: Callable[[Path], None] = lambda folder: None,
+) -> Path:
     """Make the folder of a new run and write `config.yaml`.
 
     Args:
         path: folder to make; None: a folder under `root`, named by configuration and time.
         settings: resolved configuration.
         root: parent of unnamed runs.
+        lock: called with the folder once it exists, before anything is written to it.
 
     Returns:
         The folder.
@@ -55,6 +63,21 @@ def create(path: Path | None, settings: Config, root: Path = Path("runs")) -> Pa
         RunError: `path` holds a run already, or cannot be made.
     """
     folder = path or root / f"{settings.run.name}-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
+    check_new(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock(folder)
+        check_new(folder)  # again: another process may have been faster
+        _make_folders(folder)
+        rewrite_config(folder, settings)
+    except OSError as error:
+        discard(folder)
+        raise RunError(f"run directory {folder} cannot be written: {error.strerror}") from error
+    return folder
+
+
+def check_new(folder: Path) -> None:
+    """Raise `RunError` where a folder cannot become a run directory, since it holds a run or is a file."""
     try:
         str(folder.resolve()).encode()
     except UnicodeEncodeError as error:  # TensorBoard cannot write into such a folder
@@ -67,11 +90,37 @@ def create(path: Path | None, settings: Config, root: Path = Path("runs")) -> Pa
             )
         if folder.exists() and not folder.is_dir():
             raise RunError(f"run directory {folder} is a file; allowed is a folder")
-        _make_folders(folder)
-        rewrite_config(folder, settings)
     except OSError as error:
         raise RunError(f"run directory {folder} cannot be written: {error.strerror}") from error
-    return folder
+
+
+def discard(folder: Path) -> bool:
+    """Remove the files of a run that has not begun, and the folder where nothing else is in it.
+
+    Returns:
+        False, and nothing is removed, where a role has written something: an episode, a checkpoint, or its log.
+    """
+    begun = [
+        *(checkpoint / "manifest.json" for checkpoint in checkpoints(folder)),
+        folder / "episodes.jsonl",
+        *folder.glob("logs/*"),
+    ]
+    if any(path.exists() and path.stat().st_size for path in begun):
+        return False
+    for path in (*map(folder.joinpath, FILES_OF_A_START), *begun, *folder.glob("tensorboard/events.*")):
+        path.unlink(missing_ok=True)
+    shutil.rmtree(folder / "journal", ignore_errors=True)
+    for path in (folder / "checkpoints", folder / "figures", folder / "logs", folder / "tensorboard", folder):
+        with contextlib.suppress(OSError):  # it holds a file that is not of the run
+            path.rmdir()
+    return True
+
+
+def check_is_run(folder: Path) -> None:
+    """Raise `RunError` where a folder is no run directory."""
+    if not (folder / "config.yaml").is_file():
+        hint = location.suggest_run(folder)
+        raise RunError(f"resume folder {folder} holds no run: there is no config.yaml in it{hint}")
 
 
 def reopen(
@@ -79,12 +128,12 @@ def reopen(
 ) -> tuple[Config, dict[str, State]]:
     """Return configuration (with overrides) and newest checkpoint of an earlier run; change nothing yet.
 
+    A run that ended before its first checkpoint has no states, and begins anew.
+
     Raises:
-        RunError: there is no run, or no complete checkpoint in it, or an override changes a fixed setting.
+        RunError: there is no run, or its checkpoint is damaged, or an override changes a fixed setting.
     """
-    if not (folder / "config.yaml").is_file():
-        hint = location.suggest_run(folder)
-        raise RunError(f"resume folder {folder} holds no run: there is no config.yaml in it{hint}")
+    check_is_run(folder)
     try:
         original = config.load(folder / "config.yaml")
         settings = config.load_kept(folder / "config.yaml", overrides, notify)
@@ -94,6 +143,8 @@ def reopen(
         before, now = (attrgetter(key)(config_tree) for config_tree in (original, settings))
         if before != now:
             raise RunError(f"resume folder {folder}: {key} is {now}; allowed is the run's original value, {before}")
+    if not has_checkpoint(folder):
+        return settings, {}
     newest = newest_checkpoint(folder)
     try:
         states = read_checkpoint(newest)
@@ -125,10 +176,13 @@ def rewind(folder: Path, settings: Config, states: dict[str, State]) -> None:
     """
     rewrite_config(folder, settings)
     shutil.rmtree(folder / "journal", ignore_errors=True)
-    finished = len(states["scheduler"].meta["finished"])
+    finished = len(states["scheduler"].meta["finished"]) if states else 0
     json_lines.cut(folder / "episodes.jsonl", lambda record: record["finished_as"] <= finished)
     json_lines.cut(folder / "metrics.jsonl", lambda row: row.get("episodes", 0) <= finished)
-    board.rewind(folder / "tensorboard", _manifest(newest_checkpoint(folder)).get("tensorboard"))
+    if states:
+        board.rewind(folder / "tensorboard", _manifest(newest_checkpoint(folder)).get("tensorboard"))
+    else:
+        board.rewind(folder / "tensorboard", {})
     _make_folders(folder)
 
 
@@ -141,6 +195,11 @@ def rewrite_config(folder: Path, settings: Config) -> None:
     """Write `config.yaml`: the resolved configuration, with the version that wrote it."""
     head = f"# zsdist {__version__}, seed {settings.seed}\n"
     atomic_files.replace(folder / "config.yaml", (head + config.dump(settings)).encode())
+
+
+def has_checkpoint(folder: Path) -> bool:
+    """Return whether a run directory holds a complete checkpoint."""
+    return bool(checkpoints(folder))
 
 
 def newest_checkpoint(folder: Path) -> Path:
@@ -195,15 +254,25 @@ def issue_epochs(folder: Path, count: int) -> range:
     The first is drawn at random, so that a frame of another run has an epoch that was never issued in this one.
     """
     path = folder / "epochs"
-    first = int(path.read_text(encoding="utf-8")) if path.exists() else secrets.randbelow(2**31) * 2**20
-    atomic_files.replace(path, str(first + count).encode())
+    with _written(folder):
+        first = int(path.read_text(encoding="utf-8")) if path.exists() else secrets.randbelow(2**31) * 2**20
+        atomic_files.replace(path, str(first + count).encode())
     return range(first, first + count)
+
+
+@contextlib.contextmanager
+def _written(folder: Path) -> Iterator[None]:
+    """Turn an error of the system into a `RunError` that names the run directory."""
+    try:
+        yield
+    except OSError as error:
+        raise RunError(f"run directory {folder} cannot be written: {error.strerror or error}") from error
 
 
 class RunDirectory(Owned):
     """Files of a run, written by the scheduler (`zsdist.roles.scheduler.run_log.RunLog`).
 
-    A run directory that is dropped is closed: its lines are written, and TensorBoard's thread ends.
+    A run directory that is dropped is closed, and its lines are written.
     """
 
     def __init__(self, folder: Path, vision: VisionIdentity, earlier_s: float = 0.0) -> None:
@@ -218,19 +287,21 @@ class RunDirectory(Owned):
         self._vision = vision
         self._earlier_s = earlier_s
         self._opened_s = time.monotonic()
-        self._episodes = (folder / "episodes.jsonl").open("a", buffering=1, encoding="utf-8")
-        self._figures = FiguresFile(folder / "metrics.jsonl")
-        self._board = board.Board(folder / "tensorboard")
+        with _written(folder):
+            self._episodes = (folder / "episodes.jsonl").open("a", buffering=1, encoding="utf-8")
+            self._figures = FiguresFile(folder / "metrics.jsonl")
+            self._board = board.Board(folder / "tensorboard")
         self._close = weakref.finalize(self, _close, os.getpid(), self._episodes, self._figures, self._board)
         self._close.atexit = False
 
     def episode(self, record: dict[str, Any]) -> None:
         """Append one line to `episodes.jsonl`; the later in the run, the fewer episodes are shown on TensorBoard."""
         self.check_process()
-        self._episodes.write(json.dumps(record, allow_nan=False) + "\n")
         number = record["finished_as"]
-        if number % spacing(number, BOARD_DENSE) == 0:
-            self._board.add(number, {f"episode/{name}": record[name] for name in ("return", "steps", "epsilon")})
+        with _written(self.folder):
+            self._episodes.write(json.dumps(record, allow_nan=False) + "\n")
+            if number % spacing(number, BOARD_DENSE) == 0:
+                self._board.add(number, {f"episode/{name}": record[name] for name in ("return", "steps", "epsilon")})
 
     def metrics(self, row: Fields) -> None:
         """Append one line to `metrics.jsonl`, and TensorBoard events over the env steps of finished episodes.
@@ -238,19 +309,31 @@ class RunDirectory(Owned):
         Old lines are thinned out (`FiguresFile`). The later in the run, the fewer lines are shown on TensorBoard.
         """
         self.check_process()
-        number = self._figures.append(row)
-        if number % min(spacing(number, BOARD_DENSE), BOARD_LEAST_OFTEN) == 0:
-            shown = {f"run/{name}": value for name, value in row.items() if name != "time_s"}
-            step = int(row.get("env_steps", 0))
-            self._board.add(step, {name: value for name, value in shown.items() if isinstance(value, int | float)})
+        with _written(self.folder):
+            number = self._figures.append(row)
+            if number % min(spacing(number, BOARD_DENSE), BOARD_LEAST_OFTEN) == 0:
+                shown = {f"run/{name}": value for name, value in row.items() if name != "time_s"}
+                step = int(row.get("env_steps", 0))
+                self._board.add(step, {name: value for name, value in shown.items() if isinstance(value, int | float)})
 
     def checkpoint(self, episodes: int, states: dict[str, State]) -> None:
         """Write `checkpoints/{episodes}`, complete or not at all, and remove the oldest beyond those kept.
 
         Once this returns, the checkpoint survives a power failure, as far as the disk writes what it confirms.
+
+        Raises:
+            RunError: it cannot be written; the checkpoints before it stay.
         """
         payloads = {name: codec.encode(state) for name, state in states.items()}
         final = self.folder / "checkpoints" / f"{episodes:08d}"
+        with _written(self.folder):
+            try:
+                self._write_checkpoint(final, episodes, payloads)
+            except OSError:
+                shutil.rmtree(final.with_name(f".{final.name}.partial"), ignore_errors=True)  # it may fill the disk
+                raise
+
+    def _write_checkpoint(self, final: Path, episodes: int, payloads: Mapping[str, bytes]) -> None:
         partial, aside = (final.with_name(f".{final.name}.{suffix}") for suffix in ("partial", "old"))
         for left_over in (partial, aside):  # left by a killed process
             shutil.rmtree(left_over, ignore_errors=True)
@@ -282,8 +365,9 @@ class RunDirectory(Owned):
 
     def summary(self, fields: Mapping[str, Any]) -> None:
         """Write `summary.json`, after all other files are on the disk."""
-        self._sync()
-        atomic_files.replace(self.folder / "summary.json", json.dumps(fields, indent=1, allow_nan=False).encode())
+        with _written(self.folder):
+            self._sync()
+            atomic_files.replace(self.folder / "summary.json", json.dumps(fields, indent=1, allow_nan=False).encode())
 
     def _sync(self) -> None:
         """Return once all lines and events are on the disk."""

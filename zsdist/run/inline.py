@@ -6,11 +6,13 @@ real, so that a single process can be watched from outside.
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 
 import torch
 
+from zsdist.errors import RunError, ZsdistError
 from zsdist.roles.base import HEARTBEAT_S, Role
 from zsdist.run import program
 from zsdist.run.program import RoleSpec, RunSpec, Watch
@@ -115,15 +117,26 @@ class _HostedRole:
 
     def __init__(self, spec: RunSpec, role_spec: RoleSpec, transport: Transport, shared_wake: threading.Event) -> None:
         self.wake = _RelayedEvent(shared_wake)
-        self.role: Role = spec.build(role_spec, transport, self.wake)
+        self._role_spec = role_spec
+        with self._named():
+            self.role: Role = spec.build(role_spec, transport, self.wake)
         self.due_s: float | None = 0.0
 
     def step_if_due(self, now: float) -> bool:
         if self.due_s is None or (self.due_s > now and not self.wake.is_set()):
             return False
         self.wake.clear()
-        self.due_s = self.role.step(now)
+        with self._named():
+            self.due_s = self.role.step(now)
         return True
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        """Name the role in the errors that end the run, as the Ray runner does."""
+        try:
+            yield
+        except ZsdistError as error:
+            raise RunError(self._role_spec.reason(error)) from error
 
 
 class _RelayedEvent(threading.Event):

@@ -1,50 +1,60 @@
 """Opening of a run: a new run directory, or an earlier one that is resumed. Nothing is written before all checks."""
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
+from zsdist.common import locks
 from zsdist.config import Config
 from zsdist.errors import RunError
-from zsdist.run import directory, local_ray, location, preflight
+from zsdist.run import cluster_address, directory, local_ray, location, preflight
 from zsdist.run.program import RunSpec
 from zsdist.vision.fingerprint import VisionIdentity
 
 Notify = Callable[[str], None]  # shows one line to the user
 
 
-def open_new(settings: Config, folder: Path | None, notify: Notify) -> RunSpec:
-    """Make the directory of a new run.
+def open_new(settings: Config, folder: Path | None, notify: Notify, held: ExitStack) -> RunSpec:
+    """Make the directory of a new run, and lock it.
 
     Args:
         settings: configuration of the run.
         folder: folder to make; None: a folder in `runs/`, named by configuration and time.
         notify: called with lines for the user.
+        held: keeps the lock of the folder.
 
     Raises:
-        ZsdistError: the settings cannot be run on this machine, or the folder cannot be made.
+        ZsdistError: the settings cannot be run on this machine, or the folder cannot be made, or is in use.
     """
+    if folder is not None:
+        _check_free(folder)
+        directory.check_new(folder)
     vision = check_parts(settings, notify)
-    made = directory.create(folder, settings).resolve()
+    made = directory.create(folder, settings, lock=lambda path: _lock(path, held)).resolve()
     return RunSpec(settings, directory.key_name(made), made, {}, vision)
 
 
-def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify) -> RunSpec:
-    """Reset the directory of an earlier run to its newest checkpoint.
+def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify, held: ExitStack) -> RunSpec:
+    """Lock the directory of an earlier run, and reset it to its newest checkpoint, or to its beginning without one.
 
     Args:
         folder: run directory, or a path inside it.
         overrides: settings to change, as `KEY.PATH=VALUE`.
         notify: called with lines for the user.
+        held: keeps the lock of the folder.
 
     Raises:
-        RunError: there is no run or no checkpoint to resume from, or the run is complete.
+        RunError: there is no run to resume, or it is in use or complete.
         ZsdistError: the settings cannot be run on this machine.
     """
     given, folder = folder, location.find_run(folder)
+    directory.check_is_run(folder)
+    _lock(folder, held)
     settings, states = directory.reopen(folder, overrides, notify)
-    location.check_is_newest(given, directory.newest_checkpoint(folder))
+    if states:
+        location.check_is_newest(given, directory.newest_checkpoint(folder))
     preflight.check_shards(settings, states)
-    finished = len(states["scheduler"].meta["finished"])
+    finished = len(states["scheduler"].meta["finished"]) if states else 0
     # With all episodes finished, the last merge or the evaluation may still be missing: then the run may be resumed.
     complete = settings.run.episodes == finished and directory.ended(folder) == "complete"
     if settings.run.episodes < finished or complete:
@@ -52,9 +62,11 @@ def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify) -> Ru
             f"the run in {folder} has finished {finished} episodes and --episodes is {settings.run.episodes}; "
             f"allowed is more than {finished}"
         )
-    trained = directory.read_vision(directory.newest_checkpoint(folder))
+    trained = directory.read_vision(directory.newest_checkpoint(folder)) if states else None
     vision = check_parts(settings, notify)
-    if note := trained.check(str(folder), vision):
+    if trained is None:
+        notify(f"the run in {folder} ended before its first checkpoint; it begins anew")
+    elif note := trained.check(str(folder), vision):
         notify(note)
     resolved = folder.resolve()
     directory.rewind(resolved, settings, states)
@@ -62,14 +74,23 @@ def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify) -> Ru
 
 
 def check_parts(settings: Config, notify: Notify) -> VisionIdentity:
-    """Check memory, certificates, scenes and weights, and compile all code that is compiled at first use.
+    """Check memory, certificates, Ray, scenes and weights, and compile all code that is compiled at first use.
 
     Returns:
         The vision model of this configuration on this machine.
     """
     preflight.check_memory(settings)
     preflight.check_certificates(settings)
+    cluster_address.check(settings)
     if settings.placement == "ray" and settings.run.address is None:
         local_ray.check_open_files(settings)
     notify("preparing; the first time this takes about 15 s, for compilation")
     return preflight.warm_up(settings)
+
+
+def _lock(folder: Path, held: ExitStack) -> None:
+    held.enter_context(locks.held(folder, f"run directory {folder}"))
+
+
+def _check_free(folder: Path) -> None:
+    locks.check_free(folder, f"run directory {folder}")

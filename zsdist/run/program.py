@@ -60,6 +60,10 @@ class RoleSpec:
         """Name of the role, such as `actor-0`."""
         return f"{self.role}-{self.id}"
 
+    def reason(self, error: Exception) -> str:
+        """Return the reason why the role cannot go on, in one line."""
+        return f"{self.name}: {error}"
+
 
 def supervisor(epochs: Sequence[int]) -> RoleSpec:
     """Return the runner itself, as a role that sends orders to the scheduler."""

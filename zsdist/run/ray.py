@@ -2,6 +2,7 @@
 
 import logging
 import os
+import re
 import secrets
 import sys
 import threading
@@ -14,6 +15,7 @@ import ray
 from ray.exceptions import RayActorError, RayError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
+from zsdist.common import output_files, signals
 from zsdist.common.allowed_resources import allowed_cores
 from zsdist.config import Config
 from zsdist.errors import RunError, ZsdistError
@@ -63,13 +65,13 @@ class RoleHost:
 
     def drive(self, role_spec: RoleSpec, endpoint: str) -> str:
         """Build a role and step it to its end; return an empty string, or the reason of its failure in one line."""
-        self._redirect_output(role_spec)
         transport = None
         if role_spec.role == "learner":
             import torch
 
             torch.set_num_threads(1)
         try:
+            self._redirect_output(role_spec)
             if role_spec.name == HUB and self._hub is None:
                 self.open_hub(endpoint)
             transport = self.spec.connect(role_spec, endpoint)
@@ -79,7 +81,12 @@ class RoleHost:
                 role = program.make_hub(self.spec, role_spec, transport, self.wake, endpoint)
             self._step(role)
         except ZsdistError as error:
-            return f"{role_spec.name}: {error}"
+            return role_spec.reason(error)
+        except OSError as error:
+            if error.errno in output_files.OF_THE_SYSTEM:
+                return role_spec.reason(error)
+            traceback.print_exc()
+            raise
         except Exception:
             traceback.print_exc()  # into the role's log; the supervisor ends the run
             raise
@@ -137,44 +144,71 @@ def run(
     Raises:
         RunError: the cluster cannot be reached or is too small, or a role failed.
     """
-    _connect(spec)
+    connect(spec.config)
     try:
         _Supervisor(spec, epochs).run(interrupted, watch)
     finally:
         ray.shutdown()
 
 
-def _connect(spec: RunSpec) -> None:
-    config = spec.config
+def connect(config: Config) -> None:
+    """Start Ray on this machine, or connect to the cluster of the configuration; `ray.shutdown` ends both.
+
+    Ray's processes do not react to signals that ask this one to stop, and its handlers do not stay in this one.
+
+    Raises:
+        RunError: the cluster cannot be reached or is too small, or Ray cannot be started here.
+    """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # else roles that reserve no GPU cannot see one
-    wanted = config.run.cpus_per_role * (program.role_count(config) + 1 + config.run.standby)
-    if config.run.address is None:
-        if not {"RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"} & os.environ.keys():
-            # Ray's processes inherit it. Otherwise Ray writes one into the home folder, which may not be writable.
-            os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
-        cores = local_ray.logical_cores(config, allowed_cores())
-        ray.init(
-            address="local",  # a cluster of its own, also where RAY_ADDRESS names another
-            num_cpus=cores,
-            object_store_memory=OBJECT_STORE_BYTES,
-            include_dashboard=False,
-            log_to_driver=False,
-            logging_level=logging.ERROR,
-            _node_ip_address="127.0.0.1",  # one machine: no other one needs to reach it
-        )
-        return
+    address = config.run.address
+    what = "Ray cannot be started here" if address is None else f"Ray cluster {address!r} cannot be used"
     try:
-        ray.init(address=config.run.address, log_to_driver=False, logging_level=logging.ERROR)
-    except (RayError, ConnectionError, ValueError) as error:
-        raise RunError(
-            f"Ray cluster {config.run.address!r} cannot be reached: {' '.join(str(error).split())}"
-        ) from error
-    free = ray.cluster_resources().get("CPU", 0.0)
-    if wanted > free:
+        # Where Ray starts no process, a signal may end a long wait.
+        with signals.kept() if address is not None else signals.withheld():
+            _init(config)
+    except Exception as error:  # Ray raises errors of a dozen classes, also built-in ones
+        ray.shutdown()
+        raise RunError(f"{what}: {_summary(error)}") from error
+    if address is not None and (wanted := _cores(config)) > (free := ray.cluster_resources().get("CPU", 0.0)):
+        ray.shutdown()
         raise RunError(
             f"the run asks for {wanted:g} cores of Ray, the cluster has {free:g}; lower run.cpus_per_role or run.actors"
         )
+
+
+def try_start() -> None:
+    """Start Ray on this machine and end it at once; raise `RunError` where it cannot be started."""
+    connect(Config())
+    ray.shutdown()
+
+
+def _init(config: Config) -> None:
+    if config.run.address is not None:
+        ray.init(address=config.run.address, log_to_driver=False, logging_level=logging.ERROR)
+        return
+    if not {"RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"} & os.environ.keys():
+        # Ray's processes inherit it. Otherwise Ray writes one into the home folder, which may not be writable.
+        os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
+    ray.init(
+        address="local",  # a cluster of its own, also where RAY_ADDRESS names another
+        num_cpus=local_ray.logical_cores(config, allowed_cores()),
+        object_store_memory=OBJECT_STORE_BYTES,
+        include_dashboard=False,
+        log_to_driver=False,
+        logging_level=logging.ERROR,
+        _node_ip_address="127.0.0.1",  # one machine: no other one needs to reach it
+    )
+
+
+def _cores(config: Config) -> float:
+    """Return the number of Ray's cores that a run asks for."""
+    return config.run.cpus_per_role * (program.role_count(config) + 1 + config.run.standby)
+
+
+def _summary(error: Exception) -> str:
+    """Return one of Ray's errors as one line without its colours."""
+    return " ".join(re.sub(r"\x1b\[[0-9;]*m", "", str(error)).split()) or type(error).__name__
 
 
 class _Supervisor:
@@ -231,7 +265,9 @@ class _Supervisor:
     def _account_for(self, name: str, reference: ray.ObjectRef) -> None:
         """Handle the end of a role: it has finished, failed with a reason, or died with its process."""
         try:
-            reason = ray.get(reference)
+            if reason := ray.get(reference):
+                raise RunError(reason)
+            return
         except RayActorError as error:  # its process is gone
             reason = f"{name} died: {_last_line(error)}"
             if self.restarts.may_replace(name):
@@ -239,8 +275,8 @@ class _Supervisor:
                 return
         except RayError as error:  # a defect, which a restart would only repeat
             reason = f"{name} failed: {_last_line(error)}"
-        if reason:
-            raise RunError(f"{reason}; its log is {self.spec.folder / 'logs' / name}.log")
+        log = self.spec.folder / "logs" / f"{name}.log"
+        raise RunError(f"{reason}; its log is {log}" if log.exists() else reason)
 
     def _replace(self, name: str, reason: str) -> None:
         role_spec = self.restarts.replace(name, reason)

@@ -4,9 +4,9 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
-from zsdist.common import commands
+from zsdist.common import commands, output_files
 from zsdist.config import Config
-from zsdist.errors import RunError
+from zsdist.errors import RunError, ZsdistError
 from zsdist.roles.replay import shards
 from zsdist.run import directory, local_ray, program
 from zsdist.run.program import RunSpec, Watch
@@ -33,20 +33,28 @@ def train(spec: RunSpec, interrupted: Callable[[], bool], watch: Watch) -> Summa
         The run's summary.
 
     Raises:
-        RunError: a role failed for good.
+        ZsdistError: a role failed for good, or could not start; where none has begun in a new run directory, it is
+            removed.
     """
     run = _runner(spec.config)
-    epochs = directory.issue_epochs(spec.folder, program.epoch_count(spec.config))
-    for of_an_earlier_start in ("summary.json", "endpoint"):
-        (spec.folder / of_an_earlier_start).unlink(missing_ok=True)
+    is_first = not (spec.folder / "epochs").exists()
     try:
-        run(spec, epochs, interrupted=interrupted, watch=watch)
-    except RunError as error:
-        if not directory.checkpoints(spec.folder):
+        return _train(run, spec, interrupted, watch)
+    except BaseException as error:
+        discarded = is_first and directory.discard(spec.folder)
+        if discarded or not isinstance(error, ZsdistError):
             raise
-        again = commands.quoted("--resume", spec.folder)
-        raise RunError(f"{error}; resume from the last checkpoint with {again}") from error
-    return json.loads((spec.folder / "summary.json").read_text(encoding="utf-8"))
+        where = "resume from the last checkpoint" if directory.has_checkpoint(spec.folder) else "begin anew"
+        raise RunError(f"{error}; {where} with {commands.quoted('--resume', spec.folder)}") from error
+
+
+def _train(run: _Run, spec: RunSpec, interrupted: Callable[[], bool], watch: Watch) -> Summary:
+    epochs = directory.issue_epochs(spec.folder, program.epoch_count(spec.config))
+    with output_files.written(f"run directory {spec.folder}"):
+        for of_an_earlier_start in ("summary.json", "endpoint"):
+            (spec.folder / of_an_earlier_start).unlink(missing_ok=True)
+        run(spec, epochs, interrupted=interrupted, watch=watch)
+        return json.loads((spec.folder / "summary.json").read_text(encoding="utf-8"))
 
 
 def check_accounts(summary: Summary) -> None:

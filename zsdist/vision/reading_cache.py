@@ -5,7 +5,6 @@ no lock. A slot that is torn, by two writers at once or by a crash during a writ
 """
 
 import errno
-import fcntl
 import mmap
 import os
 import tempfile
@@ -16,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from zsdist.common import folders
+from zsdist.common import folders, locks
 from zsdist.errors import ConfigError, RunError
 from zsdist.types import LatticeState
 from zsdist.vision.rays import BINS, RAYS
@@ -70,7 +69,7 @@ class ReadingCache:
             self._close_file = weakref.finalize(self, os.close, file)
             if os.fstat(file).st_uid != os.getuid():  # the name can be guessed and the folder is shared
                 raise PermissionError(errno.EPERM, "it belongs to another user")
-            fcntl.flock(file, fcntl.LOCK_SH)
+            locks.share(file)
             os.posix_fallocate(file, 0, size)
             self._memory = mmap.mmap(file, size)
         except OSError as error:
@@ -129,9 +128,9 @@ def _remove_others(kept: Path) -> None:
         except OSError:  # another process removed it, or it is no file of ours
             continue
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            path.unlink(missing_ok=True)
-        except OSError:  # in use, or no file of ours
+            if locks.is_unused(file):
+                path.unlink(missing_ok=True)
+        except OSError:  # no file of ours
             pass
         finally:
             os.close(file)

@@ -1,10 +1,12 @@
 import argparse
 import os
 import signal
+import subprocess
+import sys
 
 import pytest
 
-from zsdist.common import cli
+from zsdist.common import cli, output_files, signals
 from zsdist.errors import ConfigError
 
 
@@ -48,10 +50,27 @@ def test_ctrl_c_is_status_130():
     assert leave(interrupt) == 130
 
 
-def test_sigterm_acts_like_ctrl_c_while_the_command_runs():
-    before = signal.getsignal(signal.SIGTERM)
-    assert leave(lambda options: os.kill(os.getpid(), signal.SIGTERM)) == 130
-    assert signal.getsignal(signal.SIGTERM) is before
+@pytest.mark.parametrize("number", signals.STOPPING)
+def test_a_signal_that_asks_to_stop_is_named_and_gives_its_status(capsys, number):
+    before = signal.getsignal(number)
+    assert leave(lambda options: os.kill(os.getpid(), number)) == 128 + number
+    assert capsys.readouterr().err == f"zsdist.command: interrupted by {number.name}\n"
+    assert signal.getsignal(number) is before
+
+
+@pytest.mark.parametrize("number", output_files.OF_THE_SYSTEM)
+def test_an_error_that_only_the_system_makes_is_one_line(capsys, number):
+    def fail(options):
+        raise OSError(number, os.strerror(number), "runs/x")
+
+    assert leave(fail) == 2
+    assert capsys.readouterr().err == f"zsdist.command: error: runs/x: {os.strerror(number)}\n"
+
+
+def test_a_ctrl_c_while_a_command_is_imported_leaves_no_traceback():
+    code = "import sys; sys.orig_argv[1:] = ['-m', 'zsdist.launch']; import zsdist; import os; os.kill(os.getpid(), 2)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
 
 
 @pytest.mark.parametrize(("kind", "least"), [(cli.count, 1), (cli.natural, 0)])

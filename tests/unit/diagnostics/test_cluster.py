@@ -1,4 +1,5 @@
 import socket
+import threading
 
 import pytest
 
@@ -6,22 +7,40 @@ from zsdist.diagnostics import cluster
 from zsdist.diagnostics.result import CheckStatus
 
 
-def test_a_listening_cluster_address_answers_and_a_closed_one_does_not():
+@pytest.fixture
+def ray_port():
+    """Port at which one connection is answered as Ray's head answers it."""
+
+    def serve():
+        connection, _ = server.accept()
+        with connection:
+            connection.sendall(bytes([0, 0, 0, 4, 0, 0, 0, 0, 0]))
+            connection.recv(100)
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        threading.Thread(target=serve, daemon=True).start()
+        yield server.getsockname()[1]
+
+
+@pytest.mark.parametrize("form", ["ray://127.0.0.1:{}", "127.0.0.1:{}"])
+def test_a_cluster_that_answers_is_well(ray_port, form):
+    assert cluster.check_address(form.format(ray_port)).status is CheckStatus.OK
+
+
+def test_a_closed_address_and_a_wrong_one_are_not():
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
-        assert cluster.check_address(f"ray://127.0.0.1:{port}").status is CheckStatus.OK
-        assert cluster.check_address(f"127.0.0.1:{port}").status is CheckStatus.OK
-    closed = cluster.check_address(f"127.0.0.1:{port}")
-    assert closed.status is CheckStatus.FAIL and closed.advice
+    for address in (f"127.0.0.1:{port}", "head:port"):
+        wrong = cluster.check_address(address)
+        assert wrong.status is CheckStatus.FAIL and wrong.advice
 
 
-def test_auto_means_the_environments_cluster_or_none(monkeypatch, tmp_path):
-    monkeypatch.setattr(cluster.tempfile, "gettempdir", lambda: str(tmp_path))
+def test_auto_means_the_environments_cluster_or_none(monkeypatch, tmp_path, ray_port):
+    monkeypatch.setenv("RAY_TMPDIR", str(tmp_path))
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
     assert "no Ray cluster" in cluster.check_address("auto").found
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        monkeypatch.setenv("RAY_ADDRESS", f"127.0.0.1:{server.getsockname()[1]}")
-        assert cluster.check_address("auto").status is CheckStatus.OK
+    monkeypatch.setenv("RAY_ADDRESS", f"127.0.0.1:{ray_port}")
+    assert cluster.check_address("auto").status is CheckStatus.OK
 
 
 @pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:7447", "tcp/localhost:7447", "tcp/[::1]:7447", "7447"])

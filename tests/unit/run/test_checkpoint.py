@@ -1,5 +1,6 @@
 """A policy drives with the encoder that it was trained with, and with no other."""
 
+import contextlib
 from dataclasses import replace
 
 import pytest
@@ -62,7 +63,8 @@ def test_another_head_is_reported_in_one_line(trained, here):
 
 def resumed(folder, monkeypatch, seen, notify=lambda line: None):
     monkeypatch.setattr(preflight, "warm_up", lambda settings: seen)
-    return opening.open_resumed(folder, (), notify)
+    with contextlib.ExitStack() as held:
+        return opening.open_resumed(folder, (), notify, held)
 
 
 def test_a_run_is_not_resumed_on_another_encoder(trained, monkeypatch):

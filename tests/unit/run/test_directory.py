@@ -1,4 +1,6 @@
+import errno
 import json
+import os
 import shutil
 
 import numpy as np
@@ -268,3 +270,53 @@ def test_a_folder_whose_name_is_no_utf_8_is_refused_before_anything_is_written(t
     with pytest.raises(RunError, match="UTF-8"):
         directory.create(tmp_path / "x\udcff" / "run", config.Config())
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("file", ["episodes.jsonl", "metrics.jsonl"])
+def test_a_full_disk_ends_lines_in_one_line(folder, file):
+    (folder / file).symlink_to("/dev/full")
+    run_log = RunDirectory(folder, VISION)
+    with pytest.raises(RunError, match=f"run directory {folder} cannot be written: No space left on device"):
+        if file == "episodes.jsonl":
+            run_log.episode({"finished_as": 1, "return": 1.0, "steps": 7, "epsilon": 0.5})
+        else:
+            run_log.metrics({"time_s": 1.0})
+    (folder / file).unlink()  # with the file open at the end, Python would report what it still holds back
+    (folder / file).touch()
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO])
+def test_a_checkpoint_that_the_disk_does_not_take_is_one_line_and_leaves_those_before(
+    folder, run_log, monkeypatch, number
+):
+    run_log.checkpoint(1, states())
+    before = {path for path in folder.rglob("*")}
+
+    def fail(descriptor):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "fsync", fail)
+    for write in (
+        lambda: run_log.checkpoint(2, states()),
+        lambda: run_log.summary({}),
+        lambda: directory.issue_epochs(folder, 1),
+    ):
+        with pytest.raises(RunError, match=f"run directory {folder} cannot be written: {os.strerror(number)}"):
+            write()
+    assert {path for path in folder.rglob("*")} == before
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(RunError, match=r"run directory .* cannot be written: Not a directory"):
+        RunDirectory(tmp_path / "file", VISION)
+
+
+def test_a_folder_that_the_disk_does_not_take_whole_is_not_left_behind(tmp_path, monkeypatch):
+    def fail(descriptor):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(RunError, match=r"run directory .*/run cannot be written: No space left on device"):
+        directory.create(tmp_path / "run", config.Config())
+    assert list(tmp_path.iterdir()) == []

@@ -1,13 +1,17 @@
 """Decisions of the Ray runner that need no cluster; whole runs are in tests/integration/test_launch.py."""
 
+import signal
 import threading
 
 import pytest
+import ray
+from ray.exceptions import RaySystemError
 
+from zsdist.common import signals
 from zsdist.config import parse
 from zsdist.errors import RunError
 from zsdist.run.program import RoleSpec
-from zsdist.run.ray import RoleHost, stays_here
+from zsdist.run.ray import RoleHost, connect, stays_here
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 
 ROLES = ("hub", "scheduler", "replay", "learner", "actor")
@@ -76,3 +80,52 @@ def test_roles_with_files_or_the_endpoint_stay_on_the_first_machine():
 def test_with_certificates_only_actors_live_on_other_machines(tmp_path):
     config = parse({"transport": {"tls": str(tmp_path)}})
     assert {role for role in ROLES if not stays_here(RoleSpec(role, "0", 1), config)} == {"actor"}
+
+
+CLUSTER = {"run": {"address": "head:6379"}, "transport": {"endpoint": "tls/10.0.0.1:7447", "tls": "certificates"}}
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        RuntimeError("Version mismatch: the cluster was started with\n    \x1b[31mRay\x1b[0m: 2.60.0"),
+        ConnectionError("Could not find any running Ray instance."),
+        ValueError("the port is no number"),
+        TimeoutError("timed out"),
+        OSError("AF_UNIX path length cannot exceed 107 bytes"),
+        RaySystemError("wrong token"),
+        AssertionError(),
+        Exception("The current node timed out during startup."),
+    ],
+)
+@pytest.mark.parametrize(("settings", "what"), [({}, "cannot be started here"), (CLUSTER, "Ray cluster 'head:6379'")])
+def test_whatever_ray_raises_at_its_start_is_one_line(monkeypatch, error, settings, what):
+    def init(**options):
+        raise error
+
+    monkeypatch.setattr(ray, "init", init)
+    with pytest.raises(RunError, match=what) as refused:
+        connect(parse(settings))
+    text = str(refused.value)
+    assert "\n" not in text and "\x1b" not in text and not text.endswith(": ")
+
+
+def test_the_handler_that_ray_sets_does_not_stay(monkeypatch):
+    def init(**options):
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        masks.append(signal.pthread_sigmask(signal.SIG_BLOCK, []))
+
+    masks = []
+    monkeypatch.setattr(ray, "init", init)
+    with signals.handled_by(signals.Interruption()) as interruption:
+        connect(parse({}))
+        signal.raise_signal(signal.SIGTERM)
+        assert interruption.name == "SIGTERM"
+    assert masks[0] >= set(signals.STOPPING)  # Ray's processes inherit this
+
+
+def test_a_cluster_with_too_few_cores_is_refused(monkeypatch):
+    monkeypatch.setattr(ray, "init", lambda **options: None)
+    monkeypatch.setattr(ray, "cluster_resources", lambda: {"CPU": 0.25})
+    with pytest.raises(RunError, match=r"the cluster has 0\.25; lower run.cpus_per_role or run.actors"):
+        connect(parse({**CLUSTER, "run": {"address": "head:6379", "cpus_per_role": 1.0}}))

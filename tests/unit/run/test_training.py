@@ -1,8 +1,12 @@
+import errno
+import os
+
 import pytest
 
 from zsdist import config
-from zsdist.errors import RunError
-from zsdist.run import training
+from zsdist.errors import RunError, TransportError
+from zsdist.run import directory, inline, program, training
+from zsdist.run.program import RunSpec
 from zsdist.wire.messages import State
 
 
@@ -40,3 +44,67 @@ def test_transitions_that_are_neither_stored_nor_rejected_are_an_error():
     training.check_accounts({"transitions": {"low": {"produced": 5, "stored": 4, "rejected": 1}}})
     with pytest.raises(RunError, match="level low do not balance"):
         training.check_accounts({"transitions": {"low": {"produced": 5, "stored": 3, "rejected": 1}}})
+
+
+SETTINGS = config.parse({"placement": "inline", "transport": {"kind": "memory"}})
+
+
+def failing(error, monkeypatch, begin=lambda folder: None):
+    """Let the runner of the next training fail, after `begin` has written to the run directory."""
+
+    def run(spec, epochs, **hooks):
+        (spec.folder / "endpoint").write_text("tcp/127.0.0.1:1")
+        begin(spec.folder)
+        raise error
+
+    monkeypatch.setattr(inline, "run", run)
+
+
+def train(folder):
+    spec = RunSpec(SETTINGS, "run", folder, {}, None)
+    return training.train(spec, lambda: False, lambda transport, now: None)
+
+
+@pytest.mark.parametrize("error", [TransportError("the port is taken"), KeyboardInterrupt(), KeyError("x")])
+def test_a_start_that_failed_leaves_no_folder(tmp_path, monkeypatch, error):
+    folder = directory.create(tmp_path / "run", SETTINGS)
+    failing(error, monkeypatch)
+    with pytest.raises(type(error)):
+        train(folder)
+    assert not folder.exists()
+
+
+def test_a_start_that_failed_leaves_the_files_of_others(tmp_path, monkeypatch):
+    (tmp_path / "figures").mkdir()
+    for name in ("notes.txt", "figures/own.png"):
+        (tmp_path / name).write_text("mine")
+    folder = directory.create(tmp_path, SETTINGS)
+    failing(TransportError("the port is taken"), monkeypatch)
+    with pytest.raises(TransportError):
+        train(folder)
+    assert {path.name for path in tmp_path.rglob("*") if path.is_file()} == {"notes.txt", "own.png"}
+
+
+@pytest.mark.parametrize("file", ["episodes.jsonl", "logs/actor-0.log"])
+def test_a_run_that_has_begun_stays_and_its_error_says_how_it_begins_anew(tmp_path, monkeypatch, file):
+    folder = directory.create(tmp_path / "run", SETTINGS)
+    failing(RunError("actor-0: no"), monkeypatch, lambda folder: (folder / file).write_text("{}"))
+    with pytest.raises(RunError, match=f"actor-0: no; begin anew with --resume {folder}"):
+        train(folder)
+    assert (folder / file).exists()
+
+
+def test_a_second_start_that_failed_removes_nothing(tmp_path, monkeypatch):
+    folder = directory.create(tmp_path / "run", SETTINGS)
+    directory.issue_epochs(folder, program.epoch_count(SETTINGS))  # by the first one, which was killed
+    failing(RunError("no"), monkeypatch)
+    with pytest.raises(RunError, match="begin anew with --resume"):
+        train(folder)
+    assert (folder / "config.yaml").exists()
+
+
+def test_a_disk_that_takes_no_more_is_one_line(tmp_path, monkeypatch):
+    folder = directory.create(tmp_path / "run", SETTINGS)
+    failing(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), monkeypatch)
+    with pytest.raises(RunError, match=f"run directory {folder} cannot be written: No space left on device"):
+        train(folder)

@@ -1,0 +1,119 @@
+"""Locks of folders and files that only one process may write.
+
+A lock is one of the system (`flock`) on a small file beside what it guards. It ends with its process, however that
+ends; processes that are started meanwhile do not inherit it. Over NFS it holds for all machines that mount the folder
+with locks, which is the default. Where a file system has no locks at all, a process goes on without, and says so.
+"""
+
+import errno
+import fcntl
+import os
+import socket
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from zsdist.errors import RunError
+
+LOCK_FILE = ".lock"  # in a folder; beside a file: `.NAME.lock`
+NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)
+IN_USE = (errno.EWOULDBLOCK, errno.EACCES)
+
+
+@contextmanager
+def held(path: Path, what: str) -> Iterator[None]:
+    """Hold the lock of a folder that exists, or of a file that may not exist yet.
+
+    Args:
+        path: folder or file.
+        what: name of it in errors, such as `run directory runs/x`.
+
+    Raises:
+        RunError: another process holds it, or nothing can be written there.
+    """
+    if path.exists() and not path.is_dir() and not path.is_file():
+        yield  # a pipe or a device, which is no one's own
+        return
+    place = path / LOCK_FILE if path.is_dir() else path.resolve().with_name(f".{path.resolve().name}.lock")
+    descriptor = _acquire(place, what)
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # its folder may be gone, or the disk may have become read-only
+            place.unlink()  # while it is held: whoever has opened it too finds that it has lost its name
+        os.close(descriptor)
+
+
+def check_free(path: Path, what: str) -> None:
+    """Raise `RunError` where another process holds the lock of a folder or file; nothing is written."""
+    place = path / LOCK_FILE if path.is_dir() else path.resolve().with_name(f".{path.resolve().name}.lock")
+    try:
+        descriptor = os.open(place, os.O_RDWR | os.O_CLOEXEC)
+    except OSError:
+        return  # nobody uses it, or whoever writes it will say why it cannot
+    try:
+        _lock(descriptor, place, what)
+    finally:
+        os.close(descriptor)
+
+
+def share(descriptor: int) -> None:
+    """Lock an open file together with others; raise `OSError` where that is impossible."""
+    fcntl.flock(descriptor, fcntl.LOCK_SH)
+
+
+def is_unused(descriptor: int) -> bool:
+    """Lock an open file alone, and return whether that was possible."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _acquire(place: Path, what: str) -> int:
+    while True:
+        try:
+            descriptor = os.open(place, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise RunError(f"{what} cannot be written: {error.strerror}") from error
+        try:
+            locked = _lock(descriptor, place, what)
+            if _is_at(descriptor, place):
+                if not locked:
+                    print(
+                        f"{what} is on a file system without locks; see to it that no other process uses it",
+                        file=sys.stderr,
+                    )
+                os.ftruncate(descriptor, 0)
+                os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode())
+                return descriptor
+        except BaseException as error:
+            os.close(descriptor)
+            if isinstance(error, OSError):
+                raise RunError(f"{what} cannot be written: {error.strerror}") from error
+            raise
+        os.close(descriptor)  # its holder has just ended and removed it
+
+
+def _lock(descriptor: int, place: Path, what: str) -> bool:
+    """Lock an open lock file; return False where there are no locks, raise `RunError` where another process has it."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in IN_USE:
+            holder = os.pread(descriptor, 200, 0).decode(errors="replace") or "another process"
+            raise RunError(f"{what} is in use by {holder}; wait until it has ended, or stop it") from error
+        if error.errno not in NO_LOCKS:
+            raise
+        return False
+    return True
+
+
+def _is_at(descriptor: int, place: Path) -> bool:
+    """Return whether an open file still has its name."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), os.stat(place))
+    except FileNotFoundError:
+        return False
