@@ -133,7 +133,7 @@ def test_a_baselines_world_may_be_configured(tmp_path):
 
 def test_a_note_on_the_vision_model_is_printed_once_beside_the_result(folder, capsys, monkeypatch):
     policy = NamedPolicy("astar", Contender(Config(), baseline="astar"), note="trained with another head")
-    monkeypatch.setattr(evaluate, "find_policy", lambda name, config_file, variant: policy)
+    monkeypatch.setattr(evaluate, "find_policy", lambda *_: policy)
     assert run("astar", "--scenes", str(folder), "--episodes", "1", "--workers", "1") == 0
     assert capsys.readouterr().err.splitlines().count("trained with another head") == 1
 
