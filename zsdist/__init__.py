@@ -1,5 +1,8 @@
 """Visual navigation of a car by zero-shot vision and hierarchical reinforcement learning, trained on many processes."""
 
+from zsdist.common import search_path  # noqa: F401 (first: it decides where the other imports are found)
+
+# isort: split
 import signal
 import sys
 from itertools import pairwise

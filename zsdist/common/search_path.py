@@ -1,0 +1,42 @@
+"""Search path of imports in the package's own processes, without the working folder.
+
+Python and Ray put the working folder first on the path. A user's `random.py`, `ray.py` or `zenoh.py` in it would then
+stand in for the module of that name in every import of every library. Importing this module takes the folder out,
+in the package's commands and in the workers that Ray starts; a program that imports the package keeps its path.
+"""
+
+import os
+import sys
+from itertools import pairwise
+
+_PACKAGE = "zsdist"
+_RAY_WORKER = "default_worker.py"  # name of the script that Ray's workers run
+
+
+def leave_out_working_folder(path: list[str], arguments: list[str], working_folder: str, home: str) -> None:
+    """Take the working folder out of a search path, in place, in the package's own processes.
+
+    Args:
+        path: folders in which modules are searched, in order.
+        arguments: command line of the process, the interpreter included.
+        working_folder: folder in which the process was started.
+        home: folder that holds the package, which stays.
+    """
+    is_command = any(one == "-m" and other.startswith(f"{_PACKAGE}.") for one, other in pairwise(arguments))
+    is_worker = any(os.path.basename(argument) == _RAY_WORKER for argument in arguments)
+    if not (is_command or is_worker) or os.path.realpath(working_folder) == os.path.realpath(home):
+        return
+    if path and path[0] in ("", working_folder):
+        del path[0]
+
+
+def _working_folder() -> str:
+    try:
+        return os.getcwd()
+    except FileNotFoundError:  # it was removed
+        return ""
+
+
+leave_out_working_folder(
+    sys.path, sys.orig_argv, _working_folder(), os.path.dirname(os.path.dirname(os.path.dirname(__file__)))
+)
