@@ -179,10 +179,8 @@ def rewind(folder: Path, settings: Config, states: dict[str, State]) -> None:
     finished = len(states["scheduler"].meta["finished"]) if states else 0
     json_lines.cut(folder / "episodes.jsonl", lambda record: record["finished_as"] <= finished)
     json_lines.cut(folder / "metrics.jsonl", lambda row: row.get("episodes", 0) <= finished)
-    if states:
-        board.rewind(folder / "tensorboard", _manifest(newest_checkpoint(folder)).get("tensorboard"))
-    else:
-        board.rewind(folder / "tensorboard", {})
+    before = _manifest(newest_checkpoint(folder)).get("tensorboard") if states else {}
+    board.rewind(folder / "tensorboard", before)
     _make_folders(folder)
 
 
