@@ -188,7 +188,7 @@ def _reopened(options: argparse.Namespace) -> Job:
 
 
 def _config(options: argparse.Namespace) -> Config:
-    return configuration.load(options.config, cli.overrides(options), lambda line: print(line, file=sys.stderr))
+    return configuration.load(options.config, cli.overrides(options), lambda line: say(line, error=True))
 
 
 def _names(text: str | None, default: tuple[str, ...]) -> tuple[str, ...]:

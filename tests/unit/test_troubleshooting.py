@@ -9,8 +9,18 @@ import zsdist
 
 PACKAGE = Path(zsdist.__file__).parent
 PAGE = (PACKAGE.parent / "docs" / "troubleshooting.md").read_text()
-USER_ERRORS = {"ConfigError", "SceneError", "TransportError", "WeightsError", "RunError", "DataError"}
+USER_ERRORS = {
+    "ConfigError",
+    "SceneError",
+    "TransportError",
+    "WeightsError",
+    "RunError",
+    "DataError",
+    "CacheError",
+    "SimulationError",
+}
 VALUE = "\0"
+PASSED_ON = 5  # letters; a message with so few of its own passes on another one
 
 
 def shape(node: ast.expr) -> str | None:
@@ -39,7 +49,7 @@ def user_errors() -> set[str]:
         for node in ast.walk(tree):
             if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and node.exc.args:
                 name, text = ast.unparse(node.exc.func).rpartition(".")[2], shape(node.exc.args[0])
-                if name in USER_ERRORS and text is not None and text.strip(VALUE):
+                if name in USER_ERRORS and text is not None and len(re.findall("[a-z]", text)) > PASSED_ON:
                     found.add(text)
     return found
 

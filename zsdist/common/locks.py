@@ -9,11 +9,11 @@ import errno
 import fcntl
 import os
 import socket
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from zsdist.common.console import say
 from zsdist.errors import RunError
 
 LOCK_FILE = ".lock"  # in a folder; beside a file: `.NAME.lock`
@@ -82,9 +82,8 @@ def _acquire(place: Path, what: str) -> int:
             locked = _lock(descriptor, place, what)
             if _is_at(descriptor, place):
                 if not locked:
-                    print(
-                        f"{what} is on a file system without locks; see to it that no other process uses it",
-                        file=sys.stderr,
+                    say(
+                        f"{what} is on a file system without locks; see to it that no other process uses it", error=True
                     )
                 os.ftruncate(descriptor, 0)
                 os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode())

@@ -28,7 +28,7 @@ def read(path: Path) -> dict[str, Any]:
 def _read_file(path: Path) -> dict[str, Any]:
     """Return the unchecked settings of a YAML file."""
     try:
-        tree = strict_yaml.load(path.read_text()) or {}
+        tree = strict_yaml.load(path.read_text(encoding="utf-8")) or {}
     except IsADirectoryError as error:
         raise ConfigError(
             f"configuration file {path} is a folder; allowed is a file, such as its config.yaml"

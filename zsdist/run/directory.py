@@ -103,11 +103,11 @@ def discard(folder: Path) -> bool:
     begun = [
         *(checkpoint / "manifest.json" for checkpoint in checkpoints(folder)),
         folder / "episodes.jsonl",
-        *folder.glob("logs/*"),
+        *folders.visible(folder, "logs/*"),
     ]
     if any(path.exists() and path.stat().st_size for path in begun):
         return False
-    for path in (*map(folder.joinpath, FILES_OF_A_START), *begun, *folder.glob("tensorboard/events.*")):
+    for path in (*map(folder.joinpath, FILES_OF_A_START), *begun, *folders.visible(folder, "tensorboard/events.*")):
         path.unlink(missing_ok=True)
     shutil.rmtree(folder / "journal", ignore_errors=True)
     for path in (folder / "checkpoints", folder / "figures", folder / "logs", folder / "tensorboard", folder):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from zsdist import config
-from zsdist.common import commands
+from zsdist.common import commands, folders
 from zsdist.errors import ConfigError, RunError
 from zsdist.run import directory, location
 
@@ -62,7 +62,7 @@ class RunLife:
             f"run {self.title} was last seen at {clock(self.seen_s)} and has not ended: it was killed, or it cannot be "
             "reached from here"
         )
-        if not any(self.folder.glob("checkpoints/*/manifest.json")):
+        if not directory.checkpoints(self.folder):
             return f"{line}; it has no checkpoint to resume from"
         return f"{line}; if it was killed, resume it with {commands.module('zsdist.launch', '--resume', self.folder)}"
 
@@ -128,7 +128,7 @@ def find(runs: Path, name: str | None = None) -> RunLife:
     for place in (runs, *(() if name is None else (location.find_run(Path(name)),))):
         if (place / location.CONFIG_FILE).is_file():
             return read(place)
-    found = [read(path.parent) for path in sorted(runs.glob("*/config.yaml"))]
+    found = [read(path.parent) for path in folders.visible(runs, "*/config.yaml")]
     if not found:
         raise RunError(f"no run was found in {runs}; start one, or name --runs DIR, or --connect ENDPOINT")
     if name is None:

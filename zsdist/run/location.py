@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from zsdist.common import folders
 from zsdist.errors import RunError
 
 CONFIG_FILE = "config.yaml"
@@ -36,5 +37,5 @@ def check_is_newest(path: Path, newest: Path) -> None:
 
 def suggest_run(folder: Path) -> str:
     """Return the end of a message that names the newest run in a folder of runs; empty where there is none."""
-    runs = sorted(folder.glob(f"*/{CONFIG_FILE}"), key=lambda file: file.stat().st_mtime)
+    runs = sorted(folders.visible(folder, f"*/{CONFIG_FILE}"), key=lambda file: file.stat().st_mtime)
     return f"; it holds runs, such as {runs[-1].parent}" if runs else ""
