@@ -9,7 +9,7 @@ import pytest
 
 MIB = 2**20
 DAY_S = 86_400
-BYTES_OF_AN_OBJECT = 128
+BYTES_OF_AN_OBJECT = 80
 
 
 @dataclass(frozen=True)
