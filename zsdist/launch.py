@@ -3,13 +3,14 @@
 import argparse
 import contextlib
 import json
+import signal
 from pathlib import Path
 
 from rich.console import Console
 
 from zsdist import config
 from zsdist.common import cli, output_files, streams
-from zsdist.common.signals import Interruption, handled_by, status_of
+from zsdist.common.signals import Interrupted, Interruption, handled_by, status_of
 from zsdist.errors import ConfigError
 from zsdist.reporting import final_evaluation
 from zsdist.run import opening, training
@@ -53,7 +54,7 @@ def _launch(options: argparse.Namespace, console: Console, held: contextlib.Exit
                 "stopped at once; what came after the last checkpoint is not saved. Resume with\n"
                 f"  python -m zsdist.launch --resume {spec.folder}"
             )
-        raise
+        raise Interrupted(interruption.number or signal.SIGINT) from None  # Ray may have raised it anew
     interrupted = summary["ended"] == "interrupted"
     if interrupted:
         streams.tell(
