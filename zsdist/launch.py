@@ -2,11 +2,12 @@
 
 import argparse
 import contextlib
+import signal
 
 from zsdist import config
 from zsdist.common import cli, commands, output_files, streams
 from zsdist.common.console import PlainConsole
-from zsdist.common.signals import Interruption, handled_by, status_of
+from zsdist.common.signals import Interrupted, Interruption, handled_by, status_of
 from zsdist.errors import ConfigError
 from zsdist.reporting import final_evaluation
 from zsdist.run import opening, training
@@ -54,7 +55,7 @@ def _launch(options: argparse.Namespace, console: PlainConsole, held: contextlib
     except KeyboardInterrupt:
         if spec.folder.exists():  # it does not where nothing had begun
             streams.tell("stopped at once; what came after the last checkpoint is not saved. Resume with", resume)
-        raise
+        raise Interrupted(interruption.number or signal.SIGINT) from None  # Ray may have raised it anew
     interrupted = summary["ended"] == "interrupted"
     if interrupted:
         streams.tell(f"interrupted after {summary['episodes']} episodes; everything is saved. Resume with", resume)

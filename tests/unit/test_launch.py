@@ -143,11 +143,13 @@ def test_a_signal_in_the_last_moment_of_the_training_leaves_out_the_evaluation(c
 
 def test_a_second_signal_in_the_training_says_how_to_resume(capsys, monkeypatch, trained):
     def stop():
-        raise signals.Interrupted(signal.SIGTERM)
+        signal.raise_signal(signal.SIGTERM)
+        raise KeyboardInterrupt  # as Ray passes on what the second signal raises
 
     trained.during = stop
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(signals.Interrupted) as stopped:
         launch.main(launch.make_parser().parse_args([]))
+    assert signals.status_of(stopped.value) == 143
     assert f"--resume {trained.folder}" in capsys.readouterr().out
 
 

@@ -82,9 +82,7 @@ def _acquire(place: Path, what: str) -> int:
             locked = _lock(descriptor, place, what)
             if _is_at(descriptor, place):
                 if not locked:
-                    say(
-                        f"{what} is on a file system without locks; see to it that no other process uses it", error=True
-                    )
+                    say(f"{what} has no locks on its file system; see to it that no other process uses it", error=True)
                 os.ftruncate(descriptor, 0)
                 os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode())
                 return descriptor
