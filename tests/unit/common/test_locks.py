@@ -96,7 +96,7 @@ def test_a_file_system_without_locks_is_named_and_used(place, monkeypatch, capsy
 
     monkeypatch.setattr(locks.fcntl, "flock", refuse)
     with locks.held(place, "run x"):
-        assert "run x is on a file system without locks" in capsys.readouterr().err
+        assert "run x has no locks on its file system" in capsys.readouterr().err
 
 
 def test_a_place_that_cannot_be_written_is_one_line(place, monkeypatch):
