@@ -81,7 +81,10 @@ def check_zenoh() -> CheckResult:
 
 def check_ray() -> CheckResult:
     """Start Ray on this machine as a run does, and end it."""
-    from zsdist.run import cluster_address, ray
+    from zsdist.run import cluster_address, local_ray
+
+    local_ray.stay_on_loopback()
+    from zsdist.run import ray
 
     version = f"version {importlib.metadata.version('ray')}"
     began_s = time.perf_counter()
