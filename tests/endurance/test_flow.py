@@ -1,6 +1,7 @@
 """Flow of data at the largest size and after many merges: nothing stands still, and nothing grows."""
 
 import gc
+import os
 import tracemalloc
 
 import pytest
@@ -8,7 +9,11 @@ from flow import Flow, WholeRun
 
 from zsdist.config import parse
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.timeout(7200),
+    pytest.mark.skipif("ZSDIST_ENDURANCE_DAYS" not in os.environ, reason="takes long; run `make endurance`"),
+]
 
 MERGES, DAYS = 1000, 30
 MERGE_EVERY = 10  # episodes
