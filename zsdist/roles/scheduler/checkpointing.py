@@ -22,10 +22,16 @@ class StateCollection:
         self.names = [*self.shards, *(f"learner-{level}" for level in Level)]
         self._states: dict[str, State] = {}
         self._ask_again_s = 0.0
+        self._asked = False
+
+    @property
+    def awaited(self) -> list[str]:
+        """Names of the roles that were asked and have not answered yet."""
+        return self._missing() if self._asked else []
 
     def clear(self) -> None:
         """Forget all states, so that `due` names every role at once."""
-        self._states, self._ask_again_s = {}, 0.0
+        self._states, self._ask_again_s, self._asked = {}, 0.0, False
 
     def accept(self, state: State) -> None:
         """Keep a state, in place of an earlier one of the same role."""
@@ -50,7 +56,7 @@ class StateCollection:
         """Return the names of the roles to ask now."""
         if now < self._ask_again_s:
             return []
-        self._ask_again_s = now + ANSWER_WITHIN_S
+        self._ask_again_s, self._asked = now + ANSWER_WITHIN_S, True
         return self._missing()
 
     def _missing(self) -> list[str]:

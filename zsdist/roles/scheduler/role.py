@@ -1,5 +1,6 @@
 """Scheduler role: leases episodes, conducts merges and checkpoints, and alone writes the run directory."""
 
+import math
 from enum import StrEnum
 from typing import Any
 
@@ -51,6 +52,7 @@ class Scheduler(Role):
         self._collection = StateCollection(context.config)
         self._final_states: dict[str, State] = {}
         self._saved_at = 0  # finished episodes at the last checkpoint
+        self._save_s = math.inf  # time of the next checkpoint, however few episodes have finished by then
         self._next_orders_s = 0.0
         self._next_metrics_s = 0.0
         self._standstill = StandstillWatch()
@@ -81,6 +83,7 @@ class Scheduler(Role):
 
     def work(self, now: float) -> float:
         """Receive what has arrived, decide what follows, and publish it."""
+        self._save_s = min(self._save_s, now + self.config.run.checkpoint_every_s)
         self._follow_supervisor(now)
         self._receive_records(now)
         self._receive_offers()
@@ -111,6 +114,8 @@ class Scheduler(Role):
         }
         if self.merge is not None:
             fields["drives_left"] = len(self.merge.outstanding())
+        if awaited := self._collection.awaited:
+            fields["states_awaited"] = " ".join(awaited)
         return fields
 
     # -- input --------------------------------------------------------------------------------------------------
@@ -189,7 +194,8 @@ class Scheduler(Role):
         else:
             for actor in self._epochs:
                 self.leases.grant(actor, self.config.run.cars_per_actor, min(barrier, self.target))
-            if finished - self._saved_at >= self.config.run.checkpoint_every_episodes:
+            run = self.config.run
+            if finished - self._saved_at >= run.checkpoint_every_episodes or now >= self._save_s:
                 self._save(now)
 
     def _begin_merge(self) -> None:
@@ -257,6 +263,7 @@ class Scheduler(Role):
         if states is not None:
             self.run_log.checkpoint(self.finished_episodes, {**states, "scheduler": self.state()})
             self._final_states, self._saved_at = states, self.finished_episodes
+            self._save_s = now + self.config.run.checkpoint_every_s
             return True
         for name in self._collection.due(now):
             request = codec.encode(Orders(self.context.epoch, name, {"ask": "state"}))
