@@ -115,7 +115,7 @@ class Scheduler(Role):
         if self.merge is not None:
             fields["drives_left"] = len(self.merge.outstanding())
         if awaited := self._collection.awaited:
-            fields["states_awaited"] = " ".join(awaited)
+            fields["states_awaited"] = " ".join(awaited)[:200]
         return fields
 
     # -- input --------------------------------------------------------------------------------------------------
