@@ -20,7 +20,7 @@ from zsdist.sim.scenes import families, scene
 KEYS = [
     "policy", "weights_sha256", "scenes", "episodes", "seed", "success", "collision", "timeout", "spl", "soft_spl",
     "path_efficiency", "step_efficiency", "min_clearance_m", "shield_changed_share", "decision_ms", "confidence_95",
-    "per_scene", "run", "variant", "shielded", "success_radius_m", "max_steps", "code_sha256",
+    "per_scene", "distinct_scenes", "run", "variant", "shielded", "success_radius_m", "max_steps", "code_sha256",
 ]  # fmt: skip
 
 
@@ -205,7 +205,7 @@ def test_ctrl_c_prints_the_command_that_resumes_with_all_that_was_given(tmp_path
     given = ["random", "--scenes", "my scenes", "--episodes", "7", "--seed", "3", "--out", "it's.jsonl", "--workers=1"]
     with pytest.raises(KeyboardInterrupt):
         evaluate.main(evaluate.make_parser().parse_args(given))
-    words = shlex.split(capsys.readouterr().err.splitlines()[-1])
+    words = shlex.split(capsys.readouterr().out.splitlines()[-1])
     again = vars(evaluate.make_parser().parse_args(words[3:]))
     wanted = vars(evaluate.make_parser().parse_args(given))
     assert again == wanted | {"resume": True, "out": tmp_path / "it's.jsonl"}

@@ -107,11 +107,11 @@ def test_the_command_that_goes_on_is_read_back_by_the_shell_and_by_its_own_parse
     folder = tmp_path / name
     spec = RunSpec(config.Config(), "run", folder, {}, None)
     summary = {"ended": ended, "episodes": 3, "transitions": {}, "learner_updates": {}}
-    monkeypatch.setattr(opening, "open_new", lambda settings, folder, notify: spec)
+    monkeypatch.setattr(opening, "open_new", lambda settings, folder, notify, held: spec)
     monkeypatch.setattr(training, "train", lambda spec, interrupted, watch: summary)
     monkeypatch.setattr(launch.final_evaluation, "draw_training", lambda folder: None)
     monkeypatch.setattr(launch.final_evaluation, "compare", interrupted)
-    assert launch.main(launch.make_parser().parse_args(["--plain"])) == cli.INTERRUPTED
+    assert launch.main(launch.make_parser().parse_args(["--plain"])) == 130
     first, *_, command = capsys.readouterr().out.splitlines()
     assert first == f"zsdist run {folder} (seed 0)"
     _, option, run_as, *words = shlex.split(command)

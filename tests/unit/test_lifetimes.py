@@ -19,7 +19,9 @@ import zsdist
 from zsdist.config import CameraConfig, parse
 from zsdist.errors import SimulationError, TransportError
 from zsdist.replay.journal import Journal
+from zsdist.run.board import Board
 from zsdist.run.directory import RunDirectory
+from zsdist.run.figures_file import FiguresFile
 from zsdist.sim.bullet import Client, pybullet
 from zsdist.sim.camera import make_camera
 from zsdist.sim.env import CarNavigation
@@ -72,6 +74,8 @@ COPIED = {  # how each is made; copies and pickles are independent
 OWNED = {  # copies and pickles are refused
     "Journal": journal,
     "MemoryTransport": lambda folder: MemoryTransport(MemoryBroker()),
+    "Board": lambda folder: Board(folder / "board"),
+    "FiguresFile": lambda folder: FiguresFile(folder / "figures.jsonl"),
     "RunDirectory": run_directory,
     "ZenohHub": lambda folder: ZenohHub(free_endpoint()),
     "ZenohTransport": lambda folder: ZenohTransport(folder.hub.endpoint),

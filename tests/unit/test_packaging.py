@@ -38,7 +38,7 @@ def imported_distributions(folder: Path) -> set[str]:
             elif isinstance(node, ast.ImportFrom):
                 tops.add(node.module.split(".")[0])
     known = packages_distributions()
-    beside = {path.stem for path in (ROOT / "tests").rglob("*.py")}
+    beside = {path.stem for path in (ROOT / "tests").rglob("*") if path.suffix == ".py" or path.is_dir()}
     outside = tops - set(sys.stdlib_module_names) - {"zsdist"} - beside
     return {canonicalize_name(known[top][0]) if top in known else f"not installed: {top}" for top in outside}
 

@@ -3,7 +3,6 @@ import shlex
 import pytest
 
 from zsdist import pretrain
-from zsdist.common import cli
 from zsdist.errors import ConfigError, DataError, RunError
 from zsdist.pretraining import job
 from zsdist.vision.weights_folder import METADATA_FILE
@@ -72,10 +71,10 @@ def test_the_command_that_resumes_has_the_options_that_the_folder_does_not_keep(
     monkeypatch.setattr("zsdist.pretraining.train.train", interrupted)
     monkeypatch.chdir(tmp_path)
     given = ("--keep-pictures", "--minutes", "3", "--workers", "1", "--json", "a b.json", "--plain")
-    assert command("--images", "16", "--out", "my weights", *given) == cli.INTERRUPTED
+    assert command("--images", "16", "--out", "my weights", *given) == 130
     words = shlex.split(capsys.readouterr().out.splitlines()[-1])
     assert words[1:3] == ["-m", "zsdist.pretrain"]
     again = pretrain.make_parser().parse_args(words[3:])
     assert again.resume == tmp_path / "my weights" and again.json == tmp_path / "a b.json"
     assert (again.keep_pictures, again.minutes, again.workers, again.plain) == (True, 3.0, 1, True)
-    assert command(*words[3:]) == cli.INTERRUPTED
+    assert command(*words[3:]) == 130

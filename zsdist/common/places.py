@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import GetCoreSchemaHandler
-from pydantic_core import CoreSchema, core_schema
+from pydantic import AfterValidator, GetCoreSchemaHandler
 
 FAMILIES = (  # of scenes; `zsdist.sim.scenes.families` makes them
     "singleton",
@@ -44,9 +43,9 @@ class Place:
         """Return a built-in name as it is, and a path as an absolute one; raise `ValueError` for an unknown home."""
         return text if text in self.names else absolute(text)
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> Any:
         """Return the schema of the text, followed by `resolve`."""
-        return core_schema.no_info_after_validator_function(self.resolve, handler(source))
+        return AfterValidator(self.resolve).__get_pydantic_core_schema__(source, handler)
 
 
 def absolute(text: str) -> str:

@@ -47,7 +47,7 @@ class ChaseCamera:
         """
         shown = replace(self._scene, obstacles=(*self._scene.obstacles, *self._mast(), *_car(pose)))
         picture = self._camera.render(shown, _behind(pose), pitch_rad=self._pitch_rad, people=people)
-        self._camera.close()  # frees data of this scene, which is not rendered again
+        self._camera.release_scenes()  # the scene with the car at this pose is not drawn again
         return cv2.GaussianBlur(picture, (0, 0), SMOOTHING_PX)
 
     def _mast(self) -> tuple[Obstacle]:

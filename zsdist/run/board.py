@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from zsdist.common import folders
+from zsdist.common.ownership import Owned
 
 _PATTERN = "events.out.tfevents.*"  # the names that TensorBoard looks for
 
 
-class Board:
+class Board(Owned):
     """Event file of the present start of a run. Every record is handed to the operating system as it is added."""
 
     def __init__(self, folder: Path) -> None:

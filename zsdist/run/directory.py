@@ -383,7 +383,8 @@ def _close(process: int, *files: Any) -> None:
     """Close files, except in a forked process, which shares them with the process that opened them."""
     if os.getpid() == process:
         for file in files:
-            file.close()
+            with contextlib.suppress(OSError):  # a line that a full disk does not take was reported when it was written
+                file.close()
 
 
 def _make_folders(folder: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from zsdist.common import atomic_files, json_lines
+from zsdist.common.ownership import Owned
 from zsdist.telemetry.snapshot import Fields
 
 DENSE_ROWS = 300  # twice as many of the newest rows are all kept: at a row a second those of ten minutes
@@ -24,7 +25,7 @@ def spacing(age: int, dense: int) -> int:
     return 1 << max(0, (age // dense).bit_length() - 1)
 
 
-class FiguresFile:
+class FiguresFile(Owned):
     """File of JSON lines, one a row, that grows by appending and is thinned once in `THINNED_AFTER_ROWS`.
 
     Rows are numbered in the order in which they are appended, in the field `row`. All rows up to an age of twice

@@ -7,7 +7,7 @@ from zsdist.errors import RunError
 
 CONFIG_FILE = "config.yaml"
 MANIFEST_FILE = "manifest.json"
-CHECKPOINTS = "checkpoints"
+OF_A_RUN = ("checkpoints", "epochs", "episodes.jsonl")  # beside its configuration, which other folders have too
 _DEPTH = 3  # folders between a file of a run and its run directory: checkpoints/00000050/manifest.json
 
 
@@ -16,8 +16,11 @@ def find_run(path: Path) -> Path:
     inside = path.absolute().parents[:_DEPTH]
     if not path.exists() or (path / CONFIG_FILE).is_file():
         return path
-    found = (place for place in inside if (place / CONFIG_FILE).is_file() and (place / CHECKPOINTS).is_dir())
-    return next(found, path)
+    return next((place for place in inside if _is_run(place)), path)
+
+
+def _is_run(place: Path) -> bool:
+    return (place / CONFIG_FILE).is_file() and any((place / name).exists() for name in OF_A_RUN)
 
 
 def find_checkpoint(path: Path) -> Path | None:

@@ -76,7 +76,7 @@ def test_nothing_relative_is_kept_of_a_pretraining(here, monkeypatch):
     monkeypatch.setattr(pretrain, "open_encoder", lambda encoder: None)
     monkeypatch.setattr(pretrain, "check_disk", lambda job, encoder, folder: made.append(job))
 
-    def refuse(folder, job):
+    def refuse(folder, job, lock):
         raise RunError("enough")
 
     monkeypatch.setattr(pretrain.jobs, "create", refuse)

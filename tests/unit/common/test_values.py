@@ -29,7 +29,7 @@ READ = [
     ("transport.tls", "~", None),
     ("low.learning_rate", "1e-3", 0.001),
     ("low.learning_rate", ".5", 0.5),
-    ("low.learning_rate", "1_0.5", 10.5),
+    ("replay.target_return", "1_0.5", 10.5),
     ("reward.goal", "-3", -3.0),
     ("low.hidden", "[010, 1e1]", (10, 10)),
     ("low.hidden", "8", (8,)),

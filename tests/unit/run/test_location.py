@@ -1,5 +1,7 @@
 """What people paste for a run: the run, a checkpoint, or a file in either."""
 
+import contextlib
+
 import pytest
 from made_runs import make_run
 
@@ -37,7 +39,8 @@ def folder(tmp_path):
 
 def resume(path, monkeypatch):
     monkeypatch.setattr(opening, "check_parts", lambda settings, notify: VISION)
-    return opening.open_resumed(path, ("run.episodes=9",), lambda line: None)
+    with contextlib.ExitStack() as held:
+        return opening.open_resumed(path, ("run.episodes=9",), lambda line: None, held)
 
 
 @pytest.mark.parametrize("inside", INSIDE)

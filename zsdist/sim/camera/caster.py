@@ -106,8 +106,12 @@ class CasterCamera:
         instances = np.concatenate([[INSTANCE_SKY, INSTANCE_GROUND], prepared.primitives.owners])
         return image, self._depth_m(), instances[self._index - SKY]
 
+    def release_scenes(self) -> None:
+        """Release the prepared scenes; each is prepared again when it is drawn."""
+        self._kept.clear()
+
     def close(self) -> None:
-        """Release the prepared scenes; closing again does nothing."""
+        """Release the prepared scenes for good; closing again does nothing."""
         self._closed = True
         self._kept.clear()
 
