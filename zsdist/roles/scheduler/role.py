@@ -1,6 +1,5 @@
 """Scheduler role: leases episodes, conducts merges and checkpoints, and alone writes the run directory."""
 
-import math
 from enum import StrEnum
 from typing import Any
 
@@ -8,7 +7,7 @@ from zsdist.dqn.exploration import epsilon
 from zsdist.roles import schemas
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.replay import shards
-from zsdist.roles.scheduler.checkpointing import ANSWER_WITHIN_S, StateCollection
+from zsdist.roles.scheduler.checkpointing import ANSWER_WITHIN_S, CheckpointSchedule, StateCollection
 from zsdist.roles.scheduler.leases import Leases
 from zsdist.roles.scheduler.merge import NO_MERGE, Drive, Merge, deal_drives, next_merge_at
 from zsdist.roles.scheduler.records_inbox import RecordsInbox
@@ -51,8 +50,7 @@ class Scheduler(Role):
         self._merged = dict.fromkeys(Level, 0)  # index of the last merge that each learner has taken over
         self._collection = StateCollection(context.config)
         self._final_states: dict[str, State] = {}
-        self._saved_at = 0  # finished episodes at the last checkpoint
-        self._save_s = math.inf  # time of the next checkpoint, however few episodes have finished by then
+        self._schedule = CheckpointSchedule(context.config.run)
         self._next_orders_s = 0.0
         self._next_metrics_s = 0.0
         self._standstill = StandstillWatch()
@@ -83,7 +81,6 @@ class Scheduler(Role):
 
     def work(self, now: float) -> float:
         """Receive what has arrived, decide what follows, and publish it."""
-        self._save_s = min(self._save_s, now + self.config.run.checkpoint_every_s)
         self._follow_supervisor(now)
         self._receive_records(now)
         self._receive_offers()
@@ -194,8 +191,7 @@ class Scheduler(Role):
         else:
             for actor in self._epochs:
                 self.leases.grant(actor, self.config.run.cars_per_actor, min(barrier, self.target))
-            run = self.config.run
-            if finished - self._saved_at >= run.checkpoint_every_episodes or now >= self._save_s:
+            if self._schedule.is_due(finished, now):
                 self._save(now)
 
     def _begin_merge(self) -> None:
@@ -262,8 +258,8 @@ class Scheduler(Role):
         states = self._collection.take()
         if states is not None:
             self.run_log.checkpoint(self.finished_episodes, {**states, "scheduler": self.state()})
-            self._final_states, self._saved_at = states, self.finished_episodes
-            self._save_s = now + self.config.run.checkpoint_every_s
+            self._final_states = states
+            self._schedule.note_checkpoint(self.finished_episodes, now)
             return True
         for name in self._collection.due(now):
             request = codec.encode(Orders(self.context.epoch, name, {"ask": "state"}))
@@ -337,4 +333,4 @@ class Scheduler(Role):
         self.totals.restore(meta)
         self.leases = Leases(meta["finished"])
         self.snapshot.max_lag_versions, self.snapshot.max_lag_s = meta["max_lag_versions"], meta["max_lag_s"]
-        self._saved_at = self.finished_episodes
+        self._schedule.note_checkpoint(self.finished_episodes)
