@@ -53,10 +53,10 @@ class StateCollection:
         self._ask_again_s = 0.0
         self._asked = False
 
-    @property
-    def awaited(self) -> list[str]:
-        """Names of the roles that were asked and have not answered yet."""
-        return self._missing() if self._asked else []
+    def statistics(self) -> dict[str, str]:
+        """Return the names of the roles that were asked and have not answered yet, as `states_awaited`."""
+        missing = self._missing() if self._asked else []
+        return {"states_awaited": " ".join(missing)[:200]} if missing else {}
 
     def clear(self) -> None:
         """Forget all states, so that `due` names every role at once."""

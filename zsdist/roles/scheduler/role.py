@@ -108,11 +108,10 @@ class Scheduler(Role):
             "episodes_in_flight": len(self.leases.holders),
             **{outcome.value: count for outcome, count in self.totals.outcomes.items()},
             **self.totals.statistics(),
+            **self._collection.statistics(),
         }
         if self.merge is not None:
             fields["drives_left"] = len(self.merge.outstanding())
-        if awaited := self._collection.awaited:
-            fields["states_awaited"] = " ".join(awaited)[:200]
         return fields
 
     # -- input --------------------------------------------------------------------------------------------------
