@@ -51,8 +51,7 @@ class Scheduler(Role):
         self._collection = StateCollection(context.config)
         self._final_states: dict[str, State] = {}
         self._schedule = CheckpointSchedule(context.config.run)
-        self._next_orders_s = 0.0
-        self._next_metrics_s = 0.0
+        self._next_orders_s = self._next_metrics_s = 0.0
         self._standstill = StandstillWatch()
         if restored is not None:
             self._restore(restored.meta)
@@ -257,13 +256,13 @@ class Scheduler(Role):
         states = self._collection.take()
         if states is not None:
             self.run_log.checkpoint(self.finished_episodes, {**states, "scheduler": self.state()})
-            self._final_states = states
             self._schedule.note_checkpoint(self.finished_episodes, now)
+            self._final_states = states
             return True
         for name in self._collection.due(now):
             request = codec.encode(Orders(self.context.epoch, name, {"ask": "state"}))
-            key = keys.control(self.context.run, name)
-            self.transport.request(key, request, self._answers, timeout_s=ANSWER_WITHIN_S)
+            where = keys.control(self.context.run, name)
+            self.transport.request(where, request, self._answers, timeout_s=ANSWER_WITHIN_S)
         return False
 
     # -- output -------------------------------------------------------------------------------------------------
