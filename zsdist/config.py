@@ -225,6 +225,7 @@ class RunConfig(Section):
     actors: Annotated[int, Field(ge=1, le=4096)] = 2  # actor processes
     cars_per_actor: Annotated[int, Field(ge=1, le=256)] = 4  # cars that an actor drives at the same time
     checkpoint_every_episodes: Count = 50
+    checkpoint_every_s: Annotated[float, Field(ge=1, le=1e9)] = 60.0  # seconds until one is made in any case
     cpus_per_role: Annotated[float, Field(gt=0)] = 0.1  # CPUs that each role requests from Ray
     standby: bool = True  # keep a spare process ready that takes over from one that dies
     address: str | None = None  # address of a Ray cluster; None: start Ray on this machine

@@ -151,6 +151,7 @@ def test_a_month_of_episodes_and_merges_neither_stops_nor_grows(tmp_path, span, 
                 "cars_per_actor": CARS,
                 "episodes": span.episodes,
                 "checkpoint_every_episodes": 500,
+                "checkpoint_every_s": 1e9,  # one a minute would take hours
             },
             "merge": {"every_episodes": 100},
             "scenes": {"train": ["iid"]},

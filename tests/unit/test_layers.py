@@ -32,7 +32,7 @@ OWNERS = {
     "numba": "common/compiled.py",
     "fcntl": "common/locks.py",
     "ray": "run/ray.py",
-    "zenoh": "transport/zenoh.py",
+    "zenoh": ("transport/zenoh.py", "transport/link.py", "transport/session_config.py"),
     "cryptography": "transport/certificates.py",
     "pybullet": "sim/",
     "pybullet_data": "sim/",

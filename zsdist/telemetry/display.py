@@ -127,10 +127,12 @@ class Display:
         counts = " ".join(f"{row.get(name, 0)}" for name in ("success", "collision", "timeout"))
         levels = [level.value for level in Level]
         still = self.done or self.is_quiet  # then rates are those of the past
-        drives = f", {row['drives_left']:.0f} drives left" if "drives_left" in row else ""
+        left = f", {row['drives_left']:.0f} drives left" if row.get("drives_left") else ""
+        if row.get("states_awaited"):
+            left = f", saving: {row['states_awaited']} not there yet"
         return {
             "episodes": f"{row.get('episodes', 0)}/{row.get('episodes_target', '?')}",
-            "stage": f"{row.get('stage', 'starting')}{drives}",
+            "stage": f"{row.get('stage', 'starting')}{left}",
             "success, last 50": number("recent_success"),
             "success collision timeout": counts,
             "return": number("mean_return", 1),

@@ -11,7 +11,8 @@ from zsdist.wire import keys
 from zsdist.wire.codec import MAX_COUNT
 
 Fields = dict[str, float | str]
-WORDS = ("role", "id", "host", "stage", "endpoint")  # fields of statistics that are words; all others are numbers
+# Fields of statistics that are words; all others are numbers.
+WORDS = ("role", "id", "host", "stage", "states_awaited", "endpoint")
 MAX_BYTES, MAX_ROLES = 65_536, 8192  # size of one message, and number of roles that are kept
 HISTORY = 12  # number of a role's last statistics from which its rates are computed
 

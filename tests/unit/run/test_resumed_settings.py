@@ -25,7 +25,7 @@ COUNTED = {  # what is restored follows from them, so it is counted anew from th
 }
 READ_AT_THE_START = """
 placement run.name run.episodes run.actors run.cars_per_actor run.checkpoint_every_episodes run.cpus_per_role
-run.standby run.address run.final_evaluation_episodes
+run.checkpoint_every_s run.standby run.address run.final_evaluation_episodes
 scenes.train scenes.train_scenes scenes.test
 sim.step_s sim.max_steps sim.success_radius_m
 camera.back_end camera.size_px camera.field_of_view_deg camera.range_m camera.height_m camera.forward_m

@@ -93,6 +93,12 @@ def test_a_terminal_gets_a_live_table_and_no_lines(monkeypatch):
     assert "12/?" in text and "episodes 12/?" not in text
 
 
+def test_a_stage_says_which_states_it_waits_for(watched):
+    watched.publish("scheduler", "0", stage="merge", drives_left=0, states_awaited="replay-0 learner-low")
+    watched.display.update(watched.subscriber)
+    assert watched.display.figures()["stage"] == "merge, saving: replay-0 learner-low not there yet"
+
+
 @pytest.mark.parametrize("terminal", [False, True])
 def test_a_standstill_is_printed_once_for_each_event(monkeypatch, terminal):
     watched = Watched(monkeypatch, force_terminal=terminal)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import threading
 import time
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import closing
 
 import pytest
 import zenoh
@@ -173,6 +175,58 @@ def test_requests_may_be_answered_later_and_out_of_order(connect: Connect, root:
     assert sorted(message.payload for message in answers.wait(8)) == [b"%d" % number for number in range(8)]
 
 
+LARGE = random.Random(0).randbytes(2**20) * 24
+
+
+def test_a_large_reply_arrives_whole_and_is_asked_for_once(connect: Connect, root: str) -> None:
+    server, client = connect(), connect()
+    requests, replies = Inbox(), Inbox()
+    server.serve(f"{root}/state", requests)
+    settle(client, server, root)
+    for number in range(2):
+        client.request(f"{root}/state", b"?", replies, timeout_s=PATIENCE_S)
+        (request,) = requests.wait()
+        requests.seen.clear()
+        assert request.reply is not None
+        request.reply(LARGE + bytes([number]))
+        (reply,) = replies.wait()
+        replies.seen.clear()
+        assert reply.payload == LARGE + bytes([number]) and reply.key == f"{root}/state"
+
+
+def test_a_late_subscriber_gets_a_large_retained_value_once_and_then_the_newest(connect: Connect, root: str) -> None:
+    sender, receiver = connect(), connect()
+    inbox = Inbox(2**30)
+    sender.publish(f"{root}/weights/low", LARGE, retained=True)
+    receiver.subscribe(f"{root}/weights/*", inbox, retained=True)
+    assert [message.payload == LARGE for message in inbox.wait()] == [True]
+    for number in range(3):
+        sender.publish(f"{root}/weights/low", LARGE + bytes([number]), retained=True)
+    end = time.monotonic() + PATIENCE_S
+    while inbox.seen[-1].payload[-1:] != bytes([2]) and time.monotonic() < end:
+        inbox.wait(len(inbox.seen) + 1, 0.2)
+    assert inbox.seen[-1].payload == LARGE + bytes([2]) and len(inbox.seen) <= 4
+
+
+def test_a_large_message_that_cannot_be_asked_for_is_refused(hub: ZenohHub, root: str) -> None:
+    refusal = pytest.raises(TransportError, match=r"push: a message has \d+ bytes; allowed are 4194304")
+    with closing(ZenohTransport(hub.endpoint)) as sender, refusal:
+        sender.publish(f"{root}/push", LARGE)
+
+
+def test_no_client_fills_the_memory_of_the_hub_or_of_others(hub: ZenohHub, root: str) -> None:
+    """A message beyond the limit ends the connection of its sender; nobody else gets it or is disturbed."""
+    with closing(ZenohTransport(hub.endpoint)) as sender, closing(ZenohTransport(hub.endpoint)) as receiver:
+        inbox = Inbox()
+        receiver.subscribe(f"{root}/data", inbox)
+        settle(sender, receiver, root)
+        intruder = bare_session(hub.endpoint)
+        intruder.put(f"{root}/data", LARGE, congestion_control=zenoh.CongestionControl.BLOCK)
+        intruder.close()
+        sender.publish(f"{root}/data", b"small")
+        assert [message.payload for message in inbox.wait()] == [b"small"]
+
+
 def test_liveliness_shows_tokens_that_exist_appear_and_disappear(connect: Connect, root: str) -> None:
     first, second, watcher = connect(), connect(), connect()
     first.declare_alive(f"{root}/alive/actor/0")
@@ -316,8 +370,8 @@ def test_clients_outlive_their_hub_and_retained_values_of_the_gap_arrive() -> No
     assert hub.endpoint == endpoint
     assert box.wait(2)[-1].payload == b"2"
     assert alive.wait(3)[-1].payload == b"1"
-    for closing in (sender, receiver, hub):
-        closing.close()
+    for opened in (sender, receiver, hub):
+        opened.close()
 
 
 def test_a_process_that_forgets_to_close_its_transport_still_ends(hub: ZenohHub, root: str) -> None:

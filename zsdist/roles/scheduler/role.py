@@ -7,7 +7,7 @@ from zsdist.dqn.exploration import epsilon
 from zsdist.roles import schemas
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.replay import shards
-from zsdist.roles.scheduler.checkpointing import ANSWER_WITHIN_S, StateCollection
+from zsdist.roles.scheduler.checkpointing import ANSWER_WITHIN_S, CheckpointSchedule, StateCollection
 from zsdist.roles.scheduler.leases import Leases
 from zsdist.roles.scheduler.merge import NO_MERGE, Drive, Merge, deal_drives, next_merge_at
 from zsdist.roles.scheduler.records_inbox import RecordsInbox
@@ -50,9 +50,8 @@ class Scheduler(Role):
         self._merged = dict.fromkeys(Level, 0)  # index of the last merge that each learner has taken over
         self._collection = StateCollection(context.config)
         self._final_states: dict[str, State] = {}
-        self._saved_at = 0  # finished episodes at the last checkpoint
-        self._next_orders_s = 0.0
-        self._next_metrics_s = 0.0
+        self._schedule = CheckpointSchedule(context.config.run)
+        self._next_orders_s = self._next_metrics_s = 0.0
         self._standstill = StandstillWatch()
         if restored is not None:
             self._restore(restored.meta)
@@ -108,6 +107,7 @@ class Scheduler(Role):
             "episodes_in_flight": len(self.leases.holders),
             **{outcome.value: count for outcome, count in self.totals.outcomes.items()},
             **self.totals.statistics(),
+            **self._collection.statistics(),
         }
         if self.merge is not None:
             fields["drives_left"] = len(self.merge.outstanding())
@@ -189,7 +189,7 @@ class Scheduler(Role):
         else:
             for actor in self._epochs:
                 self.leases.grant(actor, self.config.run.cars_per_actor, min(barrier, self.target))
-            if finished - self._saved_at >= self.config.run.checkpoint_every_episodes:
+            if self._schedule.is_due(finished, now):
                 self._save(now)
 
     def _begin_merge(self) -> None:
@@ -256,12 +256,13 @@ class Scheduler(Role):
         states = self._collection.take()
         if states is not None:
             self.run_log.checkpoint(self.finished_episodes, {**states, "scheduler": self.state()})
-            self._final_states, self._saved_at = states, self.finished_episodes
+            self._schedule.note_checkpoint(self.finished_episodes, now)
+            self._final_states = states
             return True
         for name in self._collection.due(now):
             request = codec.encode(Orders(self.context.epoch, name, {"ask": "state"}))
-            key = keys.control(self.context.run, name)
-            self.transport.request(key, request, self._answers, timeout_s=ANSWER_WITHIN_S)
+            where = keys.control(self.context.run, name)
+            self.transport.request(where, request, self._answers, timeout_s=ANSWER_WITHIN_S)
         return False
 
     # -- output -------------------------------------------------------------------------------------------------
@@ -330,4 +331,4 @@ class Scheduler(Role):
         self.totals.restore(meta)
         self.leases = Leases(meta["finished"])
         self.snapshot.max_lag_versions, self.snapshot.max_lag_s = meta["max_lag_versions"], meta["max_lag_s"]
-        self._saved_at = self.finished_episodes
+        self._schedule.note_checkpoint(self.finished_episodes)

@@ -216,6 +216,22 @@ def ended(bench):
     return bench.log.summaries
 
 
+def test_a_checkpoint_is_made_in_time_however_few_episodes_have_finished():
+    bench = Bench(SETTINGS | {"run": SETTINGS["run"] | {"checkpoint_every_s": 60.0}})
+    for expected in ([0], [0, 1]):
+        bench.now += 58.0
+        bench.step()
+        assert not bench.asked
+        bench.now += 3.0
+        bench.step()
+        requests = bench.asked.drain()
+        assert bench.scheduler.statistics()["states_awaited"] == "replay learner-high learner-low"
+        bench.answer(requests)
+        assert [episodes for episodes, _ in bench.log.checkpoints] == expected
+        assert "states_awaited" not in bench.scheduler.statistics()
+        bench.finish(1)
+
+
 def test_a_run_ends_with_a_checkpoint_and_a_summary_once_all_epochs_are_closed():
     bench = Bench(NO_MERGES)
     bench.finish(*range(1, 8))

@@ -1,0 +1,85 @@
+"""Settings of zenoh sessions: a router without discovery, and clients of it, with or without certificates."""
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import zenoh
+
+from zsdist.errors import TransportError
+from zsdist.transport import access
+from zsdist.transport.access import Grant
+from zsdist.transport.certificates import Identity
+
+LEASE_S = 5.0  # time after which a process that hangs counts as gone; a killed one is noticed at once
+MAX_WHOLE_BYTES = 4 * 2**20  # largest message that is sent whole
+MAX_MESSAGE_BYTES = MAX_WHOLE_BYTES + 64 * 1024  # limit of the connections: a message with its key and headers
+_RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
+
+
+def session_config(
+    mode: str,
+    *,
+    connect: str | None = None,
+    listen: str | None = None,
+    connect_timeout_s: float = 0.0,
+    identity: Identity | None = None,
+    grants: Sequence[Grant] = (),
+) -> zenoh.Config:
+    """Return the configuration of a session; raise `TransportError` if endpoint and identity do not fit."""
+    if (identity is not None) != (connect or listen or "").startswith("tls/"):
+        raise TransportError(
+            f"endpoint is {connect or listen!r}; allowed is tls/HOST:PORT with certificates, tcp/HOST:PORT without"
+        )
+    settings = {
+        "mode": mode,
+        "listen/endpoints": [] if listen is None else [listen],
+        "connect/endpoints": [] if connect is None else [connect],
+        "connect/timeout_ms": int(1000 * connect_timeout_s),
+        "connect/exit_on_failure": True,
+        "connect/retry": _RETRY,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/link/tx/lease": int(1000 * LEASE_S),
+        "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
+        "transport/link/tx/queue/size/data": 16,  # batches of 64 KiB; zenoh allows no more
+        "transport/shared_memory/enabled": False,
+        "adminspace/enabled": False,
+        **_secure(identity, grants, "connect" if listen is None else "listen"),
+    }
+    config = zenoh.Config()
+    for key, value in settings.items():
+        try:
+            config.insert_json5(key, json.dumps(value))
+        except zenoh.ZError as error:
+            raise TransportError(f"transport setting {key} is {value!r}: {brief(error)}") from error
+    return config
+
+
+def _secure(identity: Identity | None, grants: Sequence[Grant], end: str) -> dict[str, Any]:
+    """Return settings with which each end checks the other's certificate; the hub's must be for the hub's host."""
+    if identity is None:
+        return {}
+    tls = {
+        "root_ca_certificate": str(identity.authority),
+        "enable_mtls": True,
+        f"{end}_certificate": str(identity.certificate),
+        f"{end}_private_key": str(identity.key),
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": True,
+    }
+    listening = {"access_control": access.settings(grants)} if end == "listen" else {}
+    return {"transport/link/protocols": ["tls"], "transport/link/tls": tls, **listening}
+
+
+def split_endpoint(endpoint: str) -> tuple[str, int]:
+    """Return the address (protocol and host) and the port of an endpoint."""
+    address, _, port = endpoint.rpartition(":")
+    if "/" not in address or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65_536:
+        raise TransportError(f"endpoint is {endpoint!r}; allowed is PROTOCOL/HOST:PORT, such as tcp/127.0.0.1:7447")
+    return address, int(port)
+
+
+def brief(error: Exception) -> str:
+    """Return zenoh's message without the positions in its source code."""
+    return str(error).split(" at /")[0].strip()
