@@ -83,7 +83,8 @@ OWNED = {  # copies and pickles are refused
 TESTED_WITH_THEIR_OWNER = {
     "Client": "World and TinyCamera",
     "Perception": "its ReadingCache",
-    "_Link": "ZenohTransport",
+    "Link": "ZenohTransport",
+    "Fetcher": "ZenohTransport",
 }
 HOLDS_NOTHING = {  # `close` ends a stream, an epoch or a bar; or an interface; or a process of Ray
     "ActorOutboxes", "Camera", "CameraEnv", "Display", "Inbox", "Limiter", "Outbox", "PretrainingProgress", "Recorder",
