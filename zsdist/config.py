@@ -373,6 +373,9 @@ def _explain(item: Mapping[str, Any]) -> str:
     """Return a validation error of pydantic as a phrase with key, value and what is allowed."""
     key = ".".join(str(part) for part in item["loc"])
     if item["type"] == "extra_forbidden":
+        if key in known_keys():
+            nested = "{".join(f"{part}: " for part in key.split(".")) + "..." + "}" * key.count(".")
+            return f"unknown configuration key {key!r}; write it as sections: {nested}"
         near = difflib.get_close_matches(key, known_keys(), n=1, cutoff=0.0)
         return f"unknown configuration key {key!r}; the nearest known one is {near[0]!r}"
     message = item["msg"].removeprefix("Value error, ")

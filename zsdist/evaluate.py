@@ -86,10 +86,10 @@ def _evaluate(options: argparse.Namespace, console: PlainConsole, held: contextl
         if options.out is not None and options.out.exists():
             others = ("policy", "list", "compare", "resume", "debug")
             given = [name.replace("_", "-") for name in vars(options) if name not in others]
-            again = commands.repeated(make_parser(), options, given)
+            again = commands.repeated(make_parser(), _absolute(options), given)
             streams.tell(
                 f"interrupted; the episodes that have ended are in {options.out}. Resume with",
-                f"  {commands.module('zsdist.evaluate', *options.policy, '--resume', *again)}",
+                f"  {commands.module('zsdist.evaluate', *_absolute(options).policy, '--resume', *again)}",
             )
         raise
     if len(reports) == 1:
@@ -231,6 +231,13 @@ def _check_out(out: Path | None, resume: bool) -> None:
     output_files.check_place("--out", out)
     if out.exists() and out.stat().st_size and not resume:
         raise RunError(f"--out {out} exists already; allowed are a new file, and --resume to resume this one")
+
+
+def _absolute(options: argparse.Namespace) -> argparse.Namespace:
+    """Return options whose policies and scenes are absolute paths, where they are paths."""
+    policies = [name if name in (*BASELINES, *SHIPPED) else places.absolute(name) for name in options.policy]
+    scenes = options.scenes if options.scenes in BUILT_IN else places.absolute(options.scenes)
+    return argparse.Namespace(**{**vars(options), "policy": policies, "scenes": scenes})
 
 
 def _note(line: str) -> None:

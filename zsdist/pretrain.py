@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 from zsdist import config as configuration
-from zsdist.common import cli, commands, locks, output_files, signals, streams
+from zsdist.common import cli, commands, locks, output_files, places, signals, streams
 from zsdist.common.allowed_resources import allowed_cores
 from zsdist.common.console import say
 from zsdist.config import Config
@@ -170,7 +170,7 @@ def _new(options: argparse.Namespace) -> Job:
         epochs=options.epochs or 0,
         seed=config.seed,
         families=families,
-        cityscapes=str(options.cityscapes.absolute()) if options.cityscapes else "",
+        cityscapes=places.absolute(str(options.cityscapes)) if options.cityscapes else "",
         stages=tuple(stage for stage in STAGES if stage in stages),
         config=config,
         command=commands.quoted("python", "-m", "zsdist.pretrain", *sys.argv[1:]),

@@ -49,13 +49,30 @@ def check_free(path: Path, what: str) -> None:
     """Raise `RunError` where another process holds the lock of a folder or file; nothing is written."""
     place = path / LOCK_FILE if path.is_dir() else path.resolve().with_name(f".{path.resolve().name}.lock")
     try:
-        descriptor = os.open(place, os.O_RDWR | os.O_CLOEXEC)
+        descriptor = os.open(place, os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
         return  # nobody uses it, or whoever writes it will say why it cannot
     try:
         _lock(descriptor, place, what)
     finally:
         os.close(descriptor)
+
+
+def is_held(folder: Path) -> bool | None:
+    """Return whether a process holds the lock of a folder; None where that cannot be told."""
+    try:
+        descriptor = os.open(folder / LOCK_FILE, os.O_RDONLY | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError as error:
+        return True if error.errno in IN_USE else None
+    finally:
+        os.close(descriptor)
+    return False
 
 
 def share(descriptor: int) -> None:
@@ -75,7 +92,7 @@ def is_unused(descriptor: int) -> bool:
 def _acquire(place: Path, what: str) -> int:
     while True:
         try:
-            descriptor = os.open(place, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            descriptor = _open(place)
         except OSError as error:
             raise RunError(f"{what} cannot be written: {error.strerror}") from error
         try:
@@ -83,15 +100,27 @@ def _acquire(place: Path, what: str) -> int:
             if _is_at(descriptor, place):
                 if not locked:
                     say(f"{what} has no locks on its file system; see to it that no other process uses it", error=True)
-                os.ftruncate(descriptor, 0)
-                os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode())
+                if os.access(place, os.W_OK):  # else it is left of another user's process
+                    os.ftruncate(descriptor, 0)
+                    os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode())
                 return descriptor
         except BaseException as error:
+            if isinstance(error, OSError):  # on a full disk
+                with suppress(OSError):
+                    place.unlink()
             os.close(descriptor)
             if isinstance(error, OSError):
                 raise RunError(f"{what} cannot be written: {error.strerror}") from error
             raise
         os.close(descriptor)  # its holder has just ended and removed it
+
+
+def _open(place: Path) -> int:
+    """Open a lock file, made if missing; one that is left of another user's process is opened to be read."""
+    try:
+        return os.open(place, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    except PermissionError:
+        return os.open(place, os.O_RDONLY | os.O_CLOEXEC)
 
 
 def _lock(descriptor: int, place: Path, what: str) -> bool:

@@ -13,6 +13,7 @@ from zsdist.errors import RunError
 
 OF_THE_SYSTEM = (  # errors that only a user can correct: of names, rights, disks and limits
     errno.ENAMETOOLONG,
+    errno.ENOTDIR,
     errno.EACCES,
     errno.EPERM,
     errno.EROFS,

@@ -50,7 +50,8 @@ class Place:
 
 def absolute(text: str) -> str:
     """Return a path as an absolute one, with `~` as the home folder; raise `ValueError` for an unknown user's home."""
-    return str(expand(text).absolute())
+    path = expand(text)
+    return str(path.resolve() if ".." in path.parts else path.absolute())  # the folder of the call may go
 
 
 def expand(text: str) -> Path:

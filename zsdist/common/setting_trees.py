@@ -28,7 +28,7 @@ def read(path: Path) -> dict[str, Any]:
 def _read_file(path: Path) -> dict[str, Any]:
     """Return the unchecked settings of a YAML file."""
     try:
-        tree = strict_yaml.load(path.read_text(encoding="utf-8")) or {}
+        tree = strict_yaml.load(path.read_text(encoding="utf-8"))
     except IsADirectoryError as error:
         raise ConfigError(
             f"configuration file {path} is a folder; allowed is a file, such as its config.yaml"
@@ -37,6 +37,8 @@ def _read_file(path: Path) -> dict[str, Any]:
         raise ConfigError(f"configuration file {path}: {error.strerror or error}") from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: no UTF-8, or a wrong value with a tag
         raise ConfigError(f"configuration file {path} is not valid YAML: {' '.join(str(error).split())}") from error
+    if tree is None:
+        return {}  # an empty file
     if not isinstance(tree, dict):
         raise ConfigError(f"configuration file {path} holds a {type(tree).__name__}; allowed is a mapping of settings")
     return tree

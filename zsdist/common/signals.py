@@ -15,6 +15,8 @@ STOPPING = (
     signal.SIGUSR1,
     signal.SIGUSR2,
     signal.SIGXCPU,
+    signal.SIGPWR,
+    signal.SIGRTMIN + 3,
 )
 IGNORED_BY_SHELLS = (signal.SIGINT, signal.SIGQUIT)  # by every shell, for the background commands of a script
 ONE_REQUEST_S = 0.5  # `timeout`, terminals and service managers send a signal twice, or two signals, at once

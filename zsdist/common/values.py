@@ -88,7 +88,9 @@ def of_override(annotation: Any, text: str) -> Any:
     """
     text = text.strip()
     kind, _ = _kind(annotation)
-    if kind is tuple and text.startswith("[") and text.endswith("]"):
+    if kind is tuple and text.startswith("[") != text.endswith("]"):
+        raise ValueError("its brackets do not match")
+    if kind is tuple and text.startswith("["):
         items, rest = [], text[1:-1].strip()
         while rest:
             found = _ITEM.match(rest)

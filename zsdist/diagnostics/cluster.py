@@ -1,6 +1,5 @@
 """Checks of a cluster's addresses: Ray's, and the endpoint of the hub."""
 
-import os
 import socket
 
 from zsdist.diagnostics.result import CheckResult, CheckStatus
@@ -16,12 +15,8 @@ def check_address(address: str) -> CheckResult:
     """
     check = f"cluster {address}"
     advice = "Check that the head node runs, and that this port is open between this machine and the head node."
-    target = _current_cluster() if address == "auto" else address
-    if target is None:
-        advice = "Start one: ray start --head"
-        return CheckResult(check, CheckStatus.FAIL, "no Ray cluster runs on this machine", advice)
     try:
-        host, port = cluster_address.resolve(target)
+        host, port = cluster_address.resolve(cluster_address.named(address))
         cluster_address.check_answers(host, port)
     except RunError as error:
         return CheckResult(check, CheckStatus.FAIL, str(error), advice)
@@ -49,11 +44,3 @@ def check_endpoint(endpoint: str) -> CheckResult:
 def host_of(endpoint: str) -> str:
     """Return the host of `PROTOCOL/HOST:PORT`; empty where the endpoint is not of that form."""
     return endpoint.partition("/")[2].rpartition(":")[0].strip("[]")
-
-
-def _current_cluster() -> str | None:
-    """Return the address that `auto` means: `RAY_ADDRESS`, else that of the cluster started last on this machine."""
-    if address := os.environ.get("RAY_ADDRESS"):
-        return address
-    note = cluster_address.temporary_folder() / "ray" / "ray_current_cluster"
-    return note.read_text(encoding="utf-8").strip() or None if note.is_file() else None

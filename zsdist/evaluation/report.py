@@ -81,6 +81,7 @@ class Report:
         changed = sum(record.shield_changes for record in self.records)
         number, scenes = result["episodes"], result.get("distinct_scenes", result["episodes"])
         repeated = "" if scenes == number else f" ({scenes} scenes, repeated; the intervals count each once)"
+        known = sum(record.shortest_m is not None for record in self.records)
         notes = [
             f"n {number}{repeated}, seed {result['seed']}, success within {settings.success_radius_m} m, at most "
             f"{settings.max_steps} actions; observes {self.contender.observability}; "
@@ -89,7 +90,9 @@ class Report:
         ]
         if not self.contender.baseline:
             trained = ", ".join(self.contender.config.scenes.train)
-            notes.append(f"Trained on {trained}; weights {result['weights_sha256'][:16]}.")
+            notes.append(f"Weights {result['weights_sha256'][:16]}; scenes.train is {trained}.")
+        if known < len(self.records):
+            notes.append(f"SPL and the efficiencies are of the {known} episodes in whose scene a free path is known.")
         for note in notes:
             console.say(note)
 

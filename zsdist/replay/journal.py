@@ -168,7 +168,10 @@ class Journal(Owned):
             written = os.write(self._log, content)
             if written != len(content):
                 os.ftruncate(self._log, self._log_bytes)
-                raise OSError(0, f"{written} of {len(content)} bytes were written: the disk is full")
+                raise OSError(
+                    0,
+                    f"{written} of {len(content)} bytes were written: the disk is full, or a file may not grow further (ulimit -f)",
+                )
         except OSError as error:
             raise self._failed("written", error) from error
         self._log_bytes += len(content)

@@ -5,6 +5,7 @@ Ray itself waits minutes for a cluster that is not there, and prints lines of it
 
 import os
 import socket
+import tempfile
 from pathlib import Path
 
 from zsdist.config import Config
@@ -29,8 +30,8 @@ def check(config: Config) -> None:
         return
     if config.run.address is None:
         check_temporary_folder()
-    elif (address := named(config.run.address)) is not None:
-        check_answers(*resolve(address))
+    else:
+        check_answers(*resolve(named(config.run.address)))
 
 
 def check_temporary_folder() -> None:
@@ -47,22 +48,37 @@ def check_temporary_folder() -> None:
             f"{name} is {folder}, which has {length} bytes; allowed are {allowed}, so that the paths of Ray's sockets "
             "are not too long; set RAY_TMPDIR=/tmp, or use --single-process"
         )
-    existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
-    if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
         raise RunError(
             f"{name} is {folder}, where Ray cannot write; set RAY_TMPDIR to a folder that can be written, or use "
             "--single-process"
-        )
+        ) from error
 
 
-def named(address: str) -> str | None:
-    """Return the address that `auto` means, or any other one unchanged.
+def named(address: str) -> str:
+    """Return the address that `auto` means: RAY_ADDRESS, else that of the cluster started last on this machine.
 
-    Returns:
-        None for `auto` where RAY_ADDRESS names no cluster: Ray then looks for one on this machine.
+    Any other address is returned unchanged. Ray itself would take any cluster that it finds among the processes of the
+    machine, also the private one of another run.
+
+    Raises:
+        RunError: there is no cluster that `auto` can mean.
     """
-    target = os.environ.get("RAY_ADDRESS", "auto") if address == "auto" else address
-    return None if target in ("", "auto") else target
+    if address != "auto":
+        return address
+    target = os.environ.get("RAY_ADDRESS", "")
+    if target in ("", "auto"):
+        note = temporary_folder() / "ray" / "ray_current_cluster"  # `ray start` writes it
+        target = note.read_text(encoding="utf-8").strip() if note.is_file() else ""
+    if not target:
+        raise RunError(
+            "Ray cluster 'auto': none was started on this machine; start one (ray start --head), or name HOST:PORT"
+        )
+    return target
 
 
 def temporary_folder() -> Path:
@@ -91,6 +107,7 @@ def check_answers(host: str, port: int) -> None:
     Raises:
         RunError: nobody listens there, or it is not Ray.
     """
+    shown = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
     remedy = "check that the head node runs (ray start --head), and that this machine may reach the port"
     try:
         with socket.create_connection((host, port), timeout=CONNECT_TIMEOUT_S) as connection:
@@ -100,6 +117,6 @@ def check_answers(host: str, port: int) -> None:
             connection.sendall(_HTTP_2)
             answer = connection.recv(_SETTINGS_AT + 1, socket.MSG_WAITALL)
     except (OSError, UnicodeError) as error:
-        raise RunError(f"Ray cluster {host}:{port} does not answer: {error}; {remedy}") from error
+        raise RunError(f"Ray cluster {shown} does not answer: {error}; {remedy}") from error
     if answer[_SETTINGS_AT:] != bytes([_SETTINGS]):
-        raise RunError(f"Ray cluster {host}:{port}: what listens there is not Ray; {remedy}")
+        raise RunError(f"Ray cluster {shown}: what listens there is not Ray; {remedy}")

@@ -9,13 +9,13 @@ import secrets
 import shutil
 import time
 import weakref
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 from zsdist import __version__, config
-from zsdist.common import atomic_files, commands, folders, json_lines
+from zsdist.common import atomic_files, commands, folders, json_lines, locks, output_files
 from zsdist.common.ownership import Owned
 from zsdist.config import Config
 from zsdist.errors import ConfigError, DecodeError, RunError
@@ -107,7 +107,12 @@ def discard(folder: Path) -> bool:
     ]
     if any(path.exists() and path.stat().st_size for path in begun):
         return False
-    for path in (*map(folder.joinpath, FILES_OF_A_START), *begun, *folders.visible(folder, "tensorboard/events.*")):
+    for path in (
+        folder / locks.LOCK_FILE,
+        *map(folder.joinpath, FILES_OF_A_START),
+        *begun,
+        *folders.visible(folder, "tensorboard/events.*"),
+    ):
         path.unlink(missing_ok=True)
     shutil.rmtree(folder / "journal", ignore_errors=True)
     for path in (folder / "checkpoints", folder / "figures", folder / "logs", folder / "tensorboard", folder):
@@ -258,13 +263,8 @@ def issue_epochs(folder: Path, count: int) -> range:
     return range(first, first + count)
 
 
-@contextlib.contextmanager
-def _written(folder: Path) -> Iterator[None]:
-    """Turn an error of the system into a `RunError` that names the run directory."""
-    try:
-        yield
-    except OSError as error:
-        raise RunError(f"run directory {folder} cannot be written: {error.strerror or error}") from error
+def _written(folder: Path) -> contextlib.AbstractContextManager[None]:
+    return output_files.written(f"run directory {folder}")
 
 
 class RunDirectory(Owned):

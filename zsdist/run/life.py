@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from zsdist import config
-from zsdist.common import commands, folders
+from zsdist.common import commands, folders, locks
 from zsdist.errors import ConfigError, RunError
 from zsdist.run import directory, location
 
 SIGNS = ("config.yaml", "epochs", "endpoint", "metrics.jsonl", "episodes.jsonl", "summary.json")
-ALIVE_WITHIN_S = 60.0  # a run that has not ended and wrote something within this time counts as running
+ALIVE_WITHIN_S = 60.0  # where locks cannot be read, a run that wrote something within this time counts as running
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,10 @@ class RunLife:
     @property
     def runs(self) -> bool:
         """True if it seems to run."""
-        return not self.ended and time.time() - self.seen_s < ALIVE_WITHIN_S
+        if self.ended:
+            return False
+        held = locks.is_held(self.folder)  # by its launcher
+        return time.time() - self.seen_s < ALIVE_WITHIN_S if held is None else held
 
     def farewell(self) -> str:
         """Return one line about a run that has ended; raise `RunError` where its summary is damaged."""

@@ -21,7 +21,7 @@ from zsdist.config import Config
 from zsdist.errors import RunError, ZsdistError
 from zsdist.roles.base import HEARTBEAT_S, Role
 from zsdist.roles.replay import shards
-from zsdist.run import local_ray, preflight, program
+from zsdist.run import cluster_address, local_ray, preflight, program
 from zsdist.run.allocator import keep_freed_memory
 from zsdist.run.directory import issue_epochs
 from zsdist.run.program import ActorParts, RoleSpec, RunSpec, Watch
@@ -185,7 +185,7 @@ def try_start() -> None:
 
 def _init(config: Config) -> None:
     if config.run.address is not None:
-        ray.init(address=config.run.address, log_to_driver=False, logging_level=logging.ERROR)
+        ray.init(address=cluster_address.named(config.run.address), log_to_driver=False, logging_level=logging.ERROR)
         return
     if not {"RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"} & os.environ.keys():
         # Ray's processes inherit it. Otherwise Ray writes one into the home folder, which may not be writable.

@@ -49,7 +49,7 @@ def scene_source(name: str, stride: int = 1) -> SplitScenes:
     Raises:
         SceneError: `name` is none of these, or the folder has no valid scenes.
     """
-    scenes = sources.read_files(name)
+    scenes = sources.read_files(name, "scenes.train")
     if scenes is not None:
         return lambda split, number: scenes[number % len(scenes)]
 

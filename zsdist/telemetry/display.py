@@ -50,6 +50,7 @@ class Display:
         self._opened_s = self._heard_s = time.monotonic()
         self._earlier_s = 0.0 if started_s is None else max(0.0, time.time() - started_s)
         self._next_s = self._opened_s
+        self._shown_s = 0.0
         self._live = (
             Live(console=self.console, auto_refresh=False) if self.console.is_terminal and not prefer_lines else None
         )
@@ -175,4 +176,6 @@ class Display:
     def _time_s(self) -> float:
         """Return the age of the run at its last report."""
         still = self.done or self.is_quiet
-        return self._earlier_s + (self._heard_s if still else time.monotonic()) - self._opened_s
+        age_s = self._earlier_s + (self._heard_s if still else time.monotonic()) - self._opened_s
+        self._shown_s = max(self._shown_s, age_s)
+        return self._shown_s
