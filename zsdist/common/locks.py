@@ -62,9 +62,7 @@ def is_held(folder: Path) -> bool | None:
     """Return whether a process holds the lock of a folder; None where that cannot be told."""
     try:
         descriptor = os.open(folder / LOCK_FILE, os.O_RDONLY | os.O_CLOEXEC)
-    except FileNotFoundError:
-        return False
-    except OSError:
+    except OSError:  # there is none, or it cannot be read
         return None
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)

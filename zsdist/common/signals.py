@@ -160,4 +160,7 @@ def number_of(error: KeyboardInterrupt) -> int:
 
 def name_of(number: int | None) -> str:
     """Return the name of a signal; an unknown one is a Ctrl-C."""
-    return signal.Signals(number or signal.SIGINT).name
+    number = number or signal.SIGINT
+    if signal.SIGRTMIN < number < signal.SIGRTMAX:
+        return f"SIGRTMIN+{number - signal.SIGRTMIN}"
+    return signal.Signals(number).name

@@ -170,7 +170,8 @@ class Journal(Owned):
                 os.ftruncate(self._log, self._log_bytes)
                 raise OSError(
                     0,
-                    f"{written} of {len(content)} bytes were written: the disk is full, or a file may not grow further (ulimit -f)",
+                    f"{written} of {len(content)} bytes were written: the disk is full, or its file may grow no "
+                    "further (ulimit -f)",
                 )
         except OSError as error:
             raise self._failed("written", error) from error

@@ -108,6 +108,45 @@ def test_a_place_that_cannot_be_written_is_one_line(place, monkeypatch):
         locks.held(place, "run x").__enter__()
 
 
+@pytest.mark.parametrize("mode", [0o400, 0o444])
+def test_a_lock_file_that_another_user_has_left_is_used(place, monkeypatch, mode):
+    """The superuser may write any file, so the refusal of the system is made here."""
+    with locks.held(place, "run"):
+        (left,) = files(place)
+    (place.parent if not place.is_dir() else place).joinpath(left).touch()
+    opened = os.open
+
+    def of_another_user(path, flags, mode=0o777):
+        if flags & os.O_RDWR:
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return opened(path, flags, mode)
+
+    monkeypatch.setattr(locks.os, "open", of_another_user)
+    monkeypatch.setattr(locks.os, "access", lambda path, how: False)
+    with locks.held(place, "run"):
+        monkeypatch.setattr(locks.os, "open", opened)
+        with pytest.raises(RunError, match="run is in use by another process"), locks.held(place, "run"):
+            pass
+
+
+def test_a_held_lock_is_told_from_one_that_a_killed_process_left(tmp_path):
+    assert locks.is_held(tmp_path) is None
+    with locks.held(tmp_path, "run"):
+        assert locks.is_held(tmp_path) is True
+    (tmp_path / locks.LOCK_FILE).touch()
+    assert locks.is_held(tmp_path) is False
+
+
+def test_a_disk_that_takes_no_lock_file_has_none_left(place, monkeypatch):
+    def full(descriptor, content):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(locks.os, "write", full)
+    with pytest.raises(RunError, match="run cannot be written: No space left"):
+        locks.held(place, "run").__enter__()
+    assert files(place) == {}
+
+
 def test_a_device_is_no_ones_own():
     with locks.held(locks.Path("/dev/null"), "out"), locks.held(locks.Path("/dev/null"), "out"):
         pass

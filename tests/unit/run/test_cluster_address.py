@@ -82,9 +82,14 @@ def test_what_is_no_address_is_refused(address):
         cluster_address.resolve(address)
 
 
-def test_auto_means_what_the_environment_names(monkeypatch):
+def test_auto_means_what_the_environment_names_or_the_cluster_that_was_started_here(monkeypatch, tmp_path):
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
-    assert cluster_address.named("auto") is None
+    monkeypatch.setenv("RAY_TMPDIR", str(tmp_path))
+    with pytest.raises(RunError, match=r"'auto': none was started on this machine; start one .*, or name HOST:PORT"):
+        cluster_address.named("auto")
+    (tmp_path / "ray").mkdir()
+    (tmp_path / "ray" / "ray_current_cluster").write_text("here:3\n")
+    assert cluster_address.named("auto") == "here:3"
     monkeypatch.setenv("RAY_ADDRESS", "head:1")
     assert cluster_address.named("auto") == "head:1"
     assert cluster_address.named("other:2") == "other:2"

@@ -7,6 +7,7 @@ import pytest
 from made_runs import make_run
 
 from zsdist import launch
+from zsdist.common import locks
 from zsdist.errors import RunError
 from zsdist.run import life as lives
 
@@ -42,6 +43,14 @@ def test_a_run_that_has_been_silent_does_not_run_and_its_loss_says_when_it_was_s
     (folder / "checkpoints" / "00000004" / "manifest.json").touch()
     words = shlex.split(lives.read(folder).loss().partition("resume it with ")[2])
     assert launch.make_parser().parse_args(words[3:]).resume == folder
+
+
+def test_a_run_whose_launcher_was_killed_does_not_run_however_recently_it_wrote(tmp_path):
+    folder = make_run(tmp_path / "killed")
+    with locks.held(folder, "run"):
+        assert lives.read(aged(folder, 3600)).runs
+    (folder / locks.LOCK_FILE).touch()
+    assert not lives.read(folder).runs
 
 
 def test_the_newest_run_is_the_last_started_of_those_that_run_or_else_of_all(tmp_path):
