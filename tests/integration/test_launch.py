@@ -148,6 +148,7 @@ def test_another_client_sees_every_role_and_a_killed_actor_hub_and_replay_are_re
     assert (folder / "figures" / "fig09-rewards.png").stat().st_size > 0
 
 
+@pytest.mark.timeout(300)  # it starts three runs
 def test_sigterm_to_the_whole_process_group_saves_and_names_the_command_that_resumes(tmp_path):
     folder = tmp_path / "interrupted"
     process = begin(folder, "--episodes", "500", "--set", "replay.shards=2")
