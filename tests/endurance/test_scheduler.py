@@ -100,7 +100,7 @@ class FakeRun:
             self.offered = merge
             for level in Level:
                 for name in orders["candidates"]:
-                    key = keys.candidate(RUN, level, f"{merge}-{name}")
+                    key = keys.candidate(RUN, level, name)
                     self.others.publish(key, codec.encode(Candidate(1, level, merge, name, WEIGHTS)))
         if orders["phase"] == "promote" and self.promoted < merge:
             self.promoted = merge

@@ -208,4 +208,4 @@ def test_ctrl_c_prints_the_command_that_resumes_with_all_that_was_given(tmp_path
     words = shlex.split(capsys.readouterr().out.splitlines()[-1])
     again = vars(evaluate.make_parser().parse_args(words[3:]))
     wanted = vars(evaluate.make_parser().parse_args(given))
-    assert again == wanted | {"resume": True, "out": tmp_path / "it's.jsonl"}
+    assert again == wanted | {"resume": True, "out": tmp_path / "it's.jsonl", "scenes": str(tmp_path / "my scenes")}

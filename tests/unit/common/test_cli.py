@@ -54,7 +54,7 @@ def test_ctrl_c_is_status_130():
 def test_a_signal_that_asks_to_stop_is_named_and_gives_its_status(capsys, number):
     before = signal.getsignal(number)
     assert leave(lambda options: os.kill(os.getpid(), number)) == 128 + number
-    assert capsys.readouterr().err == f"zsdist.command: interrupted by {number.name}\n"
+    assert capsys.readouterr().err == f"zsdist.command: interrupted by {signals.name_of(number)}\n"
     assert signal.getsignal(number) is before
 
 

@@ -38,7 +38,7 @@ def test_a_closed_address_and_a_wrong_one_are_not():
 def test_auto_means_the_environments_cluster_or_none(monkeypatch, tmp_path, ray_port):
     monkeypatch.setenv("RAY_TMPDIR", str(tmp_path))
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
-    assert "no Ray cluster" in cluster.check_address("auto").found
+    assert "none was started on this machine" in cluster.check_address("auto").found
     monkeypatch.setenv("RAY_ADDRESS", f"127.0.0.1:{ray_port}")
     assert cluster.check_address("auto").status is CheckStatus.OK
 

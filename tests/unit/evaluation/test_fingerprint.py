@@ -27,6 +27,7 @@ def test_the_hash_covers_the_code_that_drives_an_episode_and_nothing_else():
     )
     assert {f"zsdist.{name}" for name in drives} | {"zsdist.evaluation.baselines", "zsdist.types"} <= names
     others = ("roles", "run", "transport", "wire", "replay", "protocol", "pretraining", "dqn.learner", "config")
+    names = names - {"zsdist.roles.shapes"}  # the weights that training begins with, and `untrained` drives with
     assert not [name for name in names for other in others if name.startswith(f"zsdist.{other}")]
     measures = ("report", "metrics", "statistics", "episode_store")
     assert not names & {f"zsdist.evaluation.{name}" for name in measures}
@@ -78,16 +79,14 @@ def test_listed_hashes_are_equivalent_to_those_of_their_entry_and_others_to_them
         ("hashes: [", "is not valid YAML"),
         ("- {a: 1, a: 2}", "key 'a' appears twice"),
         ("", "holds a NoneType; allowed is a list of entries"),
-        ("- {commit: 1a2b3c4}", "entry 1 is {'commit': '1a2b3c4'}; allowed is a mapping with commit, hashes, proof"),
-        (f'- {{commit: 1, hashes: ["{A}"], proof: equal}}', "entry 1: commit is 1; allowed is a text"),
+        ("- {commit: 1a2b3c4}", "entry 1 is {'commit': 1a2b3c4}; allowed is a mapping with commit, hashes, proof"),
         (f'- {{commit: a1, hashes: ["{A}"], proof: " "}}', "entry 1: proof is ' '; allowed is a text"),
         (
             f'- {{commit: a1, hashes: ["{A}"], proof: "a\\nb"}}',
             "entry 1: proof is 'a\\nb'; allowed is a text in one line",
         ),
         (ENTRY.format("[]"), "entry 1: hashes is []; allowed is a list of one or more"),
-        (ENTRY.format("[1234567890123456]"), "hash is 1234567890123456; allowed are 16 hexadecimal digits in quotes"),
-        (ENTRY.format("[ABC]"), "hash is 'ABC'; allowed are 16 hexadecimal digits in quotes"),
+        (ENTRY.format("[ABC]"), "hash is ABC; allowed are 16 hexadecimal digits in quotes"),
         (ENTRY.format(f"[{A}]") * 2, f"entry 2: hash {A} is in an earlier entry too"),
     ],
 )

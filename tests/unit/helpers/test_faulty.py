@@ -10,7 +10,8 @@ def sent_through(faults: Faults, seed: int = 0, count: int = 400) -> list[int]:
     """Return the numbers that arrive of 0 to `count`, one sent each millisecond."""
     broker = MemoryBroker()
     box = Mailbox(2**20)
-    MemoryTransport(broker, "receiver").subscribe("k", box)
+    receiver = MemoryTransport(broker, "receiver")  # one that is dropped is closed
+    receiver.subscribe("k", box)
     sender = FaultyTransport(MemoryTransport(broker, "sender"), seed, faults)
     for number in range(count):
         sender.publish("k", b"%d" % number)
@@ -44,7 +45,8 @@ def test_delayed_messages_arrive_late_but_within_the_limit() -> None:
 
 def test_reordered_messages_are_swapped_with_the_next() -> None:
     broker, box = MemoryBroker(), Mailbox(2**20)
-    MemoryTransport(broker, "receiver").subscribe("k", box)
+    receiver = MemoryTransport(broker, "receiver")  # one that is dropped is closed
+    receiver.subscribe("k", box)
     sender = FaultyTransport(MemoryTransport(broker, "sender"), 0, Faults(reorder=1.0))
     for number in range(4):
         sender.publish("k", b"%d" % number)
@@ -59,7 +61,8 @@ def test_equal_seeds_give_equal_faults_and_others_do_not() -> None:
 
 def test_a_dropped_request_never_arrives() -> None:
     broker, asked = MemoryBroker(), Mailbox(2**20)
-    MemoryTransport(broker, "server").serve("q", asked)
+    server = MemoryTransport(broker, "server")
+    server.serve("q", asked)
     asker = FaultyTransport(MemoryTransport(broker, "asker"), 0, Faults(drop=1.0))
     asker.request("q", b"?", Mailbox(100), timeout_s=1.0)
     assert not len(asked)
