@@ -62,6 +62,8 @@ def _watch_folder(options: argparse.Namespace, life: RunLife) -> int:
     """Show the run in a folder until its end, wherever its hub moves."""
     silent_from_s = None  # monotonic time from which on no hub was reached
     while not life.ended:
+        if life.killed:
+            return _say_lost(life)
         transport = _reach(options, life)
         if transport is not None:
             silent_from_s = None

@@ -10,7 +10,7 @@ from rehearsal import SEEN
 from sockets import free_endpoint
 
 from zsdist import config, monitor
-from zsdist.common import cli
+from zsdist.common import cli, locks
 from zsdist.roles import permissions
 from zsdist.run.program import RoleSpec, RunSpec
 from zsdist.telemetry import display as displays
@@ -221,6 +221,13 @@ def test_a_run_in_one_process_is_refused_with_the_reason(capsys, tmp_path):
     make_run(tmp_path / "demo", "placement=inline", "transport.kind=memory")
     status, printed = run(capsys, "--runs", tmp_path)
     assert status == cli.REFUSED and "one process" in printed.err and "metrics.jsonl" in printed.err
+
+
+def test_a_run_that_was_killed_a_moment_ago_is_told_by_its_lock_in_one_process_too(capsys, tmp_path):
+    folder = make_run(tmp_path / "demo", "placement=inline", "transport.kind=memory")
+    (folder / locks.LOCK_FILE).touch()
+    status, printed = run(capsys, "--runs", str(tmp_path), "--once")
+    assert status == monitor.LOST and "demo was last seen at" in printed.err and "it was killed" in printed.err
 
 
 def test_a_run_is_chosen_by_its_name(capsys, tmp_path):

@@ -35,7 +35,7 @@ def held(path: Path, what: str) -> Iterator[None]:
     if path.exists() and not path.is_dir() and not path.is_file():
         yield  # a pipe or a device, which is no one's own
         return
-    place = path / LOCK_FILE if path.is_dir() else path.resolve().with_name(f".{path.resolve().name}.lock")
+    place = _place_of(path)
     descriptor = _acquire(place, what)
     try:
         yield
@@ -47,7 +47,7 @@ def held(path: Path, what: str) -> Iterator[None]:
 
 def check_free(path: Path, what: str) -> None:
     """Raise `RunError` where another process holds the lock of a folder or file; nothing is written."""
-    place = path / LOCK_FILE if path.is_dir() else path.resolve().with_name(f".{path.resolve().name}.lock")
+    place = _place_of(path)
     try:
         descriptor = os.open(place, os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
@@ -87,12 +87,18 @@ def is_unused(descriptor: int) -> bool:
     return True
 
 
+def _place_of(path: Path) -> Path:
+    """Return the lock file of a folder or a file."""
+    return path / LOCK_FILE if path.is_dir() else path.resolve().with_name(f".{path.resolve().name}.lock")
+
+
 def _acquire(place: Path, what: str) -> int:
     while True:
         try:
             descriptor = _open(place)
         except OSError as error:
             raise RunError(f"{what} cannot be written: {error.strerror}") from error
+        locked = False
         try:
             locked = _lock(descriptor, place, what)
             if _is_at(descriptor, place):
@@ -103,7 +109,7 @@ def _acquire(place: Path, what: str) -> int:
                     os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode())
                 return descriptor
         except BaseException as error:
-            if isinstance(error, OSError):  # on a full disk
+            if locked and isinstance(error, OSError):  # on a full disk; without the lock it may be another process's
                 with suppress(OSError):
                     place.unlink()
             os.close(descriptor)

@@ -42,6 +42,11 @@ class RunLife:
         return self.folder.resolve().name
 
     @property
+    def killed(self) -> bool:
+        """True if its launcher has left its lock and has not ended the run."""
+        return not self.ended and locks.is_held(self.folder) is False
+
+    @property
     def runs(self) -> bool:
         """True if it seems to run."""
         if self.ended:

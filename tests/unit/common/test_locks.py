@@ -147,6 +147,18 @@ def test_a_disk_that_takes_no_lock_file_has_none_left(place, monkeypatch):
     assert files(place) == {}
 
 
+def test_a_lock_that_cannot_be_tried_stays_with_its_holder(place, monkeypatch):
+    def broken(descriptor, operation):
+        raise OSError(errno.EIO, "Input/output error")
+
+    with locks.held(place, "run"):
+        before = files(place)
+        with monkeypatch.context() as patched, pytest.raises(RunError, match="run cannot be written: Input/output"):
+            patched.setattr(locks.fcntl, "flock", broken)
+            locks.held(place, "run").__enter__()
+        assert files(place) == before
+
+
 def test_a_device_is_no_ones_own():
     with locks.held(locks.Path("/dev/null"), "out"), locks.held(locks.Path("/dev/null"), "out"):
         pass

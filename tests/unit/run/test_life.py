@@ -49,8 +49,9 @@ def test_a_run_whose_launcher_was_killed_does_not_run_however_recently_it_wrote(
     folder = make_run(tmp_path / "killed")
     with locks.held(folder, "run"):
         assert lives.read(aged(folder, 3600)).runs
+        assert not lives.read(folder).killed
     (folder / locks.LOCK_FILE).touch()
-    assert not lives.read(folder).runs
+    assert lives.read(folder).killed and not lives.read(folder).runs
 
 
 def test_the_newest_run_is_the_last_started_of_those_that_run_or_else_of_all(tmp_path):
