@@ -234,10 +234,11 @@ def _check_out(out: Path | None, resume: bool) -> None:
 
 
 def _absolute(options: argparse.Namespace) -> argparse.Namespace:
-    """Return options whose policies and scenes are absolute paths, where they are paths."""
+    """Return options whose policies, scenes and settings are absolute paths, where they are paths."""
     policies = [name if name in (*BASELINES, *SHIPPED) else places.absolute(name) for name in options.policy]
     scenes = options.scenes if options.scenes in BUILT_IN else places.absolute(options.scenes)
-    return argparse.Namespace(**{**vars(options), "policy": policies, "scenes": scenes})
+    settings = [cli.absolute_override(text) for text in options.set]
+    return argparse.Namespace(**{**vars(options), "policy": policies, "scenes": scenes, "set": settings})
 
 
 def _note(line: str) -> None:

@@ -23,10 +23,10 @@ def make_parser() -> argparse.ArgumentParser:
     parser = cli.Parser(prog="zsdist.launch", description="Train the hierarchical policy with distributed actors.")
     add = parser.add_argument
     setting = parser.add_setting
-    setting("--actors", "run.actors", type=int, metavar="N", help="number of actor processes (run.actors)")
+    setting("--actors", "run.actors", type=cli.whole, metavar="N", help="number of actor processes (run.actors)")
     episodes = "training episodes in total, also with --resume (run.episodes)"
-    setting("--episodes", "run.episodes", type=int, metavar="N", help=episodes)
-    setting("--seed", "seed", type=int, metavar="S", help="seed of scenes, exploration and initial weights")
+    setting("--episodes", "run.episodes", type=cli.whole, metavar="N", help=episodes)
+    setting("--seed", "seed", type=cli.whole, metavar="S", help="seed of scenes, exploration and initial weights")
     add("--config", type=cli.path, metavar="FILE", help="YAML configuration; see configs/")
     parser.add_set()
     setting("--single-process", *ONE_PROCESS, action="store_true", help="run all roles here, on a virtual clock")

@@ -173,6 +173,19 @@ def test_several_policies_are_taken_together(folder, tmp_path, capsys, monkeypat
     assert "2 runs on" in capsys.readouterr().out
 
 
+def test_scenes_that_are_driven_again_count_once_for_several_policies_too(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(evaluate, "check_together", lambda policies, no_shield: None)
+    results = []
+    for episodes in ("3", "9"):  # the folder has three scenes
+        file = tmp_path / f"{episodes}.json"
+        asked = ("--scenes", str(folder), "--episodes", episodes, "--workers", "1", "--json", str(file))
+        assert run("astar", "goal-greedy", *asked) == 0
+        results.append(json.loads(file.read_text()))
+    once, thrice = results
+    assert thrice["confidence_95"] == once["confidence_95"]
+    assert thrice["interquartile_mean"] == once["interquartile_mean"]
+
+
 def test_two_files_of_episodes_are_compared_scene_by_scene(folder, tmp_path, capsys):
     files = {name: tmp_path / f"{name}.jsonl" for name in ("astar", "goal-greedy")}
     for name, file in files.items():
@@ -203,9 +216,19 @@ def test_ctrl_c_prints_the_command_that_resumes_with_all_that_was_given(tmp_path
     monkeypatch.setattr(evaluate, "evaluate", interrupted)
     monkeypatch.chdir(tmp_path)
     given = ["random", "--scenes", "my scenes", "--episodes", "7", "--seed", "3", "--out", "it's.jsonl", "--workers=1"]
+    given += [
+        "--set",
+        "vision.weights=my weights",
+        "--set",
+        "scenes.train=[iid, 'her scenes']",
+        "--set",
+        "sim.max_steps=9",
+    ]
     with pytest.raises(KeyboardInterrupt):
         evaluate.main(evaluate.make_parser().parse_args(given))
     words = shlex.split(capsys.readouterr().out.splitlines()[-1])
     again = vars(evaluate.make_parser().parse_args(words[3:]))
     wanted = vars(evaluate.make_parser().parse_args(given))
-    assert again == wanted | {"resume": True, "out": tmp_path / "it's.jsonl", "scenes": str(tmp_path / "my scenes")}
+    places = (f'vision.weights="{tmp_path}/my weights"', f'scenes.train=["iid", "{tmp_path}/her scenes"]')
+    wanted |= {"resume": True, "out": tmp_path / "it's.jsonl", "scenes": str(tmp_path / "my scenes")}
+    assert again == wanted | {"set": [*places, "sim.max_steps=9"]}

@@ -6,6 +6,7 @@ An option that stands for a setting is added by `Parser.add_setting`. `overrides
 
 import argparse
 import contextlib
+import json
 import re
 import signal
 import sys
@@ -130,6 +131,18 @@ def _override(setting: str, value: Any) -> str:
     return setting if "=" in setting else f"{setting}={value}"
 
 
+def absolute_override(text: str) -> str:
+    """Return an override of one setting that is a path with the absolute path, and any other one as it is."""
+    leaves = config.leaves_of(text)
+    key = next(iter(leaves))
+    place = values.find_place(dict(values.leaves(config.Config)).get(key))
+    value = values.typed(values.find_type(config.Config, key), leaves[key])
+    if len(leaves) > 1 or place is None or value is None:
+        return text
+    found = [place.resolve(name) for name in value] if isinstance(value, list) else place.resolve(value)
+    return f"{key}={json.dumps(found, ensure_ascii=False)}"
+
+
 def path(text: str) -> Path:
     """Return the value of an option that is a path, with `~` as the home folder."""
     if not text:
@@ -138,6 +151,15 @@ def path(text: str) -> Path:
         return places.expand(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text!r}: {error}") from error
+
+
+def whole(text: str) -> int:
+    """Return the value of an option that is a whole number, written as in a configuration: 12, 0012 or 1e3."""
+    try:
+        found: int = values.number(text, whole=True)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"value is {text!r}; {error}") from error
+    return found
 
 
 def count(text: str) -> int:
@@ -151,6 +173,10 @@ def natural(text: str) -> int:
 
 
 def _whole_number(text: str, minimum: int) -> int:
-    if not text.isdecimal() or int(text) < minimum:
+    try:
+        found: int = values.number(text, whole=True)
+    except ValueError:
+        found = minimum - 1
+    if found < minimum:
         raise argparse.ArgumentTypeError(f"value is {text!r}; allowed is a whole number of {minimum} or more")
-    return int(text)
+    return found

@@ -42,7 +42,8 @@ class _Loader(yaml.SafeLoader):
 
 
 _Loader.yaml_implicit_resolvers = {"<": [("tag:yaml.org,2002:merge", re.compile("^<<$"))]}
-_Loader.add_constructor("tag:yaml.org,2002:str", _Loader.construct_text)
+for tag in ("str", "int", "float", "bool", "timestamp"):  # a tag does not change how a value is spelt
+    _Loader.add_constructor(f"tag:yaml.org,2002:{tag}", _Loader.construct_text)
 
 
 def load(text: str) -> Any:

@@ -44,11 +44,13 @@ class Report:
         contender: contender that was evaluated.
         result: figures as a JSON object.
         records: episodes, with their paths.
+        scenes: hash of the scene of each episode.
     """
 
     contender: Contender
     result: dict[str, Any]
     records: Sequence[EpisodeRecord] = field(repr=False)
+    scenes: Sequence[str] = field(repr=False)
 
     def beside(self, bare: "Report") -> "Report":
         """Return this report with figures of `bare` added, which has the same policy and scenes without the shield."""
@@ -154,22 +156,26 @@ def evaluate(
         "max_steps": sim.max_steps,
         "code_sha256": code_sha256(),
     }
-    figures = summarise_scenes(records, [scene.hash() for scene in chosen], random_streams.intervals(seed))
-    return Report(contender, about | figures | circumstances, records)
+    hashes = [scene.hash() for scene in chosen]
+    figures = summarise_scenes(records, hashes, random_streams.intervals(seed))
+    return Report(contender, about | figures | circumstances, records, hashes)
 
 
 def together(reports: Sequence[Report], seed: int) -> dict[str, Any]:
     """Return several runs of one method (its training seeds) on the same scenes as one JSON object.
 
-    Interquartile means are over the runs; their intervals resample runs and, within each family, scenes.
+    Interquartile means are over the runs; their intervals resample runs and, within each family, scenes. Both count the
+    first drive of each scene, as the intervals of a single run do.
     """
-    first, records = reports[0].result, reports[0].records
-    strata = [next((name for name in FAMILIES if record.scene.startswith(f"{name}-")), "") for record in records]
-    lengths = [[spl(record) if record.static else None for record in report.records] for report in reports]
+    first = reports[0].result
+    distinct = list({scene: index for index, scene in reversed(list(enumerate(reports[0].scenes)))}.values())[::-1]
+    drives = [[report.records[index] for index in distinct] for report in reports]
+    strata = [next((name for name in FAMILIES if record.scene.startswith(f"{name}-")), "") for record in drives[0]]
+    lengths = [[spl(record) if record.static else None for record in records] for records in drives]
     known = [not any(one is None for one in of_scene) for of_scene in zip(*lengths, strict=True)]
     rng, means, intervals = random_streams.intervals(seed), {}, {}
     for outcome in Outcome:
-        scores = np.array([[record.outcome is outcome for record in report.records] for report in reports], float)
+        scores = np.array([[record.outcome is outcome for record in records] for records in drives], float)
         means[outcome.value], *intervals[outcome.value] = runs_95(scores, strata, rng)
     if any(known):
         scores = np.array(lengths, dtype=float)[:, known]

@@ -70,9 +70,8 @@ class RunLife:
             f"run {self.title} was last seen at {clock(self.seen_s)} and has not ended: it was killed, or it cannot be "
             "reached from here"
         )
-        if not directory.checkpoints(self.folder):
-            return f"{line}; it has no checkpoint to resume from"
-        return f"{line}; if it was killed, resume it with {commands.module('zsdist.launch', '--resume', self.folder)}"
+        how = "resume it" if directory.checkpoints(self.folder) else "it has no checkpoint yet and begins anew"
+        return f"{line}; if it was killed, {how} with {commands.module('zsdist.launch', '--resume', self.folder)}"
 
     def summary(self) -> dict[str, Any]:
         """Return the content of `summary.json`.

@@ -82,7 +82,10 @@ class CarNavigation(gymnasium.Env):
         images: bool = True,
     ) -> None:
         if not isinstance(family, str) or family not in families.FAMILIES:
-            raise ConfigError(f"scene family is {family!r}; allowed are {', '.join(families.FAMILIES)}")
+            raise ConfigError(
+                f"scene family is {family!r}; allowed are {', '.join(families.FAMILIES)}; "
+                "a scene file is driven by reset(options={'scene': ...})"
+            )
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"render_mode is {render_mode!r}; allowed are None, 'rgb_array'")
         self.family = family

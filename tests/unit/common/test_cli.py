@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from zsdist import config
 from zsdist.common import cli, output_files, signals
 from zsdist.errors import ConfigError
 
@@ -44,6 +45,19 @@ def test_a_wrong_option_is_one_line_and_status_2(capsys):
     assert leave(refuse, ["--actors", "many"]) == 2
     complaint = capsys.readouterr().err
     assert complaint.count("\n") == 1 and "--actors" in complaint and "many" in complaint
+
+
+@pytest.mark.parametrize(("text", "number"), [("12", 12), ("0012", 12), ("1e3", 1000), (" 7 ", 7), ("1_000", 1000)])
+def test_an_option_takes_a_whole_number_as_a_configuration_does(text, number):
+    assert cli.whole(text) == cli.count(text) == cli.natural(text) == number
+    assert config.load(None, (f"run.episodes={text}",)).run.episodes == number
+
+
+@pytest.mark.parametrize("text", ["1.5", "many", "", "0x10", "nan", "1e-3", "\u0661"])
+def test_an_option_refuses_what_is_no_whole_number(text):
+    for reader in (cli.whole, cli.count, cli.natural):
+        with pytest.raises(argparse.ArgumentTypeError, match="allowed is a whole number"):
+            reader(text)
 
 
 def test_ctrl_c_is_status_130():

@@ -20,6 +20,11 @@ def test_everything_else_is_read_as_plain_yaml(text):
     assert strict_yaml.load(text) == yaml.safe_load(text)
 
 
+@pytest.mark.parametrize("tag", ["int", "float", "bool", "timestamp", "str"])
+def test_a_tag_does_not_change_what_is_written(tag):
+    assert strict_yaml.load(f'a: !!{tag} "010"') == {"a": "010"}
+
+
 def test_a_configuration_file_with_a_key_twice_is_refused_in_one_line(tmp_path):
     file = tmp_path / "config.yaml"
     file.write_text(TWICE)

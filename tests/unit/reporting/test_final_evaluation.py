@@ -66,7 +66,7 @@ class Comparison:
     def evaluate(self, contender, **options):
         self.asked.append(options)
         about = {"policy": options["policy"], "scenes": options["scenes"], "episodes": options["episodes"]}
-        return Report(contender, RESULT | about, [RECORD] * options["episodes"])
+        return Report(contender, RESULT | about, [RECORD] * options["episodes"], ["x"] * options["episodes"])
 
     def compare(self, *overrides):
         console = PlainConsole(file=self.output, width=140)
