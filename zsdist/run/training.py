@@ -67,6 +67,15 @@ def check_accounts(summary: Summary) -> None:
             )
 
 
+def describe_losses(summary: Summary) -> list[str]:
+    """Return a line for each level that has lost transitions with damaged parts of journals."""
+    return [
+        f"damaged journals have cost the {level} level {lost} transitions before they were used and {rows} of its ring"
+        for level, counts in summary["transitions"].items()
+        if (lost := counts.get("lost", 0)) + (rows := counts.get("lost_rows", 0))
+    ]
+
+
 def describe_untrained_levels(summary: Summary, settings: Config, states: Mapping[str, State]) -> list[str]:
     """Return a line for each level whose learner made no update since this start of the run, with the reason.
 

@@ -91,7 +91,7 @@ def test_a_run_of_which_all_checkpoints_are_damaged_is_refused_in_one_line(folde
     for path in checkpoint_files.checkpoints(folder):
         (path / "manifest.json").unlink()
     for attempt in (directory.reopen, load_policy):
-        with pytest.raises((RunError, WeightsError), match="is whole, of 3; the newest: .* copy one back") as caught:
+        with pytest.raises((RunError, WeightsError), match=r"is whole, of 3; the newest: .* copy one back") as caught:
             attempt(folder)
         assert "\n" not in str(caught.value)
     assert checkpoint_files.has_checkpoint(folder), "or it would begin anew"
