@@ -74,7 +74,11 @@ def test_foreign_files_in_the_folder_are_ignored_and_stay(tmp_path):
     again, found = reopened(tmp_path)
     assert found == (b"two", [b"rows"], RECORDS[:1])
     again.rebase(b"three", end=3, oldest=3)
-    assert {path.name for path in tmp_path.iterdir()} - {*names, "lost+found"} == {"00000003.base", "00000003.copy", "00000003.log"}
+    assert {path.name for path in tmp_path.iterdir()} - {*names, "lost+found"} == {
+        "00000003.base",
+        "00000003.copy",
+        "00000003.log",
+    }
     assert all((tmp_path / name).read_text() == "not ours" for name in names)
 
 
