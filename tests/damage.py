@@ -20,6 +20,7 @@ import numpy as np
 from zsdist import config
 from zsdist.config import parse
 from zsdist.replay import journal, records
+from zsdist.roles.replay import level_replay
 from zsdist.roles.replay.level_replay import Entry, LevelReplay
 from zsdist.roles.replay.shards import ReplayShard
 from zsdist.roles.shapes import Shape
@@ -31,7 +32,7 @@ from zsdist.wire import codec
 from zsdist.wire.messages import Push, State
 
 FEATURES, ACTIONS, ACTORS = 3, 2, 3
-COMPACT_RECORDS = 24
+COMPACT_RECORDS, PART_ROWS = 96, 32
 CONFIG = parse({"replay": {"prioritised": True, "size_initial": 1000, "size_min": 100}})
 Row = tuple[int, int, int]  # actor, frame, place in the frame
 
@@ -65,21 +66,21 @@ def opened(folder: Path, settings: config.Config = CONFIG) -> LevelReplay:
 
 def filled(folder: Path, frames: int, settings: config.Config = CONFIG) -> tuple[LevelReplay, list[int]]:
     """Replay with so many frames of each actor in its journal, the last of which closes actor 0, and their totals."""
-    level_replay, totals = opened(folder, settings), [0] * ACTORS
+    made, totals = opened(folder, settings), [0] * ACTORS
     for actor in range(ACTORS):
-        level_replay.issue(f"actor-{actor}", 7)
+        made.issue(f"actor-{actor}", 7)
     for number in range(frames):
         for actor in range(ACTORS):
             push = frame(actor, number, totals[actor], closes=actor == 0 and number == frames - 1)
-            level_replay.receive(push, codec.encode(push), float(number))
+            made.receive(push, codec.encode(push), float(number))
             totals[actor] = push.produced
-        level_replay.write_journal(float(number))
-    return level_replay, totals
+        made.write_journal(float(number))
+    return made, totals
 
 
-def rows(level_replay: LevelReplay) -> dict[Row, bytes]:
+def rows(replay: LevelReplay) -> dict[Row, bytes]:
     """All columns of each row of the ring, by its name."""
-    ring = level_replay.buffer.rows_since(0)
+    ring = replay.buffer.rows_since(0)
     names = [tuple(int(value) for value in state) for state in ring["states"]]
     assert len(set(names)) == len(names), "a row is there twice"
     return {name: b"".join(ring[key][place].tobytes() for key in sorted(ring)) for place, name in enumerate(names)}
@@ -87,14 +88,13 @@ def rows(level_replay: LevelReplay) -> dict[Row, bytes]:
 
 def rows_in(path: Path, at: int) -> set[Row]:
     """Names of the rows that a journal's file holds at an offset: those of a piece, or of one record of a log."""
-    content = path.read_bytes()
-    if path.suffix == ".piece":
-        states = codec.decode(content[len(records.head(bytes(8), 0, 0, b"")) :], expect=State).arrays["states"]
-        return {tuple(int(value) for value in state) for state in states}
-    place = 0
-    for kind, record in records.read(content, content[:8], path).records if path.suffix == ".log" else ():
+    content, place = path.read_bytes(), 0
+    for kind, record in records.read(content, content[:8], path).records if path.suffix in (".log", ".piece") else ():
         place += len(records.head(bytes(8), 0, 0, b"")) + len(record)
         if at < place:
+            if path.suffix == ".piece":
+                states = codec.decode(record, expect=State).arrays["states"]
+                return {tuple(int(value) for value in state) for state in states}
             if kind != Entry.PUSH:
                 return set()
             push = codec.decode(record, expect=Push)
@@ -166,11 +166,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     rng, kinds, lost = random.Random(options.seed), Counter(), Counter()
-    journal.COMPACT_RECORDS = COMPACT_RECORDS
+    journal.COMPACT_RECORDS, level_replay.PART_ROWS = COMPACT_RECORDS, PART_ROWS
     with tempfile.TemporaryDirectory() as scratch:
         before, begun_s = Path(scratch, "before"), time.monotonic()
-        level_replay, totals = filled(before, 40)
-        whole = rows(level_replay)
+        made, totals = filled(before, 40)
+        whole = rows(made)
         places = [(path, at) for path in sorted(before.iterdir()) for at in range(path.stat().st_size)]
         for _ in range(options.flips):
             path, at = rng.choice(places)

@@ -8,8 +8,8 @@ cost depends on the rows written, not on the rows held.
 Records are handed to the operating system before they are acknowledged, so they survive the death of the process. A
 machine that loses power may lose the last of them, unless `Journal.sync` has forced them onto the disk.
 
-A damaged place costs what lies in it and nothing else (`zsdist.replay.records`). The base is small and there twice. A
-damaged piece is left out. `Journal.damage` names each place.
+A damaged place costs the records that it hits and nothing else (`zsdist.replay.records`): those of a log, or parts of a
+piece. The base is small and there twice. `Journal.damage` names each place.
 """
 
 import os
@@ -31,7 +31,7 @@ COMPACT_BYTES = 16 * 2**20
 COMPACT_RECORDS = 1024
 
 _BASES = ("base", "copy")
-_WHOLE_FILE = b"zsdistJ1"  # marker of the one record of a base or a piece
+_BASE_MARKER = b"zsdistJ1"  # of the one record of a base
 _NAME = re.compile(r"(?P<generation>\d{8,})(-(?P<end>\d{16,}))?\.(?P<kind>base|copy|log|piece|partial)")
 
 
@@ -40,7 +40,7 @@ class JournalContent(NamedTuple):
 
     Attributes:
         base: newest base.
-        pieces: pieces of rows that belong to it, oldest first.
+        pieces: parts of the pieces of rows that belong to it, oldest first.
         records: records since the base, oldest first.
     """
 
@@ -84,7 +84,8 @@ class Journal(Owned):
         self._folder, self._synced = folder, synced
         self._log = -1
         self._close_log: Callable[[], object] = lambda: None
-        self._marker = b""
+        self._marker = b""  # of the log
+        self._pieces_marker = secrets.token_bytes(MARKER_BYTES)
         self._generation = 0
         self._base_bytes = 0
         self._log_bytes = 0
@@ -123,9 +124,9 @@ class Journal(Owned):
         self._generation = bases[-1].generation
         try:
             self._remove(lambda file: file.generation > self._generation)  # files of a base that was never finished
-            self._marker, base = self._read_base()
+            base = self._read_base()
             self._pieces = {file.path: file.path.stat().st_size for file in self._files() if file.kind == "piece"}
-            pieces = [piece for path in self._pieces if (piece := self._read_file(path)) is not None]
+            pieces = [part for path in self._pieces for part in self._read_piece(path)]
             if not self._path("log").exists():
                 self.damage.append(Damage(self._path("log"), 0, 0, 1))
             self._open_log()
@@ -138,12 +139,12 @@ class Journal(Owned):
         self._log_bytes, self._log_records = found.end, found.next_number
         return JournalContent(base, pieces, found.records)
 
-    def rebase(self, base: bytes, piece: bytes = b"", *, end: int = 0, oldest: int = 0) -> None:
+    def rebase(self, base: bytes, piece: Sequence[bytes] = (), *, end: int = 0, oldest: int = 0) -> None:
         """Start a new generation from `base`; remove the old base and log, and pieces that are no longer needed.
 
         Args:
             base: state without the rows in pieces.
-            piece: rows from the log; empty: none.
+            piece: rows from the log in parts, of which damage costs those that it hits; empty: none.
             end: serial of the first row after the piece; the numbers of rows continue through all pieces.
             oldest: serial of the oldest row that is needed; pieces that end there or earlier are removed.
 
@@ -156,9 +157,11 @@ class Journal(Owned):
             self._marker = secrets.token_bytes(MARKER_BYTES)
             if piece:
                 path = self._folder / f"{self._generation:08d}-{end:016d}.piece"
-                self._pieces[path] = self._write(path, piece)
-            self._base_bytes = self._write(self._path("copy"), self._marker + base)
-            self._base_bytes += self._write(self._path("partial"), self._marker + base)
+                self._pieces[path] = self._write(path, self._pieces_marker, piece)
+            content = self._marker + self._pieces_marker + base
+            self._base_bytes = sum(
+                self._write(self._path(name), _BASE_MARKER, [content]) for name in ("copy", "partial")
+            )
             self._open_log()
             self._path("partial").rename(self._path("base"))  # from here on base and piece are valid
             if self._synced:
@@ -211,36 +214,42 @@ class Journal(Owned):
         self._close_log()
         self._log = -1
 
-    def _read_base(self) -> tuple[bytes, bytes]:
-        """Return the marker of the log and the base, from whichever of its two copies is whole."""
-        whole = [found for name in _BASES if (found := self._read_file(self._path(name), lost=0)) is not None]
+    def _read_base(self) -> bytes:
+        """Return the base from whichever of its two copies is whole, and take over the markers that it names."""
+        whole: list[bytes] = []
+        for name in _BASES:
+            path = self._path(name)
+            content = path.read_bytes() if path.exists() else b""
+            found = record_format.read(content, _BASE_MARKER, path)
+            if len(found.records) == 1 and found.end == len(content) and not found.damage:
+                whole.append(found.records[0][1])
+            else:
+                self.damage.append(Damage(path, 0, len(content), 0))
         if not whole:
             raise DamagedError(f"replay journal {self._folder} is damaged: neither copy of its base is whole")
         self._base_bytes = sum(file.path.stat().st_size for file in self._files() if file.kind in _BASES)
-        return whole[0][:MARKER_BYTES], whole[0][MARKER_BYTES:]
+        self._marker, self._pieces_marker = whole[0][:MARKER_BYTES], whole[0][MARKER_BYTES : 2 * MARKER_BYTES]
+        return whole[0][2 * MARKER_BYTES :]
 
-    def _read_file(self, path: Path, lost: int = 1) -> bytes | None:
-        """Return the content of a base or a piece; None where it is not whole, and `lost` records are noted."""
-        try:
-            content = path.read_bytes()
-        except FileNotFoundError:
-            content = b""
-        found = record_format.read(content, _WHOLE_FILE, path)
-        if len(found.records) == 1 and found.end == len(content) and not found.damage:
-            return found.records[0][1]
-        self.damage.append(Damage(path, 0, len(content), lost))
-        return None
+    def _read_piece(self, path: Path) -> list[bytes]:
+        """Return the whole parts of a piece, and note its damage."""
+        content = path.read_bytes()
+        found = record_format.read(content, self._pieces_marker, path)
+        self.damage += found.damage
+        if found.end != len(content):  # a log may end in the middle of a record, a piece may not
+            self.damage.append(Damage(path, found.end, len(content) - found.end, 1))
+        return [part for _, part in found.records]
 
-    def _write(self, path: Path, content: bytes) -> int:
+    def _write(self, path: Path, marker: bytes, parts: Sequence[bytes]) -> int:
         """Write a base or a piece; return the size of its file in bytes."""
-        head = record_format.head(_WHOLE_FILE, 0, 0, content)
         with path.open("wb") as file:
-            file.write(head)
-            file.write(content)
+            for number, part in enumerate(parts):
+                file.write(record_format.head(marker, number, 0, part))
+                file.write(part)
+            file.flush()
             if self._synced:
-                file.flush()
                 os.fsync(file.fileno())
-        return len(head) + len(content)
+            return file.tell()
 
     def _files(self) -> list["_File"]:
         """Return the files of this journal by generation; anything else in the folder is not ours, and stays."""

@@ -40,7 +40,7 @@ class Damage(NamedTuple):
         return f"{self.path} is damaged: {self.nbytes} bytes from byte {self.at} on; {lost}"
 
 
-class Reading(NamedTuple):
+class FoundRecords(NamedTuple):
     """Content of a file.
 
     Attributes:
@@ -76,7 +76,7 @@ def head(marker: bytes, number: int, kind: int, content: bytes) -> bytes:
     return fields + _CHECK.pack(zlib.crc32(fields))
 
 
-def read(content: bytes, marker: bytes, path: Path) -> Reading:
+def read(content: bytes, marker: bytes, path: Path) -> FoundRecords:
     """Return the whole records in a file's content.
 
     Bytes at the end that can be the beginning of a record, and no more, are no damage: the writer died there.
@@ -108,7 +108,7 @@ def read(content: bytes, marker: bytes, path: Path) -> Reading:
         place, following = after or (len(content), max(number, found.number if found else 0) + 1)
         damage.append(Damage(path, at, place - at, following - number))
         at, number = place, following
-    return Reading(records, at, number, damage)
+    return FoundRecords(records, at, number, damage)
 
 
 def _head_at(content: bytes, at: int, marker: bytes) -> _Head | None:

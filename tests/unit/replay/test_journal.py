@@ -69,7 +69,7 @@ def test_foreign_files_in_the_folder_are_ignored_and_stay(tmp_path):
     first = Journal(tmp_path)
     first.rebase(b"one")
     first.append(RECORDS)
-    first.rebase(b"two", b"rows", end=3)
+    first.rebase(b"two", [b"rows"], end=3)
     first.append(RECORDS[:1])
     again, found = reopened(tmp_path)
     assert found == (b"two", [b"rows"], RECORDS[:1])
@@ -83,11 +83,12 @@ def test_foreign_files_in_the_folder_are_ignored_and_stay(tmp_path):
 
 
 def test_generations_are_in_order_of_their_numbers_beyond_eight_digits(tmp_path):
-    for number, base, piece, end in ((99_999_999, b"old", b"first", 3), (100_000_000, b"new", b"second", 6)):
-        made = Journal(tmp_path / "made" / str(end))
-        made.rebase(base, piece, end=end)
-        for path in (tmp_path / "made" / str(end)).iterdir():
-            path.rename(tmp_path / path.name.replace("00000001", f"{number:08d}", 1))
+    Journal(tmp_path).rebase(b"old", [b"first"], end=3)
+    for path in sorted(tmp_path.iterdir()):
+        path.rename(tmp_path / path.name.replace("00000001", "99999999", 1))
+    before, _ = reopened(tmp_path)
+    before.rebase(b"new", [b"second"], end=6)
+    assert {path.name.partition(".")[0] for path in tmp_path.glob("*.base")} == {"100000000"}
     assert reopened(tmp_path)[1] == (b"new", [b"first", b"second"], [])
 
 
@@ -108,7 +109,7 @@ def test_a_damaged_record_is_left_out_and_named_and_those_behind_it_are_kept(tmp
 @pytest.mark.parametrize("damage", ["flip", "empty", "missing"])
 def test_the_base_is_there_twice(tmp_path, name, damage):
     writer = Journal(tmp_path)
-    writer.rebase(b"base", b"rows", end=4)
+    writer.rebase(b"base", [b"rows"], end=4)
     writer.append(RECORDS)
     path = tmp_path / f"00000001.{name}"
     if damage == "flip":
@@ -137,14 +138,26 @@ def test_a_journal_without_any_whole_base_is_refused_in_one_line(tmp_path):
         reopened(tmp_path)
 
 
-def test_a_damaged_piece_is_left_out_and_the_others_are_kept(tmp_path):
+def test_a_damaged_part_of_a_piece_is_left_out_and_the_others_are_kept(tmp_path):
     writer = Journal(tmp_path)
     for end in (1, 2, 3):
-        writer.rebase(b"base", bytes([end]) * 10, end=end)
-    flip(tmp_path / "00000002-0000000000000002.piece", 300)
+        writer.rebase(b"base", [bytes([end, part]) * 10 for part in range(3)], end=end)
+    path = tmp_path / "00000002-0000000000000002.piece"
+    flip(path, 4 * path.stat().st_size)
     again, found = reopened(tmp_path)
-    assert found == (b"base", [b"\1" * 10, b"\3" * 10], [])
-    assert [place.path.name for place in again.damage] == ["00000002-0000000000000002.piece"]
+    kept = [(1, 0), (1, 1), (1, 2), (2, 0), (2, 2), (3, 0), (3, 1), (3, 2)]
+    assert found == (b"base", [bytes(part) * 10 for part in kept], [])
+    assert [(place.path, place.records) for place in again.damage] == [(path, 1)]
+    again.rebase(b"base", [b"more"], end=4)
+    assert reopened(tmp_path)[1].pieces[-1] == b"more"
+
+
+def test_a_piece_that_ends_early_is_damage(tmp_path):
+    Journal(tmp_path).rebase(b"base", [b"first", b"second"], end=2)
+    path = tmp_path / "00000001-0000000000000002.piece"
+    os.truncate(path, path.stat().st_size - 1)
+    again, found = reopened(tmp_path)
+    assert found.pieces == [b"first"] and [place.path for place in again.damage] == [path]
 
 
 def test_a_log_that_is_gone_is_damage(tmp_path):
@@ -165,7 +178,7 @@ def test_a_synced_journal_has_bases_and_pieces_on_the_disk_before_what_they_repl
         writer.rebase(b"base")
         synced.clear()
         removed.clear()
-        writer.rebase(b"base", b"rows", end=3)
+        writer.rebase(b"base", [b"rows"], end=3)
         assert len(synced) == (4 if is_synced else 0)  # piece, both copies of the base, the folder with their names
         assert {name for name, _ in removed} == {"00000001.base", "00000001.copy", "00000001.log"}
         assert {count for _, count in removed} == {len(synced)}
@@ -189,19 +202,19 @@ def test_a_base_that_was_not_finished_does_not_count(tmp_path):
     (tmp_path / "00000002-0000000000000005.piece").write_bytes(b"tor")
     again, found = reopened(tmp_path)
     assert found == (b"one", [], RECORDS)
-    again.rebase(b"two", b"piece", end=6)
+    again.rebase(b"two", [b"piece"], end=6)
     assert reopened(tmp_path)[1] == (b"two", [b"piece"], [])
 
 
 def test_pieces_stay_in_order_until_the_oldest_item_needed_is_beyond_their_end(tmp_path):
     writer = Journal(tmp_path)
-    for end, piece in ((5, b"5"), (8, b"8"), (8, b""), (30, b"30"), (1000, b"1000")):
+    for end, piece in ((5, [b"5"]), (8, [b"8"]), (8, []), (30, [b"3", b"0"]), (1000, [b"1000"])):
         writer.rebase(b"base", piece, end=end)
-    assert reopened(tmp_path)[1].pieces == [b"5", b"8", b"30", b"1000"]
+    assert reopened(tmp_path)[1].pieces == [b"5", b"8", b"3", b"0", b"1000"]
     writer.append(RECORDS)
     writer.rebase(b"then", end=1000, oldest=8)
     again, found = reopened(tmp_path)
-    assert found == (b"then", [b"30", b"1000"], [])
+    assert found == (b"then", [b"3", b"0", b"1000"], [])
     assert again.nbytes == writer.nbytes == sum(path.stat().st_size for path in tmp_path.iterdir())
     again.rebase(b"last", end=1000, oldest=1000)
     assert reopened(tmp_path)[1] == (b"last", [], [])
@@ -216,7 +229,7 @@ def test_the_journal_stays_bounded_while_its_writer_rebases_when_due(tmp_path, m
         writer.append([(1, bytes(500))])
         largest = max(largest, sum(path.stat().st_size for path in tmp_path.iterdir()))
         if writer.wants_base:
-            writer.rebase(base, bytes(2_000), end=number, oldest=number - 50)
+            writer.rebase(base, [bytes(2_000)], end=number, oldest=number - 50)
     assert largest < 10_000 + 2 * 4_000 + 600 + 4 * 2_100
 
 

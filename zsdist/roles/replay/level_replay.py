@@ -31,6 +31,7 @@ from zsdist.wire.frame import PLAIN
 from zsdist.wire.messages import Push, SampleReply, State
 
 HOLD_REQUEST_S = 0.3  # a request that cannot be served for so long is answered with "no batch yet"
+PART_ROWS = 128  # rows in a part of a piece, which are lost together where it is damaged
 PACE_EVERY_S = 0.05  # largest age of the pace in a journal; its transitions are always complete
 
 
@@ -319,7 +320,10 @@ class LevelReplay:
         base = State(name, self._meta() | {"held": len(ring)}, ring.layout())
         rows = ring.rows_since(self._in_pieces)
         count = len(rows["actions"])
-        piece = codec.encode(State(name, {"first": ring.written - count}, rows), packing=PLAIN) if count else b""
+        piece = []
+        for at in range(0, count, PART_ROWS):
+            part = {column: values[at : at + PART_ROWS] for column, values in rows.items()}
+            piece.append(codec.encode(State(name, {"first": ring.written - count + at}, part), packing=PLAIN))
         self.journal.rebase(codec.encode(base), piece, end=ring.written, oldest=ring.written - len(ring))
         self._in_pieces = ring.written
 

@@ -16,6 +16,7 @@ from damage import CONFIG, check_checkpoint, check_journal, checkpoints, filled,
 from zsdist.config import parse
 from zsdist.replay import journal, records
 from zsdist.roles.base import Context
+from zsdist.roles.replay import level_replay
 from zsdist.roles.replay.role import Replay
 from zsdist.roles.shapes import Shape
 from zsdist.run import checkpoint_files
@@ -31,8 +32,9 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("made") / "journal"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(journal, "COMPACT_RECORDS", damage.COMPACT_RECORDS)
-        level_replay, totals = filled(folder, 20)
-        return folder, rows(level_replay), totals
+        patch.setattr(level_replay, "PART_ROWS", damage.PART_ROWS)
+        replay, totals = filled(folder, 40)
+        return folder, rows(replay), totals
 
 
 @pytest.mark.parametrize("kind", ["log", "log", "piece", "base", "copy"])
@@ -72,7 +74,9 @@ def cut_log(folder, keep):
     (log,) = folder.glob("*.log")
     content = log.read_bytes()
     found = records.read(content, content[:8], log)
-    log.write_bytes(content[: sum(29 + len(record) for _, record in found.records[:keep])])
+    log.write_bytes(
+        content[: sum(len(records.head(bytes(8), 0, 0, record)) + len(record) for _, record in found.records[:keep])]
+    )
 
 
 def test_frames_that_were_acknowledged_and_are_gone_are_bridged_once_their_sender_says_so(tmp_path):
