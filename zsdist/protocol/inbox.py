@@ -13,6 +13,7 @@ from zsdist.protocol.frames import Frame
 from zsdist.types import MAX_REASON, Ack, Level
 
 HOLD_FRAMES = 256  # number of frames, from the next expected one on, that are held; later ones are refused
+MOST_LOST = 2**24  # most frames, and most transitions or records in them, that are skipped at once
 ACK_EVERY_FRAMES = 8
 ACK_AFTER_S = 0.02
 HEARTBEAT_S = 0.25
@@ -137,7 +138,8 @@ class Inbox(Generic[AnyFrame]):
     def skip(self, actor: str, epoch: int, received: int, produced: int, *, closed: bool = False) -> int | None:
         """Go on behind frames that were acknowledged and are lost for good, and count their content as delivered.
 
-        One of them that arrives after all is a duplicate. Nothing happens where none of them is missing.
+        One of them that arrives after all is a duplicate. Nothing happens where none of them is missing, or where more
+        are than `MOST_LOST`, which no honest sender claims.
 
         Args:
             actor: name of the actor.
@@ -152,8 +154,8 @@ class Inbox(Generic[AnyFrame]):
         stream = self._streams.get(actor)
         if stream is None or stream.epoch != epoch or stream.state != "open":
             return None
-        lost = produced - stream.produced
-        if received <= stream.received or lost < 0:
+        lost, frames = produced - stream.produced, received - stream.received
+        if not (0 < frames <= MOST_LOST and 0 <= lost <= MOST_LOST):
             return None
         stream.received, stream.produced, stream.refusal = received, produced, ""
         stream.declared = max(stream.declared, produced)
