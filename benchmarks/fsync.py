@@ -46,7 +46,7 @@ class Bench:
         self._replay = Replay(context, {Level.LOW: Shape(STATE_SIZE, ACTIONS)}, folder)
         orders = {"epochs": {ACTOR: 1}, "buffer_size": 10_000, "batch_size": 16, "stop": False}
         self._actor.publish(keys.control(RUN, "replay"), codec.encode(Orders(1, "replay", orders)))
-        self._trajectory = replace(make_trajectories(STATE_SIZE)[0], level=Level.LOW)
+        self._trajectory = replace(max(make_trajectories(STATE_SIZE), key=len), level=Level.LOW)
         self._sent = self._acknowledged = 0
         self._replay.step(time.time())
 

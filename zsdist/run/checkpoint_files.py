@@ -60,8 +60,9 @@ def newest_whole(folder: Path, notify: Notify | None = None) -> tuple[Path, dict
         except DamagedError as error:
             damaged[path] = error
             continue
-        for error in damaged.values() if notify else ():
-            notify(f"{error}; the one before it is used, {path.name}")
+        for found in damaged.values():
+            if notify is not None:
+                notify(f"{found}; the one before it is used, {path.name}")
         return path, states, list(damaged)
     if not damaged:
         raise RunError(f"run directory {folder} holds no checkpoint to resume from")
