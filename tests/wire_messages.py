@@ -99,7 +99,7 @@ def every_message(rng: np.random.Generator) -> list[AnyMessage]:
     }
     return [
         push(rng),
-        push(rng, Level.HIGH),
+        push(rng, Level.HIGH, first=True),
         Push(Level.LOW, "a-0", 4, 3, 30, True, ()),
         Records(EPISODES, "a-0", 4, 0, 2, False, ({"number": 1, "outcome": "success"}, content)),
         Ack(3, "a-0", 4, "low", 17, None),

@@ -171,6 +171,7 @@ class ReplayConfig(Section):
     adjust_every_episodes: Count = 10
     average_episodes: Count = 50  # latest episodes whose mean return decides
     target_return: float = 710.0  # R_target: mean paper return of A* on 60 training scenes of `iid`
+    fsync_ms: Annotated[int, Field(ge=0)] | None = None  # time between syncs of journals; None: they are never synced
     max_bytes: Count = 256 * 2**20  # limit for the buffers of both levels; a run that needs more is refused
 
 

@@ -79,7 +79,10 @@ def _launch(options: argparse.Namespace, console: PlainConsole, held: contextlib
 def _conclude(spec: RunSpec, summary: training.Summary, console: PlainConsole) -> None:
     """Check and draw the training."""
     training.check_accounts(summary)
-    for line in training.describe_untrained_levels(summary, spec.config, spec.states):
+    for line in (
+        *training.describe_losses(summary),
+        *training.describe_untrained_levels(summary, spec.config, spec.states),
+    ):
         console.say(line)
     final_evaluation.draw_training(spec.folder)
 

@@ -33,7 +33,7 @@ import psutil
 from rehearsal import SEEN, kinematic
 
 from zsdist import config
-from zsdist.replay import journal
+from zsdist.replay import records
 from zsdist.roles.replay.level_replay import Entry
 from zsdist.run import directory, program, ray, restarts
 from zsdist.run.program import RunSpec
@@ -81,9 +81,9 @@ class Log:
 
     def _read(self) -> list[Push]:
         self._rest += self._file.read()
-        records, taken = journal.complete_records(self._rest)
-        self._rest = self._rest[taken:]
-        return [codec.decode(content, expect=Push) for kind, content in records if kind == Entry.PUSH]
+        found = records.read(self._rest, self._rest[: records.MARKER_BYTES], self._base)
+        self._rest = self._rest[found.end :]
+        return [codec.decode(content, expect=Push) for kind, content in found.records if kind == Entry.PUSH]
 
 
 class Tail:

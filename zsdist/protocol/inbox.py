@@ -13,6 +13,7 @@ from zsdist.protocol.frames import Frame
 from zsdist.types import MAX_REASON, Ack, Level
 
 HOLD_FRAMES = 256  # number of frames, from the next expected one on, that are held; later ones are refused
+MOST_LOST = 2**24  # most frames, and most transitions or records in them, that are skipped at once
 ACK_EVERY_FRAMES = 8
 ACK_AFTER_S = 0.02
 HEARTBEAT_S = 0.25
@@ -133,6 +134,39 @@ class Inbox(Generic[AnyFrame]):
             return []
         stream.held[frame.sequence] = frame
         return self._deliver(stream)
+
+    def skip(self, actor: str, epoch: int, received: int, produced: int, *, closed: bool = False) -> int | None:
+        """Go on behind frames that were acknowledged and are lost for good, and count their content as delivered.
+
+        One of them that arrives after all is a duplicate. Nothing happens where none of them is missing, or where more
+        are than `MOST_LOST`, which no honest sender claims.
+
+        Args:
+            actor: name of the actor.
+            epoch: its epoch; only the current one, while it is open, has anything to skip.
+            received: number of frames that were acknowledged.
+            produced: running total at the last of them.
+            closed: whether that one closed the epoch.
+
+        Returns:
+            The number of transitions (or records) in the lost frames; None if no frame is missing.
+        """
+        stream = self._streams.get(actor)
+        if stream is None or stream.epoch != epoch or stream.state != "open":
+            return None
+        lost, frames = produced - stream.produced, received - stream.received
+        if not (0 < frames <= MOST_LOST and 0 <= lost <= MOST_LOST):
+            return None
+        stream.received, stream.produced, stream.refusal = received, produced, ""
+        stream.declared = max(stream.declared, produced)
+        stream.held = {sequence: frame for sequence, frame in stream.held.items() if sequence >= received}
+        stream.state = "closed" if closed else stream.state
+        return lost
+
+    def progress(self, actor: str) -> tuple[int, int, int, bool]:
+        """Return an actor's epoch, the frames delivered of it, its running total, and whether it is closed."""
+        stream = self._streams[actor]
+        return stream.epoch, stream.received, stream.produced, stream.state == "closed"
 
     def note_refusal(self, actor: str, epoch: int, reason: str) -> None:
         """Tell an actor, in its acknowledgements, why a frame of it was refused before it got here."""

@@ -102,6 +102,11 @@ class Outbox:
         self._ignored_acks = 0
 
     @property
+    def acknowledged(self) -> int:
+        """Number of frames that are acknowledged, which is the sequence number of the first that is not."""
+        return self._sequence - len(self._flight)
+
+    @property
     def waiting(self) -> int:
         """Number of transitions (or records) that are offered but not yet in a numbered frame."""
         return self._waiting_count
@@ -163,7 +168,7 @@ class Outbox:
         """Accept an acknowledgement; one for another outbox or from a replaced receiver is ignored."""
         if (ack.stream, ack.actor, ack.epoch) != (self.stream, self.actor, self.epoch):
             return
-        acknowledged = self._sequence - len(self._flight)
+        acknowledged = self.acknowledged
         if ack.sender_epoch < self._sender_epoch or ack.received > self._sequence:
             self._ignored_acks += 1
             return

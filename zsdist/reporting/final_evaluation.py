@@ -60,7 +60,7 @@ def compare(folder: Path, settings: Config, console: PlainConsole) -> None:
     if not episodes:
         console.say("no evaluation: the run was too short, or run.final_evaluation_episodes is 0")
         return
-    trained = load_policy(folder)
+    trained = load_policy(folder, (), console.say)
     if note := check_vision(trained):
         console.say(note)
     reports = [(trial, _drive(trial, settings.seed)) for trial in trials(trained, settings, episodes)]

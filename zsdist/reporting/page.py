@@ -203,7 +203,7 @@ def _draw_drives(
         "## Unseen environments (Fig. 11)",
         "## Paths in unseen environments (Fig. 12)",
     )
-    found, reason = _load_first_policy(material.runs)
+    found, reason = _load_first_policy(material.runs, on_step)
     if found is not None:
         try:
             captions, files = _drives_of(*found, out, on_step, simulation)
@@ -243,11 +243,11 @@ def _drives_of(
     return captions, files
 
 
-def _load_first_policy(runs: Sequence[Run]) -> tuple[tuple[Run, Policy] | None, str]:
+def _load_first_policy(runs: Sequence[Run], notify: Callable[[str], None]) -> tuple[tuple[Run, Policy] | None, str]:
     reason = "no run directory was given"
     for run in runs:
         try:
-            return (run, load_policy(run.folder)), ""
+            return (run, load_policy(run.folder, (), notify)), ""
         except WeightsError as error:
             reason = str(error)
     return None, reason

@@ -1,7 +1,7 @@
 """Outboxes of an actor, one for each stream, and the credit that its cars have reserved at the replay."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from zsdist.config import TransportConfig
@@ -128,6 +128,8 @@ class ActorOutboxes:
                 )
             for frame in outbox.poll(now):
                 assert isinstance(frame, Push | Records), "frames are of the kinds that the outboxes were made with"
+                if isinstance(frame, Push) and frame.sequence == outbox.acknowledged:
+                    frame = replace(frame, first=True)
                 transport.publish(self._keys[stream], self._encoded(stream, frame))
 
     def _encoded(self, stream: str, frame: Push | Records) -> bytes:

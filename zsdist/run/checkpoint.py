@@ -7,8 +7,8 @@ from pathlib import Path
 from zsdist import config
 from zsdist.config import Config
 from zsdist.dqn import network
-from zsdist.errors import ConfigError, WeightsError
-from zsdist.run import directory, location, program
+from zsdist.errors import ConfigError, RunError, WeightsError
+from zsdist.run import checkpoint_files, location, program
 from zsdist.types import Level, Parameters
 from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.wire.messages import State
@@ -34,7 +34,7 @@ class Policy:
 
 
 def load_policy(path: Path, overrides: tuple[str, ...] = (), notify: config.Notify | None = None) -> Policy:
-    """Return the policy of a run directory (its newest checkpoint) or of one checkpoint folder.
+    """Return the policy of a run directory (its newest whole checkpoint) or of one checkpoint folder.
 
     Args:
         path: either of them, or a path inside it.
@@ -47,13 +47,14 @@ def load_policy(path: Path, overrides: tuple[str, ...] = (), notify: config.Noti
     checkpoint = location.find_checkpoint(path)
     try:
         if checkpoint is None:
-            checkpoint = directory.newest_checkpoint(location.find_run(path))
-        states = directory.read_checkpoint(checkpoint)
-        vision = directory.read_vision(checkpoint)
+            checkpoint, states, _ = checkpoint_files.newest_whole(location.find_run(path), notify)
+        else:
+            states = checkpoint_files.read_checkpoint(checkpoint)
+        vision = checkpoint_files.read_vision(checkpoint)
         settings = config.load_kept(checkpoint.absolute().parent.parent / "config.yaml", overrides, notify)
     except ConfigError as error:
         raise WeightsError(f"policy {path}: {error}") from error
-    except directory.RunError as error:
+    except RunError as error:
         raise WeightsError(f"policy {path} has no weights to drive with: {error}") from error
     missing = [level for level in Level if f"learner-{level}" not in states]
     if missing:

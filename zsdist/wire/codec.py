@@ -192,11 +192,13 @@ def _check_numbered(meta: Meta, count: int) -> None:
 
 def _split_push(message: Push) -> tuple[Meta, Columns]:
     columns, actions = column_codec.from_trajectories(message.trajectories, message.stream)
-    return _numbered(message) | {"actions": actions}, columns
+    return _numbered(message) | {"actions": actions} | ({"first": True} if message.first else {}), columns
 
 
 def _check_push(meta: Meta, columns: Columns) -> None:
-    _fields(meta, *_NUMBERED, "actions")
+    _fields(meta, *_NUMBERED, "actions", *({"first"} & set(meta)))
+    if meta.get("first", True) is not True:
+        raise DecodeError("field", "first is not true")
     _one_of(meta, "stream", _LEVELS)
     _counts(meta, "actions")
     _check_numbered(meta, column_codec.check_trajectories(columns, meta["actions"]))
@@ -205,7 +207,8 @@ def _check_push(meta: Meta, columns: Columns) -> None:
 def _build_push(meta: Meta, columns: Columns) -> Push:
     level = Level(meta["stream"])
     trajectories = column_codec.to_trajectories(columns, meta["actions"], level)
-    return Push(**{name: meta[name] for name in _NUMBERED} | {"stream": level}, trajectories=trajectories)
+    numbered = {name: meta[name] for name in _NUMBERED} | {"stream": level}
+    return Push(**numbered, trajectories=trajectories, first="first" in meta)
 
 
 def _split_records(message: Records) -> tuple[Meta, Columns]:

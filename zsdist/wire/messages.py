@@ -29,6 +29,8 @@ class Push:
         produced: running total of transitions of (stream, actor, epoch), this frame included.
         closes: true for the last frame of the epoch; only this one may be empty.
         trajectories: content of the frame; all have the same state size and number of actions.
+        first: whether all frames before this one are acknowledged. A receiver that lacks any of them has lost it for
+            good, as a machine that lost power may have.
     """
 
     stream: Level
@@ -38,6 +40,7 @@ class Push:
     produced: int
     closes: bool
     trajectories: Sequence[Trajectory]
+    first: bool = False
 
     @property
     def count(self) -> int:

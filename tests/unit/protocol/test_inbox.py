@@ -172,3 +172,25 @@ def test_acknowledgements_tell_why_a_frame_was_refused_until_one_is_delivered():
     inbox.receive(Records(EPISODES, "a0", 1, 0, 1, False, ({"episode": 1},)), 1.0)
     (ack,) = inbox.acks(2.0, unlimited)
     assert ack.refused == ""
+
+
+def test_lost_frames_are_skipped_once_and_the_held_ones_behind_them_follow():
+    inbox = listening()
+    inbox.receive(frame(0), 0.0)
+    inbox.receive(frame(3), 0.0)
+    assert inbox.skip("a0", 1, 2, 2) == 1
+    assert inbox.progress("a0") == (1, 2, 2, False)
+    assert sequences(inbox.receive(frame(2), 0.0)) == [2, 3]
+    assert inbox.receive(frame(1), 0.0) == [] and inbox.duplicates == 1
+    assert inbox.produced == 4
+    assert inbox.skip("a0", 1, 2, 2) is None
+
+
+def test_only_what_is_missing_of_an_open_epoch_is_skipped():
+    inbox = listening(a0=2)
+    inbox.receive(frame(0, epoch=2), 0.0)
+    nothing = ((0, 0), (1, 1), (3, 0), (2**62 - 1, 5), (5, 2**62 - 1))  # before it, not missing, impossible totals
+    assert [inbox.skip("a0", 2, received, produced) for received, produced in nothing] == [None] * len(nothing)
+    assert inbox.skip("a0", 1, 5, 5) is None and inbox.skip("a9", 2, 5, 5) is None
+    assert inbox.skip("a0", 2, 5, 5, closed=True) == 4 and inbox.closed
+    assert inbox.skip("a0", 2, 6, 6) is None

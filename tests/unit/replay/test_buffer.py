@@ -340,7 +340,8 @@ def test_a_ring_is_reassembled_from_its_layout_and_the_rows_of_each_piece(capaci
             rows = ring.rows_since(folded)
             kept.append((ring.written - len(rows["actions"]), rows))
             folded = ring.written
-    before, after = ring.state(), segments.join(ring.layout(), len(ring), kept)
+    before, (after, missing) = ring.state(), segments.join(ring.layout(), len(ring), kept)
+    assert missing == 0
     assert before.keys() == after.keys()
     for name, column in before.items():
         np.testing.assert_array_equal(column, after[name])
@@ -349,8 +350,33 @@ def test_a_ring_is_reassembled_from_its_layout_and_the_rows_of_each_piece(capaci
     again.check_valid()
 
 
-def test_a_ring_with_a_missing_piece_is_rejected():
-    ring = RingBuffer(STATE_SIZE, ACTIONS, 20)
-    ring.insert([trajectory(6)])
-    with pytest.raises(RunError, match="journal has 2 of the 6 rows"):
-        segments.join(ring.layout(), len(ring), [(4, ring.rows_since(4))])
+@pytest.mark.parametrize("capacity", [20, 6, 5])
+def test_a_ring_with_a_missing_piece_has_the_other_rows_in_their_order_under_new_serials(capacity):
+    ring = RingBuffer(STATE_SIZE, ACTIONS, capacity)
+    ring.insert([trajectory(3)])
+    first = ring.rows_since(0)
+    ring.insert([trajectory(3)])
+    pieces = [(0, first), (5, ring.rows_since(5))]  # rows 3 and 4 are missing
+    state, missing = segments.join(ring.layout(), len(ring), pieces)
+    assert missing == 2
+    again = RingBuffer(STATE_SIZE, ACTIONS, capacity)
+    again.restore(state)
+    again.check_valid()
+    assert len(again) == min(capacity, 6) - 2 and again.written > ring.written + len(again)
+    kept = [serial for serial in range(6 - len(ring), 6) if serial not in (3, 4)]
+    whole = ring.rows_since(0)
+    for name, column in again.rows_since(0).items():
+        np.testing.assert_array_equal(column, whole[name][np.array(kept) - (6 - len(ring))])
+    again.insert([trajectory(4)])
+    again.check_valid()
+
+
+def test_a_ring_of_which_all_pieces_are_missing_is_empty():
+    ring = RingBuffer(STATE_SIZE, ACTIONS, 5)
+    empty = ring.rows_since(0)
+    ring.insert([trajectory(7)])
+    state, missing = segments.join(ring.layout(), len(ring), [(0, empty)])
+    again = RingBuffer(STATE_SIZE, ACTIONS, 5)
+    again.restore(state)
+    again.check_valid()
+    assert (missing, len(again)) == (5, 0)

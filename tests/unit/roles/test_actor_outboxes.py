@@ -7,6 +7,7 @@ from zsdist.config import Config
 from zsdist.errors import RunError
 from zsdist.protocol.outbox import REFUSED_S
 from zsdist.roles.actor_outboxes import ActorOutboxes, CreditAccount
+from zsdist.transport.base import Mailbox
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import Ack, Level, Trajectory
 from zsdist.wire import codec, keys
@@ -130,3 +131,22 @@ def test_a_car_that_was_cut_short_needs_no_credit_for_the_steps_it_lost(outboxes
     outboxes.release(account)
     assert sum(outboxes.reserve(CreditAccount()) for _ in range(2)) == 2
     assert outboxes.reserve(account)
+
+
+def test_a_frame_says_whether_all_before_it_are_acknowledged():
+    broker, outboxes = MemoryBroker(), ActorOutboxes("run", "actor-0", 7, SETTINGS)
+    transport, replay, box = MemoryTransport(broker), MemoryTransport(broker), Mailbox(2**20)
+    replay.subscribe(keys.push("run", Level.LOW, "actor-0", 7), box)
+
+    def sent(now):
+        outboxes.flush(transport, now)
+        return [(push.sequence, push.first) for push in (codec.decode(message.payload) for message in box.drain())]
+
+    grant(outboxes, 200)
+    account = driven(outboxes, 60)
+    outboxes.offer([trajectory(Level.LOW, 20)], account)
+    assert sent(0.0) == [(0, True)]
+    outboxes.offer([trajectory(Level.LOW, 20)], account)
+    assert sent(0.01) == [(1, False)]
+    outboxes.on_ack(Ack(1, "actor-0", 7, Level.LOW, 1, 200), 0.02)
+    assert (1, True) in sent(5.0)

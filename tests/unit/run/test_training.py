@@ -17,6 +17,13 @@ def test_a_level_that_was_not_trained_is_reported_with_the_reason():
     assert "900" in line and "21000 (low.min_size)" in line and "high" not in line
 
 
+def test_losses_with_damaged_journals_are_told_at_the_end_and_an_earlier_summary_has_none():
+    counts = {"produced": 9, "stored": 6, "rejected": 3}
+    summary = {"transitions": {"high": counts, "low": counts | {"lost": 3, "lost_rows": 40}}}
+    (line,) = training.describe_losses(summary)
+    assert "the low level 3 transitions" in line and "40 of its ring" in line
+
+
 @pytest.mark.parametrize(
     ("now", "setting", "reason"),
     [

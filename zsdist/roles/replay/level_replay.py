@@ -1,7 +1,8 @@
 """One level's part of a replay: its transitions and sizes, and the pace at which it accepts and serves them.
 
 Whatever it accepts is written into its journal before it is acknowledged. A successor in another process resumes from
-the journal: nothing that was acknowledged is lost, and everything else is sent again.
+the journal: nothing that was acknowledged is lost, and everything else is sent again. Where a part of the journal is
+damaged, that part alone is lost. It is counted, and the epochs that had frames in it go on behind them.
 """
 
 import json
@@ -21,6 +22,7 @@ from zsdist.replay.buffer import RingBuffer
 from zsdist.replay.journal import Journal, Record
 from zsdist.replay.limiter import BAND, Limiter
 from zsdist.replay.priorities import RowPriorities
+from zsdist.roles.replay.group_sync import GroupSync
 from zsdist.roles.replay.shards import ReplayShard
 from zsdist.roles.shapes import Shape
 from zsdist.types import Level
@@ -29,6 +31,7 @@ from zsdist.wire.frame import PLAIN
 from zsdist.wire.messages import Push, SampleReply, State
 
 HOLD_REQUEST_S = 0.3  # a request that cannot be served for so long is answered with "no batch yet"
+PART_ROWS = 128  # rows in a part of a piece, which are lost together where it is damaged
 PACE_EVERY_S = 0.05  # largest age of the pace in a journal; its transitions are always complete
 
 
@@ -38,6 +41,7 @@ class Entry(IntEnum):
     PUSH = 1  # a frame as it arrived, once all frames before it have arrived
     EPOCH = 2  # JSON: an actor and the epoch that was issued to it
     PACE = 3  # JSON: `LevelReplay.pace`
+    HEADS = 4  # JSON: `Inbox.progress` of the actors whose frames come before it, should these be damaged
 
 
 def credit_to_end_options(config: Config) -> int:
@@ -74,6 +78,11 @@ class LevelReplay:
         shard: shard that it belongs to.
         sender_epoch: epoch of the replay.
         folder: folder of the journal, shared with its predecessors in this start of the run.
+
+    Attributes:
+        lost_rows: transitions that the ring has lost with damaged pieces of journals.
+        news: lines about damage that nobody has been told yet.
+        sync: times at which the journal is forced onto the disk.
     """
 
     def __init__(
@@ -103,7 +112,11 @@ class LevelReplay:
         self.waiting: deque[WaitingRequest] = deque()
         self._epochs: dict[str, int] = {}  # newest epoch of each actor, issued in this start of the run
         self._closed: set[tuple[str, int]] = set()
-        self.journal = Journal(folder)
+        self.lost_rows = 0
+        self.news: list[str] = []
+        self.journal = Journal(folder, synced=settings.fsync_ms is not None)
+        self.sync = GroupSync(settings.fsync_ms)
+        self._delivered: set[str] = set()  # actors with frames among the entries
         self.recovered = 0  # frames read from the journal
         self._entries: list[Record] = []  # to be written before the next acknowledgement
         self._in_pieces = 0  # the journal's pieces hold all rows of the ring that were written before this one
@@ -131,6 +144,8 @@ class LevelReplay:
             payload: bytes of the message with the frame.
             now: current time, seconds.
         """
+        if push.first:
+            self.skip(push.actor, push.epoch, push.sequence, push.produced - push.count)
         for frame in self.inbox.receive(push, now):
             stream = f"{frame.actor}/{frame.epoch}"
             stored, reasons = self.buffer.insert(frame.trajectories)
@@ -142,6 +157,30 @@ class LevelReplay:
                 self.limiter.close(stream)
                 self._closed.add((frame.actor, frame.epoch))
             self._entries.append((Entry.PUSH, payload if frame is push else codec.encode(frame)))
+            self._delivered.add(frame.actor)
+
+    def skip(self, actor: str, epoch: int, received: int, produced: int, closed: bool = False) -> None:
+        """Go on behind acknowledged frames that are lost with a journal; their transitions count as rejected.
+
+        Args:
+            actor: name of the actor.
+            epoch: its epoch.
+            received: number of frames that were acknowledged.
+            produced: running total at the last of them.
+            closed: whether that one closed the epoch.
+        """
+        lost = self.inbox.skip(actor, epoch, received, produced, closed=closed)
+        if lost is None:
+            return
+        if self._limited(actor, epoch):
+            self.limiter.count_inserts(f"{actor}/{epoch}", 0, rejected=lost)
+            if closed:
+                self.limiter.close(f"{actor}/{epoch}")
+                self._closed.add((actor, epoch))
+        if lost:
+            self.rejected["lost"] = self.rejected.get("lost", 0) + lost
+        self._delivered.add(actor)
+        self.news.append(f"{lost} acknowledged transitions of {actor} are lost with records of the journal")
 
     def credit(self, actor: str, epoch: int) -> int | None:
         """Return the absolute number of transitions that an epoch may produce; None: unlimited."""
@@ -190,12 +229,17 @@ class LevelReplay:
             self.buffer.resize(capacity)
 
     def counts(self) -> dict[str, int]:
-        """Return the counts of transitions; `produced = stored + rejected` once all epochs are closed."""
+        """Return the counts of transitions; `produced = stored + rejected` once all epochs are closed.
+
+        Those that were lost before they were stored again are among the rejected, those lost from the ring are not.
+        """
         return {
             "produced": self.inbox.produced,
             "stored": self.stored,
             "duplicates": self.inbox.duplicates,
             "rejected": sum(self.rejected.values()),
+            "lost": self.rejected.get("lost", 0),
+            "lost_rows": self.lost_rows,
             "abandoned_at_most": self.inbox.abandoned_at_most,
             "sampled": self.sampled,
         }
@@ -224,15 +268,22 @@ class LevelReplay:
         return self._meta(), self.buffer.state()
 
     def write_journal(self, now: float) -> None:
-        """Write all that has been accepted into the journal; once this returns, it may be acknowledged."""
+        """Write all that has been accepted into the journal; `sync` says when it may be acknowledged."""
         if now >= self._next_pace_s and (pace := self.pace()) != self._pace:
             self._entries.append((Entry.PACE, json.dumps(pace).encode()))
             self._pace, self._next_pace_s = pace, now + PACE_EVERY_S
+        if self._delivered:
+            heads = [[actor, *self.inbox.progress(actor)] for actor in sorted(self._delivered)]
+            self._entries.append((Entry.HEADS, json.dumps(heads).encode()))
         if self._entries:
             self.journal.append(self._entries)
             self._entries = []
+            self._delivered.clear()
+            self.sync.note_records()
         if self.journal.wants_base:
             self._compact_journal()
+        if self.sync.due(now):
+            self.journal.sync()
 
     def recover(self, restored: tuple[dict[str, Any], dict[str, np.ndarray]] | None) -> None:
         """Resume from the journal; where there is none, begin one, from a checkpoint's `state` or from nothing."""
@@ -247,18 +298,21 @@ class LevelReplay:
         for piece in found.pieces:
             part = codec.decode(piece, expect=State)
             parts.append((part.meta["first"], part.arrays))
-        rows = segments.join(base.arrays, base.meta["held"], parts)
+        rows, lost = segments.join(base.arrays, base.meta["held"], parts)
         self.restore(base.meta, rows, same_run=True)
         self._in_pieces = self.buffer.written
+        for place in self.journal.damage:
+            self.news.append(str(place))
+        if lost:
+            self.lost_rows += lost
+            self._in_pieces = 0  # the rows that are left have new serials
+            self.news.append(f"{lost} of the {base.meta['held']} transitions of the ring are lost with it")
         for kind, content in found.records:
-            if kind == Entry.PUSH:
-                self.receive(codec.decode(content, expect=Push), content, 0.0)
-                self.recovered += 1
-            elif kind == Entry.EPOCH:
-                self.issue(*json.loads(content))
-            else:
-                self.restore_pace(json.loads(content))
+            _replay(self, kind, content)
         self._entries.clear()  # the journal has them already
+        self._delivered.clear()
+        if self.news:
+            self._compact_journal()  # so that no damage is found twice
 
     def _compact_journal(self) -> None:
         """Replace the journal's log: rows that it added become a piece, and all else goes into a new base."""
@@ -266,7 +320,10 @@ class LevelReplay:
         base = State(name, self._meta() | {"held": len(ring)}, ring.layout())
         rows = ring.rows_since(self._in_pieces)
         count = len(rows["actions"])
-        piece = codec.encode(State(name, {"first": ring.written - count}, rows), packing=PLAIN) if count else b""
+        piece = []
+        for at in range(0, count, PART_ROWS):
+            part = {column: values[at : at + PART_ROWS] for column, values in rows.items()}
+            piece.append(codec.encode(State(name, {"first": ring.written - count + at}, part), packing=PLAIN))
         self.journal.rebase(codec.encode(base), piece, end=ring.written, oldest=ring.written - len(ring))
         self._in_pieces = ring.written
 
@@ -279,6 +336,7 @@ class LevelReplay:
             "stored": self.stored,
             "rejected": self.rejected,
             "sampled": self.sampled,
+            "lost_rows": self.lost_rows,
             "rng": json.dumps(self.rng.bit_generator.state),  # as text: its integers have 128 bits
             "books": self.counts(),
             "epochs": self._epochs,
@@ -298,6 +356,7 @@ class LevelReplay:
         self.batch_size = meta["batch_size"]
         self.inbox.restore(meta["inbox"])
         self.stored, self.rejected, self.sampled = meta["stored"], dict(meta["rejected"]), meta["sampled"]
+        self.lost_rows = meta.get("lost_rows", 0)  # states of earlier versions do not count them
         self.rng.bit_generator.state = json.loads(meta["rng"])
         self.buffer.restore(arrays)
         self.limiter.restore(meta["limiter"], same_run=same_run)
@@ -307,3 +366,21 @@ class LevelReplay:
         else:
             for actor, epoch in self.inbox.open_streams():
                 self.inbox.close(actor, epoch)  # the actor's next incarnation may push to another shard
+
+
+def _replay(level_replay: LevelReplay, kind: int, content: bytes) -> None:
+    """Do again what a record of a journal says, after what it implies about records that are lost."""
+    if kind == Entry.PUSH:
+        push = codec.decode(content, expect=Push)
+        level_replay.issue(push.actor, push.epoch)
+        level_replay.skip(push.actor, push.epoch, push.sequence, push.produced - push.count)
+        level_replay.receive(push, content, 0.0)
+        level_replay.recovered += 1
+    elif kind == Entry.EPOCH:
+        level_replay.issue(*json.loads(content))
+    elif kind == Entry.HEADS:
+        for actor, epoch, received, produced, closed in json.loads(content):
+            level_replay.issue(actor, epoch)
+            level_replay.skip(actor, epoch, received, produced, closed)
+    else:
+        level_replay.restore_pace(json.loads(content))

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from zsdist.common.console import say
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.replay.level_replay import LevelReplay, WaitingRequest
 from zsdist.roles.replay.shards import ROLE, ReplayShard
@@ -19,6 +20,7 @@ from zsdist.types import Level
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders, Priorities, Push, SampleRequest, State
 
+EVENT_LENGTH = 1000  # most characters of an event about damage; the log of the role has all
 MAX_WAITING = 256  # requests of a level; a learner has a few at a time
 
 
@@ -81,8 +83,12 @@ class Replay(Role):
         for level_replay in self.level_replays.values():
             level_replay.serve(now)
             level_replay.write_journal(now)
+        self._report_damage(now)
         wake_s = now + HEARTBEAT_S
         for level_replay in self.level_replays.values():
+            if level_replay.sync.acknowledges_at > now:
+                wake_s = min(wake_s, level_replay.sync.acknowledges_at)
+                continue
             for ack in level_replay.inbox.acks(now, level_replay.credit):
                 self.transport.publish(keys.ack(self.context.run, ack.actor), codec.encode(ack))
             wake_s = min(wake_s, level_replay.inbox.next_wake(now) or wake_s)
@@ -135,6 +141,19 @@ class Replay(Role):
             meta[level.value], columns = level_replay.state()
             arrays |= {f"{level}/{name}": array for name, array in columns.items()}
         return State(self.shard.name, meta, arrays)
+
+    def _report_damage(self, now: float) -> None:
+        """Tell watchers, and the log of this role, what was found damaged and what is lost with it."""
+        lines = [
+            f"{level} level: {line}" for level, level_replay in self.level_replays.items() for line in level_replay.news
+        ]
+        if not lines:
+            return
+        for line in lines:
+            say(f"{self.shard.name}: {line}", error=True)
+        for level_replay in self.level_replays.values():
+            level_replay.news.clear()
+        self.event(now, "journal_damaged", what="; ".join(lines)[:EVENT_LENGTH])
 
     def _follow(self, content: ReplayOrders) -> None:
         limits = self.config.replay
