@@ -80,7 +80,7 @@ def _saved(summary: training.Summary) -> str:
     """Return what an interruption has saved, as part of a sentence."""
     if "driven_again" not in summary:
         return "everything is saved"
-    return f"everything until there is saved, and the {summary['driven_again']} begun since are driven again"
+    return f"everything until there is saved, and what came after ({summary['driven_again']} begun) is driven again"
 
 
 def _conclude(spec: RunSpec, summary: training.Summary, console: PlainConsole) -> None:

@@ -45,15 +45,14 @@ class Scheduler(Role):
         self.merge: Merge | None = None
         self._epochs: dict[str, int] = {}  # newest epoch of each actor
         self._interrupted = False
-        self._until: int | None = None  # finished episodes at which this scheduler's work ends; None: the run's
-        self._now_s = 0.0
+        self._sits, self._last = False, self.target  # whether all roles close before the run's end; episodes until then
         self._inboxes = {stream: RecordsInbox(stream, context.epoch, self.refuse) for stream in (EPISODES, EVALUATION)}
         self._offered: dict[Level, dict[str, int]] = {level: {} for level in Level}  # candidate -> its newest merge
         self._merged = dict.fromkeys(Level, 0)  # index of the last merge that each learner has taken over
         self._collection = StateCollection(context.config)
         self._final_states: dict[str, State] = {}
         self._schedule = CheckpointSchedule(context.config.run)
-        self._next_orders_s = self._next_metrics_s = 0.0
+        self._now_s = self._next_orders_s = self._next_metrics_s = 0.0
         self._standstill = StandstillWatch()
         if restored is not None:
             self._restore(restored.meta)
@@ -79,11 +78,6 @@ class Scheduler(Role):
     def finished_episodes(self) -> int:
         """Count of finished episodes."""
         return self.leases.finished_count
-
-    @property
-    def _last(self) -> int:
-        """Count of finished episodes at which all roles close."""
-        return self.target if self._until is None else min(self._until, self.target)
 
     def work(self, now: float) -> float:
         """Receive what has arrived, decide what follows, and publish it."""
@@ -138,7 +132,8 @@ class Scheduler(Role):
             if self.totals.set_restarts(content.restarts):
                 self.event(now, "restarted", **self.totals.restarts())
             self._interrupted |= content.interrupted
-            self._until = content.until
+            if content.until is not None:
+                self._sits, self._last = True, min(content.until, self.target)
 
     def _receive_records(self, now: float) -> None:
         for _, records in self.messages(self._reports, Records, Jobs):
@@ -196,9 +191,9 @@ class Scheduler(Role):
         elif finished >= self._last:
             self._enter(Stage.CLOSING)
         else:
-            for actor in self._epochs:
-                self.leases.grant(actor, self.config.run.cars_per_actor, min(barrier, self._last))
-            if self._until is None and self._schedule.is_due(finished, now):
+            cars, most = self.config.run.cars_per_actor, min(barrier, self._last)
+            self.leases.deal(self._epochs, cars, most, evenly=self._sits)
+            if not self._sits and self._schedule.is_due(finished, now):
                 self._save(now)
 
     def _begin_merge(self) -> None:
@@ -220,8 +215,7 @@ class Scheduler(Role):
             merge.finish()
         if merge.phase is not before:
             self._next_orders_s = 0.0
-        # Where the roles close next, the states are saved then, with everything delivered.
-        if merge.phase is Phase.DONE and (self._until is not None or self._save(now)):
+        if merge.phase is Phase.DONE and (self._sits or self._save(now)):  # which a sitting does at its end
             self.totals.merges.append(merge.summary())
             assert merge.chosen is not None  # else the phase is DRIVE still
             self.event(now, "merge", merge=merge.index, chosen=merge.chosen, score=merge.score(merge.chosen))
@@ -245,16 +239,10 @@ class Scheduler(Role):
             self.stage = Stage.SAVING
         if not self._save(now, final=True):
             return
-        if self._until is None:
-            summary = run_summary(
-                self.totals,
-                self._final_states,
-                self.snapshot,
-                finished=self.finished_episodes,
-                interrupted=self._interrupted,
-                wall_s=self.run_log.wall_s(),
-            )
-            self.run_log.summary(summary)
+        if not self._sits:
+            about = (self.totals, self._final_states, self.snapshot)
+            finished, wall_s = self.finished_episodes, self.run_log.wall_s()
+            self.run_log.summary(run_summary(*about, finished=finished, interrupted=self._interrupted, wall_s=wall_s))
         self.stage, self._next_orders_s = Stage.DONE, 0.0
 
     def _save(self, now: float, final: bool = False) -> bool:

@@ -346,6 +346,12 @@ def test_a_scheduler_that_works_until_a_merge_saves_once_after_it_and_its_succes
     assert Bench(restored=states["scheduler"], until=6).orders()["actor"]["leases"] == {ACTOR: [5, 6]}
 
 
+def test_few_episodes_until_a_number_are_dealt_out_to_all_actors():
+    bench = Bench(actors=("actor-0", "actor-1", "actor-2"), until=4)
+    leases = bench.orders()["actor"]["leases"]
+    assert [len(leases[f"actor-{number}"]) for number in range(3)] == [2, 1, 1]
+
+
 def test_a_scheduler_with_nothing_to_do_saves_at_once():
     bench = Bench(until=0)
     assert bench.orders()["actor"]["leases"] == {ACTOR: []}
