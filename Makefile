@@ -4,7 +4,7 @@
 # make dist     build wheel and sdist in dist/, install the wheel in a clean environment elsewhere, and use it there
 # make endurance  drive the scheduler and the run directory through 30 virtual days; DAYS=N makes it shorter
 # make proof    show whether this checkout behaves like another one, bit for bit: make proof OLD=/path/to/other/checkout
-# make resumption  stop a single-process run at 20 random actions, resume it, and compare all bits; it takes half an hour
+# make resumption  stop a single-process run at 20 random actions, resume it, and compare all bits
 # make peers    environments for the systems that benchmarks/replay.py compares with; PEERS=DIR elsewhere
 # make install  only the set-up, development tools included; VENV=DIR puts the environment elsewhere
 #

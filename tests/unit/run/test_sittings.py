@@ -22,6 +22,7 @@ SHORT = (
     "merge.drive_steps=8",
     "low.min_size=16",
     "low.updates_per_insert=2",
+    "vision.cache_bytes=0",
 )
 
 
