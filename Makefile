@@ -5,6 +5,7 @@
 # make endurance  drive the scheduler and the run directory through 30 virtual days; DAYS=N makes it shorter
 # make lowest   install the lowest versions that pyproject.toml allows, and run tests with them
 # make proof    show whether this checkout behaves like another one, bit for bit: make proof OLD=/path/to/other/checkout
+# make resumption  stop a single-process run at 20 random actions, resume it, and compare all bits
 # make peers    environments for the systems that benchmarks/replay.py compares with; PEERS=DIR elsewhere
 # make install  only the set-up, development tools included; VENV=DIR puts the environment elsewhere
 #
@@ -32,8 +33,9 @@ DIST_CHECK ?= $(shell echo $${TMPDIR:-/tmp})/zsdist-dist-check
 PROOF ?= .proof
 LOWEST ?= .lowest
 DAYS ?= 30
+RESUMPTION ?= .resumption
 
-.PHONY: install run test lint dist endurance lowest proof clean peers
+.PHONY: install run test lint dist endurance lowest proof resumption clean peers
 
 install: $(TOOLS)
 
@@ -105,6 +107,10 @@ proof: install
 	$(BIN)/python tests/proof.py record $(OLD) $(PROOF)/old.json $(ARGS)
 	$(BIN)/python tests/proof.py record . $(PROOF)/new.json $(ARGS)
 	$(BIN)/python tests/proof.py compare $(PROOF)/old.json $(PROOF)/new.json
+
+# One run that is never stopped, and others that are killed or interrupted and resumed. A proof that was broken off goes on.
+resumption: install
+	$(BIN)/python tests/resumption.py $(RESUMPTION) $(ARGS)
 
 # Reverb needs an old TensorFlow and an old numpy, which nothing else here works with.
 peers: $(PEERS)/reverb/.installed $(PEERS)/torchrl/.installed

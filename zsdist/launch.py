@@ -58,7 +58,7 @@ def _launch(options: argparse.Namespace, console: PlainConsole, held: contextlib
         raise Interrupted(interruption.number or signal.SIGINT) from None  # Ray may have raised it anew
     interrupted = summary["ended"] == "interrupted"
     if interrupted:
-        streams.tell(f"interrupted after {summary['episodes']} episodes; everything is saved. Resume with", resume)
+        streams.tell(f"interrupted after {summary['episodes']} episodes; {_saved(summary)}. Resume with", resume)
     try:
         with output_files.written(f"the training is saved; run directory {spec.folder}"):
             _conclude(spec, summary, console)
@@ -74,6 +74,13 @@ def _launch(options: argparse.Namespace, console: PlainConsole, held: contextlib
             f"  {commands.module('zsdist.evaluate', spec.folder)}",
         )
     return status
+
+
+def _saved(summary: training.Summary) -> str:
+    """Return what an interruption has saved, as part of a sentence."""
+    if "driven_again" not in summary:
+        return "everything is saved"
+    return f"everything until there is saved, and what came after ({summary['driven_again']} begun) is driven again"
 
 
 def _conclude(spec: RunSpec, summary: training.Summary, console: PlainConsole) -> None:

@@ -37,12 +37,12 @@ def test_each_shard_stores_what_its_actors_push_and_nothing_else(run):
     _, _, messages = run
     for level in Level:
         pushed = {
-            (push.actor, push.sequence): push.count
+            (push.actor, push.epoch, push.sequence): push.count
             for push in messages["push"]
             if isinstance(push, Push) and push.stream is level
         }
         for identifier, one in last(messages, "replay").items():
-            mine = sum(count for (actor, _), count in pushed.items() if int(actor[-1]) % 2 == int(identifier))
+            mine = sum(count for (actor, *_), count in pushed.items() if int(actor[-1]) % 2 == int(identifier))
             assert one[f"{level}_stored"] == mine > 0
 
 

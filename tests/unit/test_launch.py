@@ -123,6 +123,18 @@ def test_the_command_that_goes_on_is_read_back_by_the_shell_and_by_its_own_parse
         assert options.policy == [str(folder)]
 
 
+def test_an_interruption_says_what_is_saved_and_how_many_episodes_are_driven_again(capsys, monkeypatch, trained):
+    told = {}
+    for name, about in (("all", {}), ("until the checkpoint", {"driven_again": 4})):
+        summary = {"ended": "interrupted", "episodes": 20, "transitions": {}, "learner_updates": {}} | about
+        monkeypatch.setattr(training, "train", lambda spec, interrupted, watch, summary=summary: summary)
+        launch.main(launch.make_parser().parse_args([]))
+        told[name] = capsys.readouterr().out
+    assert "interrupted after 20 episodes; everything is saved" in told["all"]
+    assert "interrupted after 20 episodes; everything until there is saved" in told["until the checkpoint"]
+    assert "(4 begun) is driven again" in told["until the checkpoint"]
+
+
 def test_ctrl_c_in_the_evaluation_reports_that_the_training_is_saved_and_how_to_evaluate_it(
     capsys, monkeypatch, trained
 ):

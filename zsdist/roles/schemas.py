@@ -80,11 +80,16 @@ class LearnerOrders(Content):
 
 
 class Supervision(Content):
-    """Orders of the runner to the scheduler: epochs of the actors, restarts by kind of role, and whether to stop."""
+    """Orders of the runner to the scheduler.
+
+    They name the epochs of the actors, the restarts by kind of role, whether to stop, and the number of finished
+    episodes at which all roles close after a checkpoint; None: they close at the end of the run, after its summary.
+    """
 
     epochs: Epochs
     restarts: Annotated[dict[Name, Count], Field(max_length=64)]
     interrupted: bool
+    until: Count | None = None
 
 
 class StateRequest(Content):

@@ -19,7 +19,7 @@ from zsdist.common import atomic_files, commands, folders, json_lines, locks, ou
 from zsdist.common.ownership import Owned
 from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
-from zsdist.run import board, location
+from zsdist.run import board, figures_file, location
 from zsdist.run.checkpoint_files import (
     MANIFEST,
     checkpoints,
@@ -182,16 +182,15 @@ def ended(folder: Path) -> str | None:
 def rewind(folder: Path, settings: Config, states: dict[str, State]) -> None:
     """Make the folder of a resumed run agree with its newest checkpoint: cut off all that came later.
 
-    The work is in proportion to what came later, not to the length of the run. Journals are removed too. Each belongs
-    to one start of the run, and episodes in them that finished after the checkpoint are driven again.
+    The work is in proportion to what came later. Journals are removed too: what they alone have is driven again.
     """
     rewrite_config(folder, settings)
     shutil.rmtree(folder / "journal", ignore_errors=True)
     finished = len(states["scheduler"].meta["finished"]) if states else 0
     json_lines.cut(folder / "episodes.jsonl", lambda record: record["finished_as"] <= finished)
-    json_lines.cut(folder / "metrics.jsonl", lambda row: row.get("episodes", 0) <= finished)
-    before = read_manifest(newest_checkpoint(folder)).get("tensorboard") if states else {}
-    board.rewind(folder / "tensorboard", before)
+    before = read_manifest(newest_checkpoint(folder)) if states else {"tensorboard": {}}
+    figures_file.rewind(folder / "metrics.jsonl", finished, before.get("rows"))
+    board.rewind(folder / "tensorboard", before.get("tensorboard"))
     _make_folders(folder)
 
 
@@ -300,6 +299,7 @@ class RunDirectory(Owned):
             "episodes": episodes,
             "vision": self._vision.to_json(),
             "sha256": hashes,
+            "rows": self._figures.rows,
             "tensorboard": board.sizes(self.folder / "tensorboard"),
         }
         atomic_files.write(partial / MANIFEST, manifest_bytes(manifest))

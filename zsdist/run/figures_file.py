@@ -39,6 +39,11 @@ class FiguresFile(Owned):
         self._file = self._opened()
         self._next = _next_number(path)
 
+    @property
+    def rows(self) -> int:
+        """Number of rows appended so far, those that were removed since included."""
+        return self._next
+
     def append(self, row: Fields) -> int:
         """Append a row and return its number."""
         number = self._next
@@ -70,6 +75,19 @@ class FiguresFile(Owned):
                     kept.append(line)
         atomic_files.replace(self._path, b"".join(kept))
         self._file = self._opened()
+
+
+def rewind(path: Path, episodes: int, rows: int | None) -> None:
+    """Cut off the rows of a file that were appended after a checkpoint.
+
+    Args:
+        path: path of the file.
+        episodes: number of finished episodes at the checkpoint.
+        rows: number of rows appended until then; None: it is unknown, and rows with no more episodes stay.
+    """
+    json_lines.cut(
+        path, lambda row: row.get("episodes", 0) <= episodes and (rows is None or row.get(ROW, rows - 1) < rows)
+    )
 
 
 def _next_number(path: Path) -> int:

@@ -1,20 +1,23 @@
 """Runner of all roles in one process, stepped in turn: the test mode.
 
-Over the memory transport the clock is virtual, and two runs with one seed are bit-identical. Over zenoh the clock is
-real, so that a single process can be watched from outside.
+Over the memory transport the clock is virtual, and two runs with one seed are bit-identical, however often one of them
+was stopped and resumed (`zsdist.run.sittings`). Over zenoh the clock is real, so that a single process can be watched
+from outside.
 """
 
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from dataclasses import replace
 from functools import partial
 
 import torch
 
 from zsdist.errors import RunError, ZsdistError
 from zsdist.roles.base import HEARTBEAT_S, Role
-from zsdist.run import program
+from zsdist.roles.scheduler.role import Scheduler
+from zsdist.run import directory, program, sittings
 from zsdist.run.program import RoleSpec, RunSpec, Watch
 from zsdist.transport.base import Transport
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
@@ -22,6 +25,9 @@ from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders
 
 TICK_S = 0.01  # virtual time for each round in which some role worked
+
+Build = Callable[[RunSpec, RoleSpec, Transport, threading.Event], Role]
+Connect = Callable[[RoleSpec], Transport]
 
 
 def run(
@@ -31,41 +37,65 @@ def run(
     interrupted: Callable[[], bool] = lambda: False,
     watch: Watch = lambda transport, now: None,
 ) -> None:
-    """Run to the end, or until an interruption is noticed and everything is saved.
+    """Run to the end, or until an interruption is noticed.
+
+    Over zenoh everything is saved then. Over the memory transport the run ends at once, as it was at the last
+    checkpoint; resumed, it drives what came after that again.
 
     Args:
         spec: specification of the run.
         epochs: new epochs, as many as `program.epoch_count` returns.
-        interrupted: tells whether to stop early; called once a heartbeat.
+        interrupted: tells whether to stop early; called at least once a heartbeat.
         watch: called once a round with a transport to subscribe on and the clock, such as a progress display.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # for networks this small a second thread is slower, and not reproducible
     try:
         if spec.config.transport.kind == "memory":
-            broker = MemoryBroker()
-            _run(
-                spec,
-                epochs,
-                lambda role_spec: MemoryTransport(broker, role_spec.name),
-                _VirtualClock(),
-                interrupted,
-                watch,
-            )
+            _run_in_sittings(spec, epochs, interrupted, watch)
         else:
             with spec.open_hub() as hub:
                 (spec.folder / "endpoint").write_text(hub.endpoint, encoding="utf-8")
                 connect = partial(spec.connect, endpoint=hub.endpoint)
-                _run(spec, epochs, connect, _RealClock(), interrupted, watch)
+                with closing(connect(program.supervisor(epochs))) as supervisor:
+                    runner = _Runner(spec, epochs, supervisor, connect, RunSpec.build)
+                    with closing(runner):
+                        runner.run(_RealClock(), interrupted, watch)
     finally:
         torch.set_num_threads(threads)
+
+
+def _run_in_sittings(spec: RunSpec, epochs: Sequence[int], interrupted: Callable[[], bool], watch: Watch) -> None:
+    broker, states, begun = MemoryBroker(), spec.states, 0
+
+    def connect(role_spec: RoleSpec) -> Transport:
+        return MemoryTransport(broker, role_spec.name)
+
+    with (
+        closing(sittings.Belongings(spec)) as belongings,
+        closing(connect(program.supervisor(epochs))) as supervisor,
+    ):
+        while not sittings.is_complete(spec.config, states):
+            sitting, until = replace(spec, states=dict(states)), sittings.end(spec.config, states)
+            with closing(_Runner(sitting, epochs, supervisor, connect, belongings.build, until)) as runner:
+                # The first checkpoint is awaited, since an interrupted run has to have one.
+                stop = interrupted if states else lambda: False
+                ended = runner.run(_VirtualClock(sittings.time_s(states)), lambda: False, watch, stop)
+                begun = runner.begun
+            del runner, sitting  # before the roles of the next sitting take as much memory
+            if not ended:
+                break
+            # Read back, so that the next sitting begins as that of a resumed run would.
+            states = directory.read_checkpoint(directory.newest_checkpoint(spec.folder))
+            epochs = directory.issue_epochs(spec.folder, len(epochs))
+    sittings.conclude(spec, states, begun)
 
 
 class _VirtualClock:
     """Clock that advances by a tick after each round of work, and to the next due time where no role has work."""
 
-    def __init__(self) -> None:
-        self.now = 0.0
+    def __init__(self, now: float) -> None:
+        self.now = now
 
     def after(self, worked: bool, next_s: float, wake: threading.Event) -> None:
         self.now = self.now + TICK_S if worked else max(self.now, next_s)
@@ -87,39 +117,103 @@ class _RealClock:
             wake.clear()
 
 
-def _run(
-    spec: RunSpec,
-    epochs: Sequence[int],
-    open_transport: Callable[[RoleSpec], Transport],
-    clock: _VirtualClock | _RealClock,
-    interrupted: Callable[[], bool],
-    watch: Watch,
-) -> None:
-    role_specs = program.roles(spec.config, epochs[2:])
-    transports: list[Transport] = []
-    shared_wake = threading.Event()
+class _Runner:
+    """All roles, with their transports, stepped in turn.
 
-    def connect(role_spec: RoleSpec) -> Transport:
-        transports.append(open_transport(role_spec))
-        return transports[-1]
+    Args:
+        spec: specification of the run.
+        epochs: epochs of the runner, the hub and each role.
+        supervisor: transport on which the scheduler is told how the run stands.
+        connect: function that opens the transport of a role.
+        build: function that builds a role.
+        until: number of finished episodes at which all roles close; None: that of the whole run.
+    """
 
-    try:
-        supervisor = connect(program.supervisor(epochs))
-        hosted = [_HostedRole(spec, role_spec, connect(role_spec), shared_wake) for role_spec in role_specs]
-        _step_all(spec, epochs[0], role_specs, hosted, supervisor, clock, shared_wake, interrupted, watch)
-    finally:
-        for transport in transports:
+    def __init__(
+        self,
+        spec: RunSpec,
+        epochs: Sequence[int],
+        supervisor: Transport,
+        connect: Connect,
+        build: Build,
+        until: int | None = None,
+    ) -> None:
+        self._run, self._epoch, self._until = spec.run, epochs[0], until
+        self._supervisor = supervisor
+        self._role_specs = program.roles(spec.config, epochs[2:])
+        self._transports: list[Transport] = []
+        self._hosted: list[_HostedRole] = []
+        self._wake = threading.Event()
+        self._supervise(interrupted=False)  # before the scheduler looks for the last orders
+        try:
+            for role_spec in self._role_specs:
+                self._transports.append(connect(role_spec))
+                self._hosted.append(_HostedRole(spec, role_spec, self._transports[-1], self._wake, build))
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def begun(self) -> int:
+        """Number of training episodes that are finished or granted to an actor."""
+        scheduler = self._hosted[0].role
+        assert isinstance(scheduler, Scheduler), "the scheduler is the first role"
+        return scheduler.finished_episodes + len(scheduler.leases.holders)
+
+    def run(
+        self,
+        clock: _VirtualClock | _RealClock,
+        interrupted: Callable[[], bool],
+        watch: Watch,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> bool:
+        """Step all roles until the scheduler has finished.
+
+        Args:
+            clock: clock of all roles.
+            interrupted: tells whether the scheduler is to end the run.
+            watch: called once a round.
+            stop: tells, once a round, whether to stop at once.
+
+        Returns:
+            Whether the scheduler has finished.
+        """
+        scheduler, next_supervision_s = self._hosted[0], clock.now
+        while scheduler.due_s is not None:
+            now = clock.now
+            if now >= next_supervision_s:
+                next_supervision_s = now + HEARTBEAT_S
+                self._supervise(interrupted())
+            worked = [role.step_if_due(now) for role in self._hosted]
+            stopped = stop()
+            watch(self._supervisor, now)
+            if stopped:
+                return False
+            due_s = [role.due_s for role in self._hosted if role.due_s is not None]
+            clock.after(any(worked), min([*due_s, next_supervision_s]), self._wake)
+        return True
+
+    def close(self) -> None:
+        """Close the transports of all roles."""
+        for transport in self._transports:
             transport.close()
+
+    def _supervise(self, interrupted: bool) -> None:
+        content = program.supervision(self._role_specs, interrupted=interrupted, until=self._until)
+        orders = codec.encode(Orders(self._epoch, "scheduler", content))
+        self._supervisor.publish(keys.control(self._run, "scheduler"), orders, retained=True)
 
 
 class _HostedRole:
     """Role with the time at which its next step is due, and whether a message has arrived since the last step."""
 
-    def __init__(self, spec: RunSpec, role_spec: RoleSpec, transport: Transport, shared_wake: threading.Event) -> None:
+    def __init__(
+        self, spec: RunSpec, role_spec: RoleSpec, transport: Transport, shared_wake: threading.Event, build: Build
+    ) -> None:
         self.wake = _RelayedEvent(shared_wake)
         self._role_spec = role_spec
         with self._named():
-            self.role: Role = spec.build(role_spec, transport, self.wake)
+            self.role: Role = build(spec, role_spec, transport, self.wake)
         self.due_s: float | None = 0.0
 
     def step_if_due(self, now: float) -> bool:
@@ -149,29 +243,3 @@ class _RelayedEvent(threading.Event):
     def set(self) -> None:
         super().set()
         self._shared.set()
-
-
-def _step_all(
-    spec: RunSpec,
-    epoch: int,
-    role_specs: list[RoleSpec],
-    hosted: list[_HostedRole],
-    supervisor: Transport,
-    clock: _VirtualClock | _RealClock,
-    wake: threading.Event,
-    interrupted: Callable[[], bool],
-    watch: Watch,
-) -> None:
-    scheduler = hosted[0]
-    next_supervision_s = clock.now
-    while scheduler.due_s is not None:
-        now = clock.now
-        if now >= next_supervision_s:
-            next_supervision_s = now + HEARTBEAT_S
-            content = program.supervision(role_specs, interrupted=interrupted())
-            orders = Orders(epoch, "scheduler", content)
-            supervisor.publish(keys.control(spec.run, "scheduler"), codec.encode(orders), retained=True)
-        worked = [role.step_if_due(now) for role in hosted]
-        watch(supervisor, now)
-        due_s = [role.due_s for role in hosted if role.due_s is not None]
-        clock.after(any(worked), min([*due_s, next_supervision_s]), wake)

@@ -160,12 +160,22 @@ class RunSpec:
         folder = self.config.transport.tls
         return None if folder is None else Identity.load(folder, name)
 
+    def open_directory(self) -> RunDirectory:
+        """Open the files of the run, as the scheduler writes them."""
+        restored = self.states.get("scheduler")
+        return RunDirectory(self.folder, self.vision, restored.meta["wall_s"] if restored else 0.0)
+
     def context(self, role_spec: RoleSpec, transport: Transport, wake: threading.Event) -> Context:
         """Return the context of one role."""
         return Context(self.config, self.run, role_spec.role, role_spec.id, role_spec.epoch, transport, wake)
 
     def build(
-        self, role_spec: RoleSpec, transport: Transport, wake: threading.Event, parts: ActorParts | None = None
+        self,
+        role_spec: RoleSpec,
+        transport: Transport,
+        wake: threading.Event,
+        parts: ActorParts | None = None,
+        run_directory: RunDirectory | None = None,
     ) -> Role:
         """Return one role; its state is restored where the run resumes from a checkpoint.
 
@@ -174,6 +184,7 @@ class RunSpec:
             transport: transport of the role.
             wake: event that is set when a message arrives for the role.
             parts: parts of an actor that exist already; None: they are made here.
+            run_directory: files of the scheduler that are open already; None: they are opened here.
 
         Raises:
             WeightsError: an actor has loaded another vision model than the run.
@@ -181,9 +192,7 @@ class RunSpec:
         context, config = self.context(role_spec, transport, wake), self.config
         match role_spec.role:
             case "scheduler":
-                restored = self.states.get("scheduler")
-                earlier_s = restored.meta["wall_s"] if restored else 0.0
-                return Scheduler(context, RunDirectory(self.folder, self.vision, earlier_s), restored)
+                return Scheduler(context, run_directory or self.open_directory(), self.states.get("scheduler"))
             case shards.ROLE:
                 # Each start of the run has journals of its own: an earlier start's are older than the checkpoint.
                 folder = self.folder / "journal" / f"{self.start}-{role_spec.id}"
@@ -235,7 +244,11 @@ def make_hub(spec: RunSpec, role_spec: RoleSpec, transport: Transport, wake: thr
 
 
 def supervision(
-    role_specs: Sequence[RoleSpec], *, interrupted: bool, restarts: Mapping[str, int] | None = None
+    role_specs: Sequence[RoleSpec],
+    *,
+    interrupted: bool,
+    restarts: Mapping[str, int] | None = None,
+    until: int | None = None,
 ) -> dict[str, Any]:
     """Return the content of the orders that a runner repeats to the scheduler (`schemas.Supervision`).
 
@@ -243,9 +256,11 @@ def supervision(
         role_specs: all roles; the orders name the actors' epochs.
         interrupted: whether to stop early.
         restarts: number of processes replaced so far in this start, by kind of role.
+        until: number of finished episodes at which all roles close; None: the run's.
     """
     return {
         "epochs": {role_spec.name: role_spec.epoch for role_spec in role_specs if role_spec.role == "actor"},
         "restarts": dict(restarts or {}),
         "interrupted": interrupted,
+        "until": until,
     }

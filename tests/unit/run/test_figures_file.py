@@ -4,6 +4,7 @@ from itertools import pairwise
 import pytest
 
 from zsdist.common import atomic_files
+from zsdist.run import figures_file
 from zsdist.run.figures_file import DENSE_ROWS, THINNED_AFTER_ROWS, FiguresFile, spacing
 
 
@@ -42,6 +43,27 @@ def test_rows_continue_after_a_reopening_as_if_there_had_been_none(tmp_path):
     for number in range(2 * THINNED_AFTER_ROWS + 5, 3 * THINNED_AFTER_ROWS):
         assert file.append({"episodes": number}) == number
     assert once.read_bytes() == twice.read_bytes()
+
+
+def test_a_rewound_file_grows_as_if_nothing_had_been_cut_off_even_where_it_was_thinned_since(tmp_path):
+    once, twice, rows = tmp_path / "once.jsonl", tmp_path / "twice.jsonl", 3 * THINNED_AFTER_ROWS
+    filled(once, rows + 9)
+    at_the_checkpoint = filled(twice, rows - 5).rows
+    later = FiguresFile(twice)
+    for _ in range(8):
+        later.append({"episodes": at_the_checkpoint})  # of the episodes finished by then: only its number is later
+    figures_file.rewind(twice, at_the_checkpoint, at_the_checkpoint)
+    file = FiguresFile(twice)
+    for number in range(rows - 5, rows + 9):
+        assert file.append({"episodes": number}) == number
+    assert once.read_bytes() == twice.read_bytes()
+
+
+def test_a_rewound_file_of_an_earlier_version_keeps_the_rows_up_to_the_episodes_of_the_checkpoint(tmp_path):
+    path = tmp_path / "metrics.jsonl"
+    filled(path, 20)
+    figures_file.rewind(path, 7, None)
+    assert numbers(path) == list(range(8))
 
 
 def test_a_reader_that_has_the_file_open_reads_whole_lines_on(tmp_path):

@@ -1,7 +1,7 @@
 """Leases of episode numbers: each number from 1 to N is driven once, even when actors die."""
 
 import heapq
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 
 class Leases:
@@ -43,6 +43,12 @@ class Leases:
                 number, self._next = self._next, self._next + 1
             self.holders[number] = actor
             held.add(number)
+
+    def deal(self, actors: Collection[str], capacity: int, barrier: int, *, evenly: bool) -> None:
+        """Grant numbers to several actors as `grant` does; `evenly`: one to each in turn, so that few reach all."""
+        for held in range(1 if evenly else capacity, capacity + 1):
+            for actor in actors:
+                self.grant(actor, held, barrier)
 
     def finish(self, number: int, actor: str) -> bool:
         """Mark `number` finished; return False, and change nothing, where `actor` does not hold it (any more)."""

@@ -45,13 +45,14 @@ class Scheduler(Role):
         self.merge: Merge | None = None
         self._epochs: dict[str, int] = {}  # newest epoch of each actor
         self._interrupted = False
+        self._sits, self._last = False, self.target  # whether all roles close before the run's end; episodes until then
         self._inboxes = {stream: RecordsInbox(stream, context.epoch, self.refuse) for stream in (EPISODES, EVALUATION)}
         self._offered: dict[Level, dict[str, int]] = {level: {} for level in Level}  # candidate -> its newest merge
         self._merged = dict.fromkeys(Level, 0)  # index of the last merge that each learner has taken over
         self._collection = StateCollection(context.config)
         self._final_states: dict[str, State] = {}
         self._schedule = CheckpointSchedule(context.config.run)
-        self._next_orders_s = self._next_metrics_s = 0.0
+        self._now_s = self._next_orders_s = self._next_metrics_s = 0.0
         self._standstill = StandstillWatch()
         if restored is not None:
             self._restore(restored.meta)
@@ -80,16 +81,17 @@ class Scheduler(Role):
 
     def work(self, now: float) -> float:
         """Receive what has arrived, decide what follows, and publish it."""
+        self._now_s = now
         self._follow_supervisor(now)
         self._receive_records(now)
         self._receive_offers()
         self.snapshot.update(self._watch.drain())
-        self._conduct(now)
-        self._publish(now)
-        if now >= self._next_metrics_s:
+        if now >= self._next_metrics_s and self.snapshot.of("scheduler"):
             self._next_metrics_s = now + 1.0
             self.run_log.metrics(self.snapshot.row())
             self._standstill.watch(now, self.snapshot, self.event)
+        self._conduct(now)
+        self._publish(now)
         self.finished = self.stage is Stage.DONE
         return min([self._next_orders_s, *(wake for box in self._inboxes.values() if (wake := box.next_wake(now)))])
 
@@ -130,6 +132,8 @@ class Scheduler(Role):
             if self.totals.set_restarts(content.restarts):
                 self.event(now, "restarted", **self.totals.restarts())
             self._interrupted |= content.interrupted
+            if content.until is not None:
+                self._sits, self._last = True, min(content.until, self.target)
 
     def _receive_records(self, now: float) -> None:
         for _, records in self.messages(self._reports, Records, Jobs):
@@ -184,12 +188,12 @@ class Scheduler(Role):
         barrier = next_merge_at(last, self.config.merge.every_episodes, self.target)
         if barrier <= finished:
             self._begin_merge()
-        elif finished >= self.target:
+        elif finished >= self._last:
             self._enter(Stage.CLOSING)
         else:
-            for actor in self._epochs:
-                self.leases.grant(actor, self.config.run.cars_per_actor, min(barrier, self.target))
-            if self._schedule.is_due(finished, now):
+            cars, most = self.config.run.cars_per_actor, min(barrier, self._last)
+            self.leases.deal(self._epochs, cars, most, evenly=self._sits)
+            if not self._sits and self._schedule.is_due(finished, now):
                 self._save(now)
 
     def _begin_merge(self) -> None:
@@ -211,12 +215,12 @@ class Scheduler(Role):
             merge.finish()
         if merge.phase is not before:
             self._next_orders_s = 0.0
-        if merge.phase is Phase.DONE and self._save(now):
+        if merge.phase is Phase.DONE and (self._sits or self._save(now)):  # which a sitting does at its end
             self.totals.merges.append(merge.summary())
             assert merge.chosen is not None  # else the phase is DRIVE still
             self.event(now, "merge", merge=merge.index, chosen=merge.chosen, score=merge.score(merge.chosen))
             self.merge = None
-            self._enter(Stage.CLOSING if self.finished_episodes >= self.target else Stage.TRAIN)
+            self._enter(Stage.CLOSING if self.finished_episodes >= self._last else Stage.TRAIN)
 
     def _enter(self, stage: Stage) -> None:
         """Begin a stage, and publish it at once.
@@ -235,15 +239,10 @@ class Scheduler(Role):
             self.stage = Stage.SAVING
         if not self._save(now, final=True):
             return
-        summary = run_summary(
-            self.totals,
-            self._final_states,
-            self.snapshot,
-            finished=self.finished_episodes,
-            interrupted=self._interrupted,
-            wall_s=self.run_log.wall_s(),
-        )
-        self.run_log.summary(summary)
+        if not self._sits:
+            about = (self.totals, self._final_states, self.snapshot)
+            finished, wall_s = self.finished_episodes, self.run_log.wall_s()
+            self.run_log.summary(run_summary(*about, finished=finished, interrupted=self._interrupted, wall_s=wall_s))
         self.stage, self._next_orders_s = Stage.DONE, 0.0
 
     def _save(self, now: float, final: bool = False) -> bool:
@@ -324,6 +323,7 @@ class Scheduler(Role):
             "max_lag_versions": self.snapshot.max_lag_versions,
             "max_lag_s": self.snapshot.max_lag_s,
             "wall_s": self.run_log.wall_s(),
+            "time_s": round(self._now_s, 3),
         }
         return State("scheduler", meta, {})
 

@@ -56,7 +56,7 @@ class MemoryLog:
 class Bench:
     """Scheduler at a memory transport; the test plays supervisor, actors, learners and replay."""
 
-    def __init__(self, settings=SETTINGS, actors=(ACTOR,), restored=None):
+    def __init__(self, settings=SETTINGS, actors=(ACTOR,), restored=None, until=None):
         broker = MemoryBroker()
         self.others, self.log, self.now = MemoryTransport(broker), MemoryLog(), 0.0
         context = Context(parse(settings), RUN, "scheduler", "0", 5, MemoryTransport(broker))
@@ -67,11 +67,11 @@ class Bench:
             self.others.serve(keys.control(RUN, role), self.asked)
         for key in (keys.control(RUN, keys.ANY), keys.evaluation(RUN, keys.ANY)):
             self.others.subscribe(key, self.published)
-        self.supervise()
+        self.supervise(until=until)
         self.step()
 
-    def supervise(self, interrupted=False):
-        content = {"epochs": self.epochs, "restarts": {}, "interrupted": interrupted}
+    def supervise(self, interrupted=False, until=None):
+        content = {"epochs": self.epochs, "restarts": {}, "interrupted": interrupted, "until": until}
         self.others.publish(keys.control(RUN, "scheduler"), codec.encode(Orders(1, "scheduler", content)))
 
     def step(self):
@@ -317,6 +317,46 @@ def test_a_resumed_run_leases_what_is_left_and_merges_at_the_next_multiple():
     resumed.finish(5, 6, 7, 8)
     assert resumed.scheduler.stage is Stage.MERGE
     assert resumed.orders()["learner"]["candidates"] == ["recent", "distilled", "best"]
+
+
+def test_a_scheduler_that_works_until_a_number_closes_there_and_saves_once_and_by_no_clock():
+    bench = Bench(SETTINGS | {"run": SETTINGS["run"] | {"checkpoint_every_s": 60.0}}, until=3)
+    bench.finish(1)
+    assert bench.orders()["actor"]["leases"] == {ACTOR: [2, 3]}
+    bench.now += 61.0
+    bench.finish(2, 3)
+    assert not bench.asked
+    assert ended(bench) == []
+    ((episodes, states),) = bench.log.checkpoints
+    assert (episodes, states["scheduler"].meta["time_s"]) == (3, round(bench.now, 3))
+    assert bench.scheduler.finished
+
+
+def test_a_scheduler_that_works_until_a_merge_saves_once_after_it_and_its_successor_goes_on_behind_it():
+    bench = Bench(until=4)
+    bench.finish(1, 2, 3, 4)
+    bench.offer()
+    bench.drive("recent", "collision")
+    bench.drive("distilled", "success")
+    bench.step()
+    bench.promote()
+    assert ended(bench) == []
+    ((episodes, states),) = bench.log.checkpoints
+    assert (episodes, states["scheduler"].meta["merges"][0]["chosen"]) == (4, "distilled")
+    assert Bench(restored=states["scheduler"], until=6).orders()["actor"]["leases"] == {ACTOR: [5, 6]}
+
+
+def test_few_episodes_until_a_number_are_dealt_out_to_all_actors():
+    bench = Bench(actors=("actor-0", "actor-1", "actor-2"), until=4)
+    leases = bench.orders()["actor"]["leases"]
+    assert [len(leases[f"actor-{number}"]) for number in range(3)] == [2, 1, 1]
+
+
+def test_a_scheduler_with_nothing_to_do_saves_at_once():
+    bench = Bench(until=0)
+    assert bench.orders()["actor"]["leases"] == {ACTOR: []}
+    assert ended(bench) == []
+    assert [episodes for episodes, _ in bench.log.checkpoints] == [0]
 
 
 def test_the_episodes_of_a_replaced_actor_are_leased_to_its_successor():
