@@ -17,7 +17,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from zsdist.run import directory
+from zsdist.run import checkpoint_files, directory
 
 SETTINGS = (
     "vision.network=student",
@@ -74,8 +74,8 @@ def content(folder: Path) -> dict:
     found = {name: (folder / name).read_text() for name in ("episodes.jsonl", "metrics.jsonl")}
     summary = json.loads((folder / "summary.json").read_text())
     found["summary.json"] = {name: value for name, value in summary.items() if name not in REAL_TIMES}
-    for checkpoint in directory.checkpoints(folder):
-        for name, state in directory.read_checkpoint(checkpoint).items():
+    for checkpoint in checkpoint_files.checkpoints(folder):
+        for name, state in checkpoint_files.read_checkpoint(checkpoint).items():
             meta = {key: value for key, value in state.meta.items() if key not in REAL_TIMES}
             for level in ("high", "low") if name.startswith("replay") else ():
                 meta[level] = {key: value for key, value in meta[level].items() if key not in ("epochs", "closed")}
@@ -107,7 +107,7 @@ def main() -> int:
             number = (signal.SIGINT, signal.SIGKILL)[index % 2]
             status = begin(folder, options.folder / "stopped", options.episodes, at=at, number=number)
             assert status != 0, f"the run was not stopped at action {at}"
-            kept = directory.newest_checkpoint(folder).name if directory.has_checkpoint(folder) else "none"
+            kept = checkpoint_files.newest_checkpoint(folder).name if checkpoint_files.has_checkpoint(folder) else "none"
             if directory.ended(folder) != "complete":  # as after a Ctrl-C at the very last action
                 launch(options.folder / "resumed", "--resume", str(folder))
             found = content(folder)

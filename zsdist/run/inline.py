@@ -17,7 +17,7 @@ import torch
 from zsdist.errors import RunError, ZsdistError
 from zsdist.roles.base import HEARTBEAT_S, Role
 from zsdist.roles.scheduler.role import Scheduler
-from zsdist.run import directory, program, sittings
+from zsdist.run import checkpoint_files, directory, program, sittings
 from zsdist.run.program import RoleSpec, RunSpec, Watch
 from zsdist.transport.base import Transport
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
@@ -86,7 +86,7 @@ def _run_in_sittings(spec: RunSpec, epochs: Sequence[int], interrupted: Callable
             if not ended:
                 break
             # Read back, so that the next sitting begins as that of a resumed run would.
-            states = directory.read_checkpoint(directory.newest_checkpoint(spec.folder))
+            states = checkpoint_files.read_checkpoint(checkpoint_files.newest_checkpoint(spec.folder))
             epochs = directory.issue_epochs(spec.folder, len(epochs))
     sittings.conclude(spec, states, begun)
 

@@ -9,7 +9,7 @@ from fakes import LatticeEnv
 from rehearsal import SMALL, episodes, kinematic, rehearse, resume, start
 
 from zsdist import config
-from zsdist.run import directory, sittings
+from zsdist.run import checkpoint_files, sittings
 from zsdist.wire.messages import State
 
 SHORT = (
@@ -99,8 +99,8 @@ def bits(folder):
     found = {name: (folder / name).read_text() for name in ("episodes.jsonl", "metrics.jsonl")}
     summary = json.loads((folder / "summary.json").read_text())
     found["summary"] = {name: value for name, value in summary.items() if name not in ("wall_s", "rates")}
-    for checkpoint in directory.checkpoints(folder):
-        for name, state in directory.read_checkpoint(checkpoint).items():
+    for checkpoint in checkpoint_files.checkpoints(folder):
+        for name, state in checkpoint_files.read_checkpoint(checkpoint).items():
             meta = {key: value for key, value in state.meta.items() if key != "wall_s"}
             for level in ("high", "low") if name.startswith("replay") else ():
                 streams = meta[level]["inbox"]["current"].values()
@@ -169,7 +169,7 @@ def test_an_interruption_before_the_first_checkpoint_awaits_it_and_tells_what_is
     folder, stops = tmp_path / "run", Stops()
     summary = rehearse(stops.into(start(folder, *SHORT)), interrupted=lambda: True)
     assert (summary["ended"], summary["episodes"], summary["driven_again"]) == ("interrupted", 0, 2)
-    assert directory.newest_checkpoint(folder).name == "00000000"
+    assert checkpoint_files.newest_checkpoint(folder).name == "00000000"
     assert not np.array(list(summary["outcomes"].values())).any()
 
 
