@@ -43,8 +43,9 @@ class MemoryLog:
     def metrics(self, row):
         pass
 
-    def checkpoint(self, episodes, states):
-        self.checkpoints.append((episodes, states))
+    def begin_checkpoint(self, episodes, states, score):
+        decoded = {name: codec.decode(payload) for name, payload in states.items()}
+        return lambda: self.checkpoints.append((episodes, decoded))
 
     def summary(self, fields):
         self.summaries.append(fields)
