@@ -3,12 +3,12 @@
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from zsdist.common import atomic_files, commands, folders
+from zsdist.common import atomic_files, commands, finite, folders
 from zsdist.config import Config, parse
-from zsdist.dqn import soundness
 from zsdist.dqn.base import BaseDqnLearner
 from zsdist.dqn.soundness import UnsoundUpdateError
 from zsdist.errors import ConfigError, DecodeError, RunError
@@ -108,11 +108,29 @@ class Rollbacks:
             old.unlink(missing_ok=True)
 
 
-def read_update(file: Path, make_learner: Callable[[Config, Level], BaseDqnLearner]) -> tuple[BaseDqnLearner, Batch]:
-    """Return the learner before a refused update, and the batch of it.
+class RefusedUpdate(NamedTuple):
+    """Update that was refused.
+
+    Attributes:
+        config: configuration of the run.
+        level: level of the learner.
+        number: number of the update, from 1.
+        dqn: the learner before the update.
+        batch: batch of the update.
+    """
+
+    config: Config
+    level: Level
+    number: int
+    dqn: BaseDqnLearner
+    batch: Batch
+
+
+def read_update(file: Path, make_learner: Callable[[Config, Level], BaseDqnLearner]) -> RefusedUpdate:
+    """Return the update in a file of a run's folder `nan`.
 
     Args:
-        file: file in the folder `nan` of a run directory.
+        file: the file.
         make_learner: function that makes the learner of a level.
 
     Raises:
@@ -120,22 +138,21 @@ def read_update(file: Path, make_learner: Callable[[Config, Level], BaseDqnLearn
     """
     try:
         state = codec.decode(file.read_bytes(), expect=State)
-        config, level = parse(state.meta["config"]), Level(state.meta["level"])
-        batch = Batch(**state.part("batch/"))
-        dqn = make_learner(config, level)
+        config, level, updates = parse(state.meta["config"]), Level(state.meta["level"]), int(state.meta["updates"])
+        dqn, batch = make_learner(config, level), Batch(**state.part("batch/"))
         dqn.restore(state.part("dqn/"), check=False)
     except OSError as error:
         raise RunError(f"update {file} cannot be read: {error.strerror}") from error
-    except (DecodeError, ConfigError, KeyError, TypeError, ValueError) as error:
+    except (DecodeError, ConfigError, RunError, KeyError, TypeError, ValueError) as error:
         raise RunError(f"update {file} holds no update of a learner: {error}") from error
     dqn.limit = divergence.value_limit(config, level)
-    return dqn, batch
+    return RefusedUpdate(config, level, updates + 1, dqn, batch)
 
 
 def not_finite(what: str, arrays: Mapping[str, np.ndarray]) -> str | None:
     """Return which array of a network or a state holds a number that is not finite; None: none does."""
     for name, array in arrays.items():
-        if array.dtype.kind == "f" and not soundness.all_finite(array):
+        if array.dtype.kind == "f" and not finite.all_finite(array):
             return f"its {what} holds a number that is not finite, in {name}"
     return None
 

@@ -228,6 +228,8 @@ class Scheduler(Role):
             self.merge = None
             self._schedule.demand()
             self._enter(Stage.CLOSING if self.finished_episodes >= self.target else Stage.TRAIN)
+            if self.stage is Stage.TRAIN:
+                self._save(now)
 
     def _enter(self, stage: Stage) -> None:
         """Begin a stage, and publish it at once.
