@@ -77,9 +77,10 @@ class Episode:
         Raises:
             RunError: the environment returned a pose or a reward that is not finite.
         """
-        self.observation, _, terminated, truncated, self.info = self._env.step(action)
-        terms = RewardTerms(**self.info["reward_terms"])
-        finite.require("pose and rewards of the environment", np.array([*self.observation["pose"], *terms]))
+        observation, _, terminated, truncated, info = self._env.step(action)
+        terms = RewardTerms(**info["reward_terms"])
+        finite.require("pose and rewards of the environment", np.array([*observation["pose"], *terms]))
+        self.observation, self.info = observation, info
         self.rewards.append(terms)
         self.poses.append(_pose(self.observation))
         truncated = truncated or len(self.rewards) >= self._most_steps
