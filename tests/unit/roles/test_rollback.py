@@ -49,11 +49,11 @@ class Bench:
 
     def __init__(self, refused):
         broker, self.now = MemoryBroker(), 0.0
-        others = MemoryTransport(broker)
+        self.others = MemoryTransport(broker)
         self.requests, self.weights, self.told = Mailbox(2**20), Mailbox(2**24), Mailbox(2**20)
-        others.serve(keys.sample(RUN, Level.LOW, 0), self.requests)
-        others.subscribe(keys.weights(RUN, Level.LOW), self.weights)
-        others.subscribe(keys.events(RUN), self.told)
+        self.others.serve(keys.sample(RUN, Level.LOW, 0), self.requests)
+        self.others.subscribe(keys.weights(RUN, Level.LOW), self.weights)
+        self.others.subscribe(keys.events(RUN), self.told)
         context = Context(CONFIG, RUN, "learner", "low", 1, MemoryTransport(broker))
         self.learner = Learner(context, Level.LOW, make_dqn(), refused=refused)
         self.step()
