@@ -107,7 +107,9 @@ def main() -> int:
             number = (signal.SIGINT, signal.SIGKILL)[index % 2]
             status = begin(folder, options.folder / "stopped", options.episodes, at=at, number=number)
             assert status != 0, f"the run was not stopped at action {at}"
-            kept = checkpoint_files.newest_checkpoint(folder).name if checkpoint_files.has_checkpoint(folder) else "none"
+            kept = (
+                checkpoint_files.newest_checkpoint(folder).name if checkpoint_files.has_checkpoint(folder) else "none"
+            )
             if directory.ended(folder) != "complete":  # as after a Ctrl-C at the very last action
                 launch(options.folder / "resumed", "--resume", str(folder))
             found = content(folder)

@@ -1,7 +1,6 @@
 """The run directory: the files of a run, from which it is resumed. While it runs, only the scheduler writes them."""
 
 import contextlib
-import hashlib
 import json
 import os
 import re
@@ -19,12 +18,10 @@ from zsdist.common import atomic_files, commands, folders, json_lines, locks, ou
 from zsdist.common.ownership import Owned
 from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
-from zsdist.run import board, figures_file, location
+from zsdist.run import board, checkpoint_writer, figures_file, location
 from zsdist.run.checkpoint_files import (
-    MANIFEST,
     checkpoints,
     has_checkpoint,
-    manifest_bytes,
     newest_checkpoint,
     newest_whole,
     read_manifest,
@@ -227,17 +224,20 @@ class RunDirectory(Owned):
     A run directory that is dropped is closed, and its lines are written.
     """
 
-    def __init__(self, folder: Path, vision: VisionIdentity, earlier_s: float = 0.0) -> None:
+    def __init__(
+        self, folder: Path, vision: VisionIdentity, earlier_s: float = 0.0, kept: int = CHECKPOINTS_KEPT
+    ) -> None:
         """Open the files of `folder`.
 
         Args:
             folder: run directory.
             vision: vision model of the policy, which is written into checkpoints.
             earlier_s: real seconds that earlier starts of this run took.
+            kept: number of the newest checkpoints that are kept, besides the best one.
         """
         self.folder = folder
         self._vision = vision
-        self._earlier_s = earlier_s
+        self._earlier_s, self._kept = earlier_s, kept
         self._opened_s = time.monotonic()
         with _written(folder):
             self._episodes = (folder / "episodes.jsonl").open("a", buffering=1, encoding="utf-8")
@@ -268,49 +268,44 @@ class RunDirectory(Owned):
                 step = int(row.get("env_steps", 0))
                 self._board.add(step, {name: value for name, value in shown.items() if isinstance(value, int | float)})
 
-    def checkpoint(self, episodes: int, states: dict[str, State]) -> None:
-        """Write `checkpoints/{episodes}`, complete or not at all, and remove the oldest beyond those kept.
+    def checkpoint(self, episodes: int, states: Mapping[str, State | bytes], score: float | None = None) -> None:
+        """Write a checkpoint, as the function that `begin_checkpoint` returns does."""
+        self.begin_checkpoint(episodes, states, score)()
 
-        Once this returns, the checkpoint survives a power failure, as far as the disk writes what it confirms.
+    def begin_checkpoint(
+        self, episodes: int, states: Mapping[str, State | bytes], score: float | None = None
+    ) -> Callable[[], None]:
+        """Return a function that writes `checkpoints/{episodes}`, complete or not at all, and removes old ones.
 
-        Raises:
-            RunError: it cannot be written; the checkpoints before it stay.
+        It may run on another thread while this object is used. Once it returns, the checkpoint survives a power
+        failure, as far as the disk writes what it confirms, and so do all lines that were written before this call.
+        It raises `RunError` where the checkpoint cannot be written; those before it stay.
+
+        Args:
+            episodes: count of finished episodes.
+            states: states by name of the role; one in bytes is encoded already.
+            score: score of the network that won the newest merge; None: there has been none.
         """
-        payloads = {name: codec.encode(state) for name, state in states.items()}
         final = self.folder / "checkpoints" / f"{episodes:08d}"
-        with _written(self.folder):
-            try:
-                self._write_checkpoint(final, episodes, payloads)
-            except OSError:
-                shutil.rmtree(final.with_name(f".{final.name}.partial"), ignore_errors=True)  # it may fill the disk
-                raise
-
-    def _write_checkpoint(self, final: Path, episodes: int, payloads: Mapping[str, bytes]) -> None:
-        partial, aside = (final.with_name(f".{final.name}.{suffix}") for suffix in ("partial", "old"))
-        for left_over in (partial, aside):  # left by a killed process
-            shutil.rmtree(left_over, ignore_errors=True)
-        self._sync()  # a checkpoint contains no episode whose line could still be lost
-        partial.mkdir(parents=True)
-        for name, payload in payloads.items():
-            atomic_files.write(partial / f"{name}.state", payload)
-        hashes = {name: hashlib.sha256(payload).hexdigest() for name, payload in payloads.items()}
-        manifest = {
+        events = board.sizes(self.folder / "tensorboard")
+        about: dict[str, Any] = {
             "zsdist": __version__,
             "episodes": episodes,
             "vision": self._vision.to_json(),
-            "sha256": hashes,
             "rows": self._figures.rows,
-            "tensorboard": board.sizes(self.folder / "tensorboard"),
+            "tensorboard": events,
+            **({} if score is None else {"score": score}),
         }
-        atomic_files.write(partial / MANIFEST, manifest_bytes(manifest))
-        atomic_files.sync_folder(partial)
-        if final.exists():  # after as many episodes; moved aside in one step, so that a kill leaves no part of it
-            final.rename(aside)
-        partial.rename(final)
-        atomic_files.sync_folder(final.parent)
-        shutil.rmtree(aside, ignore_errors=True)
-        for old in checkpoints(self.folder)[:-CHECKPOINTS_KEPT]:
-            shutil.rmtree(old)
+        lines = [self.folder / name for name in ("episodes.jsonl", "metrics.jsonl")]
+
+        def write() -> None:
+            payloads = {name: codec.encode(own) if isinstance(own, State) else own for name, own in states.items()}
+            before = [*lines, *(self.folder / "tensorboard" / name for name in events)]
+            with _written(self.folder):
+                checkpoint_writer.write(final, payloads, about, before)
+                checkpoint_writer.rotate(self.folder, self._kept)
+
+        return write
 
     def wall_s(self) -> float:
         """Return the real seconds that the run has taken so far, earlier starts included."""

@@ -7,6 +7,7 @@ from outside.
 
 import threading
 import time
+import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
@@ -76,7 +77,8 @@ def _run_in_sittings(spec: RunSpec, epochs: Sequence[int], interrupted: Callable
         closing(connect(program.supervisor(epochs))) as supervisor,
     ):
         while not sittings.is_complete(spec.config, states):
-            sitting, until = replace(spec, states=dict(states)), sittings.end(spec.config, states)
+            start = uuid.uuid4().hex  # of journals: no role goes on with those of the sitting before
+            sitting, until = replace(spec, states=dict(states), start=start), sittings.end(spec.config, states)
             with closing(_Runner(sitting, epochs, supervisor, connect, belongings.build, until)) as runner:
                 # The first checkpoint is awaited, since an interrupted run has to have one.
                 stop = interrupted if states else lambda: False

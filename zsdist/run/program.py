@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zsdist.agent import features
-from zsdist.common import code_hash
+from zsdist.common import background, code_hash
 from zsdist.config import Config
 from zsdist.driving.actor_car import ActorCar, CameraEnv
 from zsdist.driving.perception import Perception, VisionModel
@@ -163,11 +163,14 @@ class RunSpec:
     def open_directory(self) -> RunDirectory:
         """Open the files of the run, as the scheduler writes them."""
         restored = self.states.get("scheduler")
-        return RunDirectory(self.folder, self.vision, restored.meta["wall_s"] if restored else 0.0)
+        earlier_s = restored.meta["wall_s"] if restored else 0.0
+        return RunDirectory(self.folder, self.vision, earlier_s, self.config.run.checkpoints_kept)
 
     def context(self, role_spec: RoleSpec, transport: Transport, wake: threading.Event) -> Context:
         """Return the context of one role."""
-        return Context(self.config, self.run, role_spec.role, role_spec.id, role_spec.epoch, transport, wake)
+        own_thread = self.config.transport.kind != "memory"  # there the clock is virtual, and a run repeats bit for bit
+        place = background.thread(role_spec.name) if own_thread else background.at_once
+        return Context(self.config, self.run, role_spec.role, role_spec.id, role_spec.epoch, transport, wake, place)
 
     def build(
         self,
@@ -201,7 +204,8 @@ class RunSpec:
                 level = Level(role_spec.id)
                 from zsdist.roles.learner import Learner  # the only role that needs torch: two seconds and 150 MB
 
-                return Learner(context, level, make_learner(config, level), self.states.get(role_spec.name))
+                dqn, restored = make_learner(config, level), self.states.get(role_spec.name)
+                return Learner(context, level, dqn, restored, self.folder / "nan")
             case "actor":
                 parts = parts or self.make_parts(config)
                 loaded = VisionIdentity.of(parts.visual_act, config.vision.network)

@@ -4,14 +4,14 @@ from enum import StrEnum
 from typing import Any
 
 from zsdist.dqn.exploration import epsilon
-from zsdist.roles import schemas
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.replay import shards
-from zsdist.roles.scheduler.checkpointing import ANSWER_WITHIN_S, CheckpointSchedule, StateCollection
+from zsdist.roles.scheduler.checkpointing import CheckpointSchedule
 from zsdist.roles.scheduler.leases import Leases
 from zsdist.roles.scheduler.merge import NO_MERGE, Drive, Merge, deal_drives, next_merge_at
 from zsdist.roles.scheduler.records_inbox import RecordsInbox
 from zsdist.roles.scheduler.run_log import RunLog
+from zsdist.roles.scheduler.saving import Saving
 from zsdist.roles.scheduler.standstill import StandstillWatch
 from zsdist.roles.scheduler.summary import run_summary
 from zsdist.roles.scheduler.totals import RunTotals
@@ -49,8 +49,8 @@ class Scheduler(Role):
         self._inboxes = {stream: RecordsInbox(stream, context.epoch, self.refuse) for stream in (EPISODES, EVALUATION)}
         self._offered: dict[Level, dict[str, int]] = {level: {} for level in Level}  # candidate -> its newest merge
         self._merged = dict.fromkeys(Level, 0)  # index of the last merge that each learner has taken over
-        self._collection = StateCollection(context.config)
-        self._final_states: dict[str, State] = {}
+        self._saving = Saving(self)
+        self._final_states: dict[str, State] | None = None  # in the last checkpoint of the run
         self._schedule = CheckpointSchedule(context.config.run)
         self._now_s = self._next_orders_s = self._next_metrics_s = 0.0
         self._standstill = StandstillWatch()
@@ -60,7 +60,6 @@ class Scheduler(Role):
         self._reports = self.mailbox("records")
         self._learners = self.mailbox("weights")
         self._watch = self.mailbox("stats")
-        self._answers = self.mailbox("checkpoint")  # to the requests of this stage
         self._commands = self.mailbox("commands")
         self.transport.subscribe(keys.episodes(run, keys.ANY, keys.ANY), self._reports)
         self.transport.subscribe(keys.evaluation(run, keys.ANY), self._reports)
@@ -109,7 +108,7 @@ class Scheduler(Role):
             "episodes_in_flight": len(self.leases.holders),
             **{outcome.value: count for outcome, count in self.totals.outcomes.items()},
             **self.totals.statistics(),
-            **self._collection.statistics(),
+            **self._saving.statistics(),
         }
         if self.merge is not None:
             fields["drives_left"] = len(self.merge.outstanding())
@@ -215,12 +214,16 @@ class Scheduler(Role):
             merge.finish()
         if merge.phase is not before:
             self._next_orders_s = 0.0
-        if merge.phase is Phase.DONE and (self._sits or self._save(now)):  # which a sitting does at its end
+        if merge.phase is Phase.DONE:
             self.totals.merges.append(merge.summary())
             assert merge.chosen is not None  # else the phase is DRIVE still
             self.event(now, "merge", merge=merge.index, chosen=merge.chosen, score=merge.score(merge.chosen))
             self.merge = None
             self._enter(Stage.CLOSING if self.finished_episodes >= self._last else Stage.TRAIN)
+            if not self._sits:  # a sitting saves at its end
+                self._schedule.demand()
+                if self.stage is Stage.TRAIN:
+                    self._save(now)
 
     def _enter(self, stage: Stage) -> None:
         """Begin a stage, and publish it at once.
@@ -228,8 +231,7 @@ class Scheduler(Role):
         No later checkpoint contains states that were requested before, even if they are still on their way.
         """
         self.stage, self._next_orders_s = stage, 0.0
-        self._answers = self.mailbox("checkpoint")
-        self._collection.clear()
+        self._saving.restart()
 
     def _conduct_end(self, now: float) -> None:
         """End the run: actors close their epochs, the replay stores everything, then checkpoint and summary follow."""
@@ -237,7 +239,9 @@ class Scheduler(Role):
             if any(inbox.open_streams() for inbox in self._inboxes.values()):
                 return
             self.stage = Stage.SAVING
-        if not self._save(now, final=True):
+        if self._final_states is None:
+            self._save(now, final=True)
+        if self._final_states is None or not self._saving.has_written:
             return
         if not self._sits:
             about = (self.totals, self._final_states, self.snapshot)
@@ -245,24 +249,15 @@ class Scheduler(Role):
             self.run_log.summary(run_summary(*about, finished=finished, interrupted=self._interrupted, wall_s=wall_s))
         self.stage, self._next_orders_s = Stage.DONE, 0.0
 
-    def _save(self, now: float, final: bool = False) -> bool:
-        """Request the states of all roles, and write a checkpoint once all have answered; return whether it did."""
-        for _, state in self.messages(self._answers, State):
-            if self.checked(schemas.check_state, state) is not None:
-                self._collection.accept(state)
+    def _save(self, now: float, final: bool = False) -> None:
+        """Request the states of all roles, and once all have answered begin to write a checkpoint, one at a time."""
+        if not self._saving.has_written or (answers := self._saving.collect(now, delivered=final)) is None:
+            return
+        states = {name: answer.payload for name, answer in answers.items()} | {"scheduler": codec.encode(self.state())}
+        self._saving.write(self.run_log.begin_checkpoint(self.finished_episodes, states, self.totals.score))
+        self._schedule.note_checkpoint(self.finished_episodes, now)
         if final:
-            self._collection.drop_open(now)
-        states = self._collection.take()
-        if states is not None:
-            self.run_log.checkpoint(self.finished_episodes, {**states, "scheduler": self.state()})
-            self._schedule.note_checkpoint(self.finished_episodes, now)
-            self._final_states = states
-            return True
-        for name in self._collection.due(now):
-            request = codec.encode(Orders(self.context.epoch, name, {"ask": "state"}))
-            where = keys.control(self.context.run, name)
-            self.transport.request(where, request, self._answers, timeout_s=ANSWER_WITHIN_S)
-        return False
+            self._final_states = {name: answer.state for name, answer in answers.items()}
 
     # -- output -------------------------------------------------------------------------------------------------
 
