@@ -227,6 +227,7 @@ class RunConfig(Section):
     checkpoint_every_episodes: Count = 50
     checkpoint_every_s: Annotated[float, Field(ge=1, le=1e9)] = 60.0  # seconds until one is made in any case
     cpus_per_role: Annotated[float, Field(gt=0)] = 0.1  # CPUs that each role requests from Ray
+    checkpoints_kept: Annotated[int, Field(ge=1, le=10_000)] = 3  # newest ones that stay, besides the best one
     standby: bool = True  # keep a spare process ready that takes over from one that dies
     address: str | None = None  # address of a Ray cluster; None: start Ray on this machine
     final_evaluation_episodes: Annotated[int, Field(ge=0)] = 30  # per policy, after training; 0: no evaluation

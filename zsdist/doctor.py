@@ -17,6 +17,8 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--address", metavar="RAY", help="also check this Ray cluster: HOST:PORT or auto")
     parser.add_argument("--endpoint", help="also check this endpoint of the cluster's hub (transport.endpoint)")
     parser.add_argument("--tls", type=cli.path, metavar="DIR", help="also check these certificates (transport.tls)")
+    replay = "only make this update of a learner again, which was refused, and say what goes wrong in it first"
+    parser.add_argument("--replay-update", type=cli.path, metavar="FILE", help=replay)
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
     return parser
 
@@ -24,7 +26,13 @@ def make_parser() -> argparse.ArgumentParser:
 def main(options: argparse.Namespace) -> int:
     """Run all checks and print their results; return 1 where one of them failed."""
     results, console = [], PlainConsole()
-    for result in suite.run_checks(options.address, options.endpoint, options.tls):
+    if options.replay_update is not None:
+        from zsdist.diagnostics.update import check_update  # what it imports may be what the other checks look for
+
+        checks = iter([check_update(options.replay_update)])
+    else:
+        checks = suite.run_checks(options.address, options.endpoint, options.tls)
+    for result in checks:
         results.append(result)
         if not options.json:
             _print(result, console)

@@ -53,6 +53,10 @@ class RunError(ZsdistError):
     """Run or stored result that cannot be started, resumed, read or written, or whose counts do not agree."""
 
 
+class DamagedError(RunError):
+    """File of a run that is missing, or whose content is not what was written."""
+
+
 class DataError(ZsdistError):
     """Folder or file of a data set that is missing, damaged, or not in the expected layout."""
 

@@ -15,6 +15,7 @@ USER_ERRORS = {
     "TransportError",
     "WeightsError",
     "RunError",
+    "DamagedError",
     "DataError",
     "CacheError",
     "SimulationError",

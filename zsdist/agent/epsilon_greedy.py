@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from zsdist.common import finite
 from zsdist.dqn import network
 from zsdist.types import Behaviour
 
@@ -51,6 +52,9 @@ class EpsilonGreedy:
             mask: `(A,)` bool, allowed choices.
             guided: choice of the guide policy; None: it has none.
             instead: choice of the policy that the configuration puts in the network's place; None: the network decides.
+
+        Raises:
+            RunError: a value of the network is not finite.
         """
         if instead is not None:
             return Choice(int(instead), Behaviour.GUIDE, False)
@@ -59,5 +63,6 @@ class EpsilonGreedy:
                 return Choice(int(guided), Behaviour.GUIDE, False)
             return Choice(int(self.rng.choice(np.flatnonzero(mask))), Behaviour.UNIFORM, False)
         values = q(state[None])[0]
+        finite.require("values of the network in a state", values)  # the greatest of them would be NaN itself
         best = int(network.greedy(values[None], mask[None])[0])
         return Choice(best, Behaviour.GREEDY, best != int(values.argmax()))

@@ -6,6 +6,7 @@ from zsdist.agent import shield
 from zsdist.agent.reward_shaping import path_costs
 from zsdist.agent.shield import Judgement
 from zsdist.agent.situation import Situation, Tries
+from zsdist.common import finite
 from zsdist.planning import forward_search
 from zsdist.planning.belief import BeliefMap
 from zsdist.planning.grid import HEADINGS, Grid
@@ -53,7 +54,12 @@ class EpisodeMemory:
 
         Returns:
             The situation, and the shield's judgement of it.
+
+        Raises:
+            RunError: a number of the view is not finite.
         """
+        for name in ("ray_probabilities", "clearance_m", "advice"):
+            finite.require(f"{name} of a picture", getattr(view, name))
         self._belief.update(pose, view, self._camera_forward_m)
         state = self._grid.lattice_state(pose)
         block = self._grid.block_of(state.ix, state.iy)

@@ -36,7 +36,12 @@ def write(path: Path, content: bytes) -> None:
 
 def sync_folder(folder: Path) -> None:
     """Return once the names of the files in a folder are on the disk."""
-    descriptor = os.open(folder, os.O_RDONLY)
+    sync(folder)
+
+
+def sync(path: Path) -> None:
+    """Return once what was written to a file so far is on the disk, whoever wrote it."""
+    descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:

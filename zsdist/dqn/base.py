@@ -4,19 +4,21 @@ All weights of a network lie in one vector, and its tensors are views of that ve
 the copy into the target network are one operation each, whatever the number of layers.
 """
 
+import contextlib
 import copy
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
-from typing import NamedTuple
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple, Self
 
 import numpy as np
 import torch
 
 from zsdist.common import random_streams
 from zsdist.config import LevelConfig
-from zsdist.dqn import losses, network, torch_network
+from zsdist.dqn import losses, network, soundness, torch_network
 from zsdist.dqn.batches import StackedBatch
+from zsdist.dqn.soundness import Quantity, UnsoundUpdateError
 from zsdist.errors import RunError, WeightsError
 from zsdist.types import Batch, Mirror, Parameters
 
@@ -56,6 +58,7 @@ class BaseDqnLearner(ABC):
 
     Attributes:
         updates: number of gradient steps so far.
+        limit: magnitude that no value and no error may exceed in an update.
     """
 
     def __init__(
@@ -67,7 +70,7 @@ class BaseDqnLearner(ABC):
         mirror: Mirror | None = None,
         device: str | torch.device | None = None,
     ) -> None:
-        self.updates = 0
+        self.updates, self.limit = 0, math.inf
         self._last: GradientStep | None = None
         self._state_size, self._actions = state_size, actions
         self._config = config
@@ -86,8 +89,19 @@ class BaseDqnLearner(ABC):
         return (batch.states.shape[1], batch.masks.shape[1]) == (self._state_size, self._actions)
 
     def update(self, batch: Batch) -> None:
-        """Make one gradient step of the policy network, then move the target network towards it by `target_tau`."""
-        self._last = self._gradient_step(batch, self._config.guide_margin_weight)
+        """Make one gradient step of the policy network, then move the target network towards it by `target_tau`.
+
+        Raises:
+            UnsoundUpdateError: the step would compute a number that is not finite, or a value or error beyond `limit`;
+                nothing has changed.
+        """
+        drawn = None if self._mirror is None else self._rng.bit_generator.state
+        try:
+            self._last = self._gradient_step(batch, self._config.guide_margin_weight)
+        except UnsoundUpdateError:
+            if drawn is not None:
+                self._rng.bit_generator.state = drawn
+            raise
         if self._config.target_tau:
             self._target_weights.lerp_(self._weights, self._config.target_tau)
         self.updates += 1
@@ -99,6 +113,9 @@ class BaseDqnLearner(ABC):
         Args:
             batch: transitions to learn from; left unchanged.
             margin_weight: weight of the large-margin loss, which is added to the temporal-difference loss.
+
+        Raises:
+            UnsoundUpdateError: as `update` raises it.
         """
 
     def figures(self) -> dict[str, float]:
@@ -116,18 +133,6 @@ class BaseDqnLearner(ABC):
             loss += config.guide_margin_weight * margin
         return {"loss": loss, "q_mean": float(last.q.mean()), "gradient_norm": last.gradient_norm}
 
-    def largest(self) -> float:
-        """Return the largest magnitude of values and errors in the last update; 0 before the first.
-
-        It is not finite if one of them, or the gradient, is not.
-        """
-        if self._last is None:
-            return 0.0
-        if not math.isfinite(self._last.gradient_norm):
-            return self._last.gradient_norm
-        q, errors = np.abs(self._last.q).max(), np.abs(self._last.errors).max()
-        return float(np.maximum(q, errors))  # NaN if either is
-
     def errors(self) -> np.ndarray:
         """Return the absolute temporal-difference errors of the last update's rows, `(B,)` float32.
 
@@ -144,14 +149,52 @@ class BaseDqnLearner(ABC):
 
         The temporal-difference loss remains part of it, so that values keep their scale. This learner is unchanged.
         """
+        student = self._student()
+        for batch in batches:
+            student._gradient_step(batch, _DISTIL_MARGIN_WEIGHT)
+        return student.parameters()
+
+    def examine(self, batch: Batch) -> str | None:
+        """Return what an update by `batch` would first compute that is not finite or beyond `limit`; None: nothing.
+
+        This learner is unchanged.
+        """
+        with np.errstate(all="ignore"):
+            return soundness.first_unsound(self._quantities(batch))
+
+    def _quantities(self, batch: Batch) -> Iterator[Quantity]:
+        """Return all that an update reads and computes, in order; what comes later is only computed if asked for."""
+        columns = {name: getattr(batch, name) for name in ("states", "rewards", "discounts", "next_states", "weights")}
+        yield from (Quantity(f"{name} of the batch", column) for name, column in columns.items() if column is not None)
+        yield from (Quantity(f"{name} of the learner", array) for name, array in self.state().items() if "/" in name)
+        student, size = self._student(), len(batch)
+        rows = student._stacked(batch)
+        for of, parameters, states in (
+            ("online", self.parameters(), rows.states),
+            ("target", self.target_parameters(), rows.states[size:]),
+        ):
+            yield from soundness.layers(of, parameters, states, self.limit)
+        online, target = network.apply(self.parameters(), rows.states), network.apply(parameters, states)
+        yield Quantity("scaled rewards of the batch", batch.rewards * np.float32(self._config.reward_scale))
+        targets = self._td_targets(batch, rows.masks[size:], target, online[size:] if self._config.double else None)
+        yield Quantity("targets", targets)
+        yield Quantity("errors", losses.td_error(online[:size], rows.actions, targets), self.limit)
+        student = self._student()
+        with contextlib.suppress(UnsoundUpdateError):
+            student._gradient_step(batch, self._config.guide_margin_weight)
+        for name, tensor in zip(student._online.names, student._online.tensors, strict=True):
+            assert tensor.grad is not None  # a view of the vector of gradients
+            yield Quantity(f"gradient of {name}", tensor.grad.cpu().numpy())
+        yield Quantity("squared norm of the gradient", np.square(student._gradient.cpu().numpy()).sum())
+
+    def _student(self) -> Self:
+        """Return a copy with the same networks, a new optimiser, and a policy network of its own."""
         student = copy.copy(self)
         student._rng = copy.deepcopy(self._rng)
         student._online = torch_network.policy_network(self.parameters()).to(self._device)
         student._weights, student._gradient = _flatten(student._online)
         student._restart_optimiser()
-        for batch in batches:
-            student._gradient_step(batch, _DISTIL_MARGIN_WEIGHT)
-        return student.parameters()
+        return student
 
     def promote(self, parameters: Parameters, reset_online: bool) -> None:
         """Load `parameters` into the target network; with `reset_online` also into the policy network.
@@ -181,8 +224,12 @@ class BaseDqnLearner(ABC):
         arrays |= {f"adam/{name}": value.cpu().numpy().copy() for name, value in self._adam.items()}
         return arrays | {"updates": np.array(self.updates, np.int64), "generator": _generator_words(self._rng)}
 
-    def restore(self, state: dict[str, np.ndarray]) -> None:
+    def restore(self, state: dict[str, np.ndarray], *, check: bool = True) -> None:
         """Restore what `state` returned.
+
+        Args:
+            state: entries by name.
+            check: whether weights that are not finite are refused.
 
         Raises:
             RunError: an entry is missing or misshapen.
@@ -194,7 +241,7 @@ class BaseDqnLearner(ABC):
             if found != shape:
                 raise RunError(f"learner state {name} is {found}; allowed is an array of shape {shape}")
         for prefix, module in (("online/", self._online), ("target/", self._target)):
-            self._load(module, {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)})
+            self._load(module, {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}, check)
         for name, value in self._adam.items():
             value.copy_(torch.from_numpy(np.array(state[f"adam/{name}"])))
         self.updates = int(state["updates"])
@@ -214,8 +261,9 @@ class BaseDqnLearner(ABC):
         rewards = batch.rewards * np.float32(self._config.reward_scale)
         return losses.td_targets(rewards, batch.discounts, target_q, next_masks, online_q)
 
-    def _load(self, module: torch_network.QNetwork, parameters: Parameters) -> None:
-        network.check(parameters, self._state_size, self._actions)
+    def _load(self, module: torch_network.QNetwork, parameters: Parameters, check: bool = True) -> None:
+        if check:
+            network.check(parameters, self._state_size, self._actions)
         for name, tensor in zip(module.names, module.tensors, strict=True):
             if name not in parameters or tuple(tensor.shape) != parameters[name].shape:
                 found = parameters[name].shape if name in parameters else "missing"

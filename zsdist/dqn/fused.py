@@ -9,7 +9,7 @@ from torch.nn import functional
 from torch.optim.adam import adam
 
 from zsdist.common.compiled import compiled
-from zsdist.dqn import losses
+from zsdist.dqn import losses, soundness
 from zsdist.dqn.base import BaseDqnLearner, GradientStep
 from zsdist.dqn.network import NORM_EPSILON
 from zsdist.dqn.torch_network import QNetwork
@@ -43,11 +43,13 @@ class FusedDqnLearner(BaseDqnLearner):
         if batch.weights is not None:  # drawn by priority: each row counts as much as its importance weight
             gradient *= batch.weights[:, None]
         backward(self._online, torch.from_numpy(gradient).to(self._device), trace)
-        return GradientStep(q, errors, masks, rows.guides, self._descend())
-
-    def _descend(self) -> float:
-        """Make one Adam step down the clipped gradient; return its norm before clipping."""
         norm: float = torch.linalg.vector_norm(self._gradient).item()
+        soundness.require(self.limit, norm, values, target_q, errors)
+        self._descend(norm)
+        return GradientStep(q, errors, masks, rows.guides, norm)
+
+    def _descend(self, norm: float) -> None:
+        """Make one Adam step down the gradient, which has this norm, after clipping it."""
         shrink = np.float32(self._config.max_gradient_norm) * (1 / (np.float32(norm) + np.float32(1e-6)))
         if shrink < 1:
             self._gradient.mul_(float(shrink))
@@ -67,7 +69,6 @@ class FusedDqnLearner(BaseDqnLearner):
             amsgrad=False,
             maximize=False,
         )
-        return norm
 
 
 def forward(network: QNetwork, states: torch.Tensor) -> tuple[torch.Tensor, Trace]:

@@ -6,6 +6,7 @@
 import numpy as np
 import torch
 
+from zsdist.dqn import soundness
 from zsdist.dqn.base import BaseDqnLearner, GradientStep
 from zsdist.types import Batch
 
@@ -30,19 +31,21 @@ class DqnLearner(BaseDqnLearner):
             loss = loss + margin_weight * margins
         if batch.weights is not None:  # drawn by priority: each row counts as much as its importance weight
             loss = loss * self._tensor(batch.weights)
-        norm = self._descend(loss.mean())
-        return GradientStep(q.detach().cpu().numpy(), errors.detach().cpu().numpy(), masks, rows.guides, norm)
+        self._optimiser.zero_grad(set_to_none=False)  # the networks' gradients are views of the vector of gradients
+        torch.autograd.backward(loss.mean())
+        norm = torch.linalg.vector_norm(self._gradient).item()
+        values, found = q.detach().cpu().numpy(), errors.detach().cpu().numpy()
+        soundness.require(self.limit, norm, values, target_q, found, *(() if online_q is None else (online_q,)))
+        self._descend()
+        return GradientStep(values, found, masks, rows.guides, norm)
 
-    def _descend(self, loss: torch.Tensor) -> float:
-        """Make one step down the gradient of `loss`: Eq. (11). Return the gradient's norm before clipping.
+    def _descend(self) -> None:
+        """Make one step down the gradient: Eq. (11).
 
         Deviation: Adam with a clipped gradient in place of the plain step; Huber loss where so configured.
         """
-        self._optimiser.zero_grad(set_to_none=False)  # the networks' gradients are views of the vector of gradients
-        torch.autograd.backward(loss)
-        norm = torch.nn.utils.clip_grad_norm_(self._weights, self._config.max_gradient_norm)
+        torch.nn.utils.clip_grad_norm_(self._weights, self._config.max_gradient_norm)
         self._optimiser.step()
-        return norm.item()
 
     def _restart_optimiser(self) -> None:
         super()._restart_optimiser()

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple, Protocol, SupportsFloat
 
 import numpy as np
 
+from zsdist.common import finite
 from zsdist.planning.rewards import RewardTerms
 from zsdist.types import Outcome, Pose
 
@@ -71,9 +72,15 @@ class Episode:
         return self.outcome is not None
 
     def step(self, action: int) -> StepResult:
-        """Drive one action to its end and return its result."""
-        self.observation, _, terminated, truncated, self.info = self._env.step(action)
-        terms = RewardTerms(**self.info["reward_terms"])
+        """Drive one action to its end and return its result.
+
+        Raises:
+            RunError: the environment returned a pose or a reward that is not finite.
+        """
+        observation, _, terminated, truncated, info = self._env.step(action)
+        terms = RewardTerms(**info["reward_terms"])
+        finite.require("pose and rewards of the environment", np.array([*observation["pose"], *terms]))
+        self.observation, self.info = observation, info
         self.rewards.append(terms)
         self.poses.append(_pose(self.observation))
         truncated = truncated or len(self.rewards) >= self._most_steps

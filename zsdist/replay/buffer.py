@@ -5,6 +5,7 @@ of one transition has two states, so a ring of shared states needs as many of th
 floats, the format in which they are sent. 20,000 rows of 120 features take 10 MiB.
 """
 
+import weakref
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple, Self
@@ -15,6 +16,7 @@ from zsdist.common import half_precision
 from zsdist.errors import RunError
 from zsdist.replay import n_step_returns
 from zsdist.replay.priorities import RowPriorities
+from zsdist.replay.ring_copy import RingCopy
 from zsdist.types import NO_GUIDE, Behaviour, StoredBatch, Trajectories, Trajectory, count_transitions
 
 # Reasons to reject a transition, in the order of the checks; each transition counts under the first that applies.
@@ -65,6 +67,7 @@ class RingBuffer:
         self._head = 0  # row to write next
         self._written = 0
         self._newest_version = 0
+        self._copy: tuple[weakref.ref[RingCopy], int] | None = None  # newest one, and the rows written before it
 
     def __len__(self) -> int:
         return self._size
@@ -167,10 +170,17 @@ class RingBuffer:
         if self._priorities is not None:
             self._priorities.resize(capacity, self._priorities.get(rows))
         self._columns, self.capacity, self._size, self._head = columns, capacity, kept, kept % capacity
+        self._copy = None  # its columns are written no more
 
     def state(self) -> dict[str, np.ndarray]:
         """Return a copy of all rows in ring order; a restored buffer draws the same rows with an equal generator."""
         return {name: column[: self._size].copy() for name, column in self._columns.items()} | self.layout()
+
+    def begin_copy(self) -> RingCopy:
+        """Return a copy of `state` that is made in slices while rows are added; the one before must be done."""
+        copy = RingCopy(self._columns, self._size, (self._head - self._size) % self.capacity, self.layout())
+        self._copy = weakref.ref(copy), self._written
+        return copy
 
     def layout(self) -> dict[str, np.ndarray]:
         """Return `state` without the rows; `rows_since` returns the rows piece by piece."""
@@ -212,7 +222,7 @@ class RingBuffer:
                     f"allowed is {column.dtype} of shape {(size, *column.shape[1:])}"
                 )
             column[:size] = found
-        self._columns, self.capacity, self._size, self._head = columns, capacity, size, head
+        self._columns, self.capacity, self._size, self._head, self._copy = columns, capacity, size, head, None
         self._written = int(state["written"])
         self._newest_version = int(columns["versions"][:size].max(initial=0))
         if self._priorities is not None:
@@ -273,6 +283,10 @@ class RingBuffer:
 
     def _write(self, offer: "_Offer", accepted: np.ndarray) -> None:
         """Write the accepted transitions, at most the capacity, from the head on, and from row 0 after the last row."""
+        if self._copy is not None:
+            copy, before = self._copy
+            if (ring_copy := copy()) is not None:
+                ring_copy.keep_ahead(self._written - before + len(accepted))
         written = 0
         while written < len(accepted):
             part = accepted[written : written + self.capacity - self._head]

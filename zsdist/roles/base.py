@@ -7,10 +7,12 @@ import socket
 import threading
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Any, ParamSpec, TypeVar, overload
 
+from zsdist.common.background import Background, at_once
 from zsdist.config import Config
 from zsdist.errors import DecodeError
 from zsdist.protocol import inbox
@@ -44,6 +46,7 @@ class Context:
         epoch: number of this incarnation, never used twice in a run directory; newer epochs overrule older ones.
         transport: transport of all messages of the role.
         wake: event that is set whenever a mailbox of this role receives something.
+        background: place for work that would hold up a step, such as encoding a state.
     """
 
     config: Config
@@ -53,6 +56,7 @@ class Context:
     epoch: int
     transport: Transport
     wake: threading.Event = field(default_factory=threading.Event)
+    background: Background = at_once
 
     @property
     def name(self) -> str:
@@ -70,6 +74,7 @@ class Role(ABC):
         self.finished = False  # set by `work` when nothing is left to do
         self._mailboxes: dict[str, Mailbox] = {}
         self._refused: Counter[str] = Counter()
+        self._underway: list[Future[Any]] = []  # in the background
         self._orders_epoch = -1  # epoch of the newest sender of orders; orders of older ones are stale
         self._sender_epochs: dict[str, int] = {}  # newest known epoch of each other sender
         self._next_statistics_s = 0.0
@@ -83,6 +88,7 @@ class Role(ABC):
         """
         if self.finished:
             return None
+        self._end_jobs()
         wake_s = self.work(now)
         if now >= self._next_statistics_s or self.finished:
             self._next_statistics_s = now + STATISTICS_EVERY_S
@@ -176,8 +182,9 @@ class Role(ABC):
         """Return the newest epoch of a sender that `is_stale` was told of; 0 before."""
         return self._sender_epochs.get(sender, 0)
 
-    def answer_state_requests(self, box: Mailbox, state: Callable[[], State]) -> None:
-        """Drain `box` of the scheduler's requests for this role's state, and answer each with what `state` returns."""
+    def state_requests(self, box: Mailbox) -> list[Callable[[bytes], None]]:
+        """Drain `box` of the scheduler's requests for this role's state, and return the functions that reply."""
+        replies = []
         for reply, request in self.requests(box, Orders):
             wanted = self.checked(schemas.read, StateRequest, request.content)
             if wanted is None:
@@ -185,7 +192,35 @@ class Role(ABC):
             if request.sender_epoch < self._orders_epoch or wanted.epoch > self.context.epoch:
                 self.refuse("stale")  # of a scheduler that was replaced, or meant for the successor of this role
             else:
-                reply(codec.encode(state()))
+                replies.append(reply)
+        return replies
+
+    def reply_state(self, replies: Sequence[Callable[[bytes], None]], state: Callable[[], State]) -> None:
+        """Reply to requests with what `state` returns, which is called in the background and owns all that it uses."""
+
+        def encode_and_reply() -> None:
+            payload = codec.encode(state())
+            for reply in replies:
+                reply(payload)
+
+        if replies:
+            self.in_background(encode_and_reply)
+
+    def in_background(self, function: Callable[[], Result]) -> Future[Result]:
+        """Run a function beside the steps; when it is done the role is woken, and an error of it ends the role."""
+        future = self.context.background(function)
+        if future.done():
+            future.result()
+        else:
+            self._underway.append(future)
+            future.add_done_callback(lambda _: self.context.wake.set())
+        return future
+
+    def _end_jobs(self) -> None:
+        ended = [job for job in self._underway if job.done()]
+        for job in ended:
+            self._underway.remove(job)
+            job.result()
 
     def checked(
         self, check: Callable[Arguments, Result], *arguments: Arguments.args, **options: Arguments.kwargs

@@ -1,7 +1,8 @@
 """Range of a level's values, and the report where its learning has left that range.
 
 A network has diverged if a number is not finite, or if its values are far beyond any return that the rewards allow.
-Such a network is never published and never saved, and the run ends with the cause.
+The update that would do that is not made, and the learner goes back to its last sound state (`zsdist.roles.rollback`).
+Such a network is never published and never saved. Where that happens again and again, the run ends with the cause.
 """
 
 import math
@@ -69,13 +70,11 @@ def diverged(config: Config, level: Level, updates: int, episodes: int, found: s
     )
 
 
-def beyond(largest: float, limit: float) -> str | None:
-    """Return what is wrong with the largest magnitude of an update; None: nothing."""
+def beyond(largest: float, limit: float) -> str:
+    """Return what is wrong with the largest magnitude of an update that was refused."""
     if not math.isfinite(largest):
         return f"a value, error or gradient is {largest}"
-    if largest > limit:
-        return f"a value of {largest:.3g} was computed; no return is beyond {limit / BEYOND:.3g}"
-    return None
+    return f"a value of {largest:.3g} was computed; no return is beyond {limit / BEYOND:.3g}"
 
 
 def _named(key: str, found: object, default: object, advised: object) -> str:

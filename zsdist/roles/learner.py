@@ -2,16 +2,18 @@
 
 import itertools
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-
-import numpy as np
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 from zsdist.dqn import batches, network
 from zsdist.dqn.base import BaseDqnLearner
+from zsdist.dqn.soundness import UnsoundUpdateError
 from zsdist.errors import RunError
 from zsdist.roles import divergence
 from zsdist.roles.base import Context, Role
 from zsdist.roles.kept_state import KeptState, MergeState
+from zsdist.roles.rollback import Rollbacks, not_finite
 from zsdist.roles.schemas import BEST, DISTILLED, RECENT, CandidateName, LearnerOrders, Phase
 from zsdist.types import Batch, Level, Parameters, Weights
 from zsdist.wire import codec, keys
@@ -65,6 +67,7 @@ class Learner(Role):
         dqn: networks and optimiser.
         restored: state from which it goes on; None: `dqn` as it is.
         kept: place where its state is kept for a successor; None: it has no successor.
+        refused: folder for updates that were refused (`zsdist.roles.rollback`); None: they are not written.
     """
 
     def __init__(
@@ -74,6 +77,7 @@ class Learner(Role):
         dqn: BaseDqnLearner,
         restored: State | None = None,
         kept: KeptState | None = None,
+        refused: Path | None = None,
     ) -> None:
         super().__init__(context)
         self.level = level
@@ -87,7 +91,7 @@ class Learner(Role):
         self._candidates: dict[str, Parameters] = {}
         self._offered = 0
         self._episodes = 0  # finished ones of the run, as far as is known here
-        self._value_limit = divergence.value_limit(context.config, level)
+        dqn.limit = divergence.value_limit(context.config, level)
         self._paused = False
         self._recent_batches: deque[Batch] = deque(maxlen=DISTIL_BATCHES)
         self._sources = [_ShardSource() for _ in range(context.config.replay.shards)]
@@ -99,8 +103,10 @@ class Learner(Role):
         self._offered_s = 0.0
         self._kept = kept
         self._kept_updates = -1
+        self._worked_s = 0.0
         if restored is not None:
             self._restore(restored)
+        self._rollbacks = Rollbacks(dqn, context.config, level, refused)
         run = context.run
         self._orders = self.mailbox("orders")
         self._batches = self.mailbox("batches")
@@ -110,6 +116,7 @@ class Learner(Role):
 
     def work(self, now: float) -> float:
         """Follow orders, learn from the batches that have arrived, request more, and publish new weights."""
+        self._worked_s = now
         for content in self.orders(self._orders, {Orders: LearnerOrders}):
             self._follow(content, now)
         self._receive(now)
@@ -117,7 +124,10 @@ class Learner(Role):
         if self._kept is not None and self.updates != self._kept_updates and self._kept.is_due(now):
             self._keep(now)
         self._publish(now)
-        self.answer_state_requests(self._checkpoints, lambda: self._published_state(now))
+        if replies := self.state_requests(self._checkpoints):
+            if self.updates != self._published_updates:  # so that a checkpoint's weights have their own version
+                self._publish_weights(now)
+            self.reply_state(replies, self.capture(now))
         # After an update, work again at once: waiting begins when there is no batch then.
         return now if learned else now + WEIGHTS_EVERY_S
 
@@ -127,6 +137,7 @@ class Learner(Role):
             "learner_updates": self.updates,
             "weight_version": self.version,
             "merges": self.merge,
+            "rollbacks": self._rollbacks.count,
             "waiting_data_s": round(self.waiting_data_s, 3),
             "waiting_reply_s": round(self.waiting_reply_s, 3),
             **{name: round(value, 6) for name, value in self.dqn.figures().items()},
@@ -135,17 +146,20 @@ class Learner(Role):
 
     def state(self) -> State:
         """Return networks, optimiser, generator and counts."""
-        arrays = {f"dqn/{name}": array for name, array in self.dqn.state().items()}
+        return self.capture(self._worked_s)()
+
+    def capture(self, now: float) -> Callable[[], State]:
+        """Copy the state, and return a function that makes a `State` of the copy, on any thread."""
+        arrays = {f"dqn/{name}": array for name, array in self._sound("state", self.dqn.state, now).items()}
         arrays |= {f"best/{name}": array for name, array in (self._best or {}).items()}
-        self._require_finite("state", arrays)
-        meta = {
-            "version": self.version,
-            "updates": self.updates,
-            "merge": self.merge,
-            "sha256": network.sha256(self.dqn.parameters()),
-            "learned": [source.learned for source in self._sources],
-        }
-        return State(self.context.name, meta, arrays)
+        meta: dict[str, Any] = {"version": self.version, "updates": self.updates, "merge": self.merge}
+        meta["learned"] = [source.learned for source in self._sources]
+
+        def make() -> State:
+            state = State(self.context.name, meta, arrays)
+            return State(state.role, meta | {"sha256": network.sha256(state.part("dqn/online/"))}, arrays)
+
+        return make
 
     def continue_after(self, published: int) -> None:
         """Publish only versions of weights beyond `published`, which predecessors have used up."""
@@ -157,12 +171,6 @@ class Learner(Role):
             merge = MergeState(self._offered, self._candidates, self._paused)
             self._kept.keep(lambda: merge.added_to(self.state()), now)
             self._kept_updates = self.updates
-
-    def _published_state(self, now: float) -> State:
-        """Return the state after its weights were published, so that a checkpoint's weights have their own version."""
-        if self.updates != self._published_updates:
-            self._publish_weights(now)
-        return self.state()
 
     def _restore(self, state: State) -> None:
         self.dqn.restore(state.part("dqn/"))
@@ -215,11 +223,9 @@ class Learner(Role):
             batch = source.ready.popleft()
             source.served += 1
             self._ask(now)
-            self._recent_batches.append(batch)
-            self.dqn.update(batch)
-            self.updates += 1
             source.learned += 1
-            self._require_range(now)
+            if not self._update(batch, now):
+                continue
             if batch.serials is not None:
                 priorities = Priorities(self.context.epoch, self.level, batch.serials, self.dqn.errors())
                 key = keys.priority(self.context.run, self.level, self._sources.index(source))
@@ -227,19 +233,35 @@ class Learner(Role):
             self._batch_size = len(batch)
         return UPDATES_A_STEP
 
-    def _require_range(self, now: float) -> None:
-        """End the run where the last update left the range of returns, and tell watchers."""
-        if (found := divergence.beyond(self.dqn.largest(), self._value_limit)) is not None:
-            self.event(now, "diverged", level=self.level.value, update=self.updates, finished=self._episodes)
-            raise self._diverged(found)
+    def _update(self, batch: Batch, now: float) -> bool:
+        """Make an update; return false where it was refused, and the learner went back to its last sound state."""
+        try:
+            self.dqn.update(batch)
+        except UnsoundUpdateError as error:
+            self._go_back(self._rollbacks.explain(error, batch, self.updates), now)
+            return False
+        self.updates += 1
+        self._recent_batches.append(batch)
+        if (found := self._rollbacks.note_update()) is not None:
+            self._go_back(found, now)
+        return True
 
-    def _require_finite(self, name: str, arrays: Mapping[str, np.ndarray]) -> None:
-        """End the run rather than let others have arrays that are not finite."""
-        if not all(np.isfinite(array).all() for array in arrays.values()):
-            raise self._diverged(f"its {name} holds a number that is not finite")
+    def _go_back(self, found: str, now: float) -> None:
+        """Return to the last sound state and tell watchers why; the run ends where that did not help before."""
+        about: dict[str, float | str] = {"level": self.level.value, "update": self.updates, "finished": self._episodes}
+        try:
+            self._rollbacks.go_back(found, self.updates, self._episodes)
+        except RunError:
+            self.event(now, "diverged", **about, found=found)
+            raise
+        self._published_updates = -1  # the networks have changed without an update
+        self.event(now, "rolled_back", **about, found=found)
 
-    def _diverged(self, found: str) -> RunError:
-        return divergence.diverged(self.config, self.level, self.updates, self._episodes, found)
+    def _sound(self, what: str, arrays: Callable[[], Parameters], now: float) -> Parameters:
+        """Return arrays that others may have; where one is not finite, go back and return those of the sound state."""
+        while (wrong := not_finite(what, found := arrays())) is not None:
+            self._go_back(wrong, now)
+        return found
 
     def _ask(self, now: float) -> None:
         for index, source in enumerate(self._sources):
@@ -262,8 +284,7 @@ class Learner(Role):
             if self._kept is not None:
                 self._kept.note_version(self.version)
         self._published_s, self._published_updates = now, self.updates
-        parameters = self.dqn.parameters()
-        self._require_finite("network", parameters)
+        parameters = self._sound("network", self.dqn.parameters, now)
         weights = Weights(self.level, self.version, parameters)
         message = WeightsMessage(self.context.epoch, self.merge, network.sha256(parameters), self._made_s, weights)
         self.transport.publish(keys.weights(self.context.run, self.level), codec.encode(message), retained=True)
@@ -277,7 +298,7 @@ class Learner(Role):
             self._offered = index
             if DISTILLED in content.candidates and not self._recent_batches:  # just resumed: no checkpoint has them
                 self.event(now, "distilled_is_recent", level=self.level.value, merge=index)
-            self._candidates = self._make_candidates(content.candidates)
+            self._candidates = self._make_candidates(content.candidates, now)
             self._keep(now)  # first: no successor may offer others under the same names
             self._publish_candidates(now)
         if content.phase == Phase.PROMOTE and index > self.merge and content.chosen in self._candidates:
@@ -286,18 +307,26 @@ class Learner(Role):
         if self.finished and self._kept is not None:
             self._kept.discard()
 
-    def _make_candidates(self, names: Sequence[CandidateName]) -> dict[str, Parameters]:
+    def _make_candidates(self, names: Sequence[CandidateName], now: float) -> dict[str, Parameters]:
         makers: dict[CandidateName, Callable[[], Parameters]] = {
             RECENT: self.dqn.parameters,
-            DISTILLED: lambda: self.dqn.distilled(
-                itertools.islice(itertools.cycle(self._recent_batches), self.config.merge.distil_updates)
-            ),
+            DISTILLED: lambda: self._distilled(now),
             BEST: lambda: self._best or self.dqn.parameters(),
         }
-        candidates: dict[str, Parameters] = {name: makers[name]() for name in names}
-        for name, parameters in candidates.items():
-            self._require_finite(f"candidate {name}", parameters)
-        return candidates
+        return {name: self._sound(f"candidate {name}", makers[name], now) for name in names}
+
+    def _distilled(self, now: float) -> Parameters:
+        """Return the distilled candidate; where its updates are not sound, the recent network in its place."""
+        drawn = itertools.islice(itertools.cycle(self._recent_batches), self.config.merge.distil_updates)
+        try:
+            distilled = self.dqn.distilled(drawn)
+            found = not_finite("distilled network", distilled)
+        except UnsoundUpdateError as error:
+            found = divergence.beyond(error.largest, self.dqn.limit)
+        if found is None:
+            return distilled
+        self.event(now, "distilled_is_recent", level=self.level.value, merge=self._offered, found=found)
+        return self.dqn.parameters()
 
     def _publish_candidates(self, now: float) -> None:
         self._offered_s = now

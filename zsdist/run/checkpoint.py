@@ -7,8 +7,8 @@ from pathlib import Path
 from zsdist import config
 from zsdist.config import Config
 from zsdist.dqn import network
-from zsdist.errors import ConfigError, WeightsError
-from zsdist.run import directory, location, program
+from zsdist.errors import ConfigError, RunError, WeightsError
+from zsdist.run import checkpoint_files, checkpoint_writer, location, program
 from zsdist.types import Level, Parameters
 from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.wire.messages import State
@@ -34,31 +34,36 @@ class Policy:
 
 
 def load_policy(path: Path, overrides: tuple[str, ...] = (), notify: config.Notify | None = None) -> Policy:
-    """Return the policy of a run directory (its newest checkpoint) or of one checkpoint folder.
+    """Return the policy of a run directory (its newest whole checkpoint) or of one checkpoint folder.
+
+    `checkpoints/best` in a run directory stands for the networks that won the merge with the highest score, which are
+    in the best checkpoint beside those that learned on since.
 
     Args:
-        path: either of them, or a path inside it.
+        path: either of them, or a path inside it, or `checkpoints/best`.
         overrides: settings to change, as `KEY.PATH=VALUE`.
         notify: called with lines for the user.
 
     Raises:
         WeightsError: it has no weights, or they are damaged.
     """
-    checkpoint = location.find_checkpoint(path)
+    best = checkpoint_writer.names_best(path)
     try:
+        checkpoint = checkpoint_writer.require_best(path.parents[1]) if best else location.find_checkpoint(path)
         if checkpoint is None:
-            checkpoint = directory.newest_checkpoint(location.find_run(path))
-        states = directory.read_checkpoint(checkpoint)
-        vision = directory.read_vision(checkpoint)
+            checkpoint, states, _ = checkpoint_files.newest_whole(location.find_run(path), notify)
+        else:
+            states = checkpoint_files.read_checkpoint(checkpoint)
+        vision = checkpoint_files.read_vision(checkpoint)
         settings = config.load_kept(checkpoint.absolute().parent.parent / "config.yaml", overrides, notify)
     except ConfigError as error:
         raise WeightsError(f"policy {path}: {error}") from error
-    except directory.RunError as error:
+    except RunError as error:
         raise WeightsError(f"policy {path} has no weights to drive with: {error}") from error
     missing = [level for level in Level if f"learner-{level}" not in states]
     if missing:
         raise WeightsError(f"policy {path}: checkpoint {checkpoint} lacks the {missing[0]} level's network")
-    return policy_of(settings, states, str(checkpoint), vision)
+    return policy_of(settings, states, str(checkpoint), vision, "best/" if best else "dqn/online/")
 
 
 def check_vision(policy: Policy) -> str | None:
@@ -75,9 +80,11 @@ def check_vision(policy: Policy) -> str | None:
     return policy.vision.check(policy.source, program.vision_here(policy.config))
 
 
-def policy_of(settings: Config, states: dict[str, State], source: str, vision: VisionIdentity) -> Policy:
-    """Return the policy in the states of a checkpoint."""
-    parameters = {level: states[f"learner-{level}"].part("dqn/online/") for level in Level}
+def policy_of(
+    settings: Config, states: dict[str, State], source: str, vision: VisionIdentity, part: str = "dqn/online/"
+) -> Policy:
+    """Return the policy in the states of a checkpoint, made of a part of the learners' states."""
+    parameters = {level: states[f"learner-{level}"].part(part) for level in Level}
     return make_policy(settings, parameters, source, vision)
 
 

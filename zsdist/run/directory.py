@@ -1,7 +1,6 @@
 """The run directory: the files of a run, from which it is resumed. While it runs, only the scheduler writes them."""
 
 import contextlib
-import hashlib
 import json
 import os
 import re
@@ -18,8 +17,16 @@ from zsdist import __version__, config
 from zsdist.common import atomic_files, commands, folders, json_lines, locks, output_files
 from zsdist.common.ownership import Owned
 from zsdist.config import Config
-from zsdist.errors import ConfigError, DecodeError, RunError
-from zsdist.run import board, location
+from zsdist.errors import ConfigError, RunError
+from zsdist.run import board, checkpoint_writer, location
+from zsdist.run.checkpoint_files import (
+    checkpoints,
+    has_checkpoint,
+    newest_checkpoint,
+    newest_whole,
+    read_manifest,
+    set_aside,
+)
 from zsdist.run.figures_file import FiguresFile, spacing
 from zsdist.telemetry.snapshot import Fields
 from zsdist.vision.fingerprint import VisionIdentity
@@ -131,12 +138,13 @@ def check_is_run(folder: Path) -> None:
 def reopen(
     folder: Path, overrides: tuple[str, ...] = (), notify: config.Notify | None = None
 ) -> tuple[Config, dict[str, State]]:
-    """Return configuration (with overrides) and newest checkpoint of an earlier run; change nothing yet.
+    """Return configuration (with overrides) and newest whole checkpoint of an earlier run.
 
-    A run that ended before its first checkpoint has no states, and begins anew.
+    Nothing is changed yet, except that damaged checkpoints are set aside. A run that ended before its first checkpoint
+    has no states, and begins anew.
 
     Raises:
-        RunError: there is no run, or its checkpoint is damaged, or an override changes a fixed setting.
+        RunError: there is no run, or all its checkpoints are damaged, or an override changes a fixed setting.
     """
     check_is_run(folder)
     try:
@@ -150,13 +158,8 @@ def reopen(
             raise RunError(f"resume folder {folder}: {key} is {now}; allowed is the run's original value, {before}")
     if not has_checkpoint(folder):
         return settings, {}
-    newest = newest_checkpoint(folder)
-    try:
-        states = read_checkpoint(newest)
-    except RunError as error:
-        older = [path.name for path in checkpoints(folder) if path != newest]
-        remedy = f"; remove {newest} to resume from {older[-1]}" if older else ""
-        raise RunError(f"{error}{remedy}") from error
+    _, states, damaged = newest_whole(folder, notify)
+    set_aside(damaged)  # from here on the newest one is whole
     # Checkpoints of earlier versions do not name the initial sizes that they began from.
     for key in ("size_initial", "batch_initial"):
         states["scheduler"].meta.get("sizing", {}).setdefault(key, getattr(original.replay, key))
@@ -184,7 +187,7 @@ def rewind(folder: Path, settings: Config, states: dict[str, State]) -> None:
     finished = len(states["scheduler"].meta["finished"]) if states else 0
     json_lines.cut(folder / "episodes.jsonl", lambda record: record["finished_as"] <= finished)
     json_lines.cut(folder / "metrics.jsonl", lambda row: row.get("episodes", 0) <= finished)
-    before = _manifest(newest_checkpoint(folder)).get("tensorboard") if states else {}
+    before = read_manifest(newest_checkpoint(folder)).get("tensorboard") if states else {}
     board.rewind(folder / "tensorboard", before)
     _make_folders(folder)
 
@@ -198,57 +201,6 @@ def rewrite_config(folder: Path, settings: Config) -> None:
     """Write `config.yaml`: the resolved configuration, with the version that wrote it."""
     head = f"# zsdist {__version__}, seed {settings.seed}\n"
     atomic_files.replace(folder / "config.yaml", (head + config.dump(settings)).encode())
-
-
-def has_checkpoint(folder: Path) -> bool:
-    """Return whether a run directory holds a complete checkpoint."""
-    return bool(checkpoints(folder))
-
-
-def newest_checkpoint(folder: Path) -> Path:
-    """Return the newest checkpoint of a run directory; raise `RunError` where there is none."""
-    found = checkpoints(folder)
-    if not found:
-        raise RunError(f"run directory {folder} holds no checkpoint to resume from")
-    return found[-1]
-
-
-def checkpoints(folder: Path) -> list[Path]:
-    """Return the complete checkpoints of a run directory, oldest first."""
-    return [path for path in folders.numbered(folder / "checkpoints") if (path / "manifest.json").is_file()]
-
-
-def read_checkpoint(checkpoint: Path) -> dict[str, State]:
-    """Return the states of all roles in a checkpoint folder, each checked against the manifest's hash.
-
-    Raises:
-        RunError: a file is missing or damaged.
-    """
-    try:
-        states = {}
-        for name, digest in _manifest(checkpoint)["sha256"].items():
-            payload = (checkpoint / f"{name}.state").read_bytes()
-            if hashlib.sha256(payload).hexdigest() != digest:
-                raise RunError(
-                    f"checkpoint file {checkpoint / name}.state is damaged: its SHA-256 is not the manifest's"
-                )
-            states[name] = codec.decode(payload, expect=State)
-    except OSError as error:
-        raise RunError(f"checkpoint {checkpoint}: {error.filename}: {error.strerror}") from error
-    except (ValueError, KeyError, DecodeError) as error:
-        raise RunError(f"checkpoint {checkpoint} is damaged: {error}") from error
-    return states
-
-
-def read_vision(checkpoint: Path) -> VisionIdentity:
-    """Return the vision model that a checkpoint's policy was trained with; raise `RunError` where it names none."""
-    try:
-        return VisionIdentity.from_json(_manifest(checkpoint)["vision"])
-    except OSError as error:
-        raise RunError(f"checkpoint {checkpoint}: {error.filename}: {error.strerror}") from error
-    except (ValueError, KeyError, TypeError) as error:
-        path = checkpoint / "manifest.json"
-        raise RunError(f"checkpoint file {path} does not name the vision model of its policy: {error}") from error
 
 
 def issue_epochs(folder: Path, count: int) -> range:
@@ -273,17 +225,20 @@ class RunDirectory(Owned):
     A run directory that is dropped is closed, and its lines are written.
     """
 
-    def __init__(self, folder: Path, vision: VisionIdentity, earlier_s: float = 0.0) -> None:
+    def __init__(
+        self, folder: Path, vision: VisionIdentity, earlier_s: float = 0.0, kept: int = CHECKPOINTS_KEPT
+    ) -> None:
         """Open the files of `folder`.
 
         Args:
             folder: run directory.
             vision: vision model of the policy, which is written into checkpoints.
             earlier_s: real seconds that earlier starts of this run took.
+            kept: number of the newest checkpoints that are kept, besides the best one.
         """
         self.folder = folder
         self._vision = vision
-        self._earlier_s = earlier_s
+        self._earlier_s, self._kept = earlier_s, kept
         self._opened_s = time.monotonic()
         with _written(folder):
             self._episodes = (folder / "episodes.jsonl").open("a", buffering=1, encoding="utf-8")
@@ -314,48 +269,43 @@ class RunDirectory(Owned):
                 step = int(row.get("env_steps", 0))
                 self._board.add(step, {name: value for name, value in shown.items() if isinstance(value, int | float)})
 
-    def checkpoint(self, episodes: int, states: dict[str, State]) -> None:
-        """Write `checkpoints/{episodes}`, complete or not at all, and remove the oldest beyond those kept.
+    def checkpoint(self, episodes: int, states: Mapping[str, State | bytes], score: float | None = None) -> None:
+        """Write a checkpoint, as the function that `begin_checkpoint` returns does."""
+        self.begin_checkpoint(episodes, states, score)()
 
-        Once this returns, the checkpoint survives a power failure, as far as the disk writes what it confirms.
+    def begin_checkpoint(
+        self, episodes: int, states: Mapping[str, State | bytes], score: float | None = None
+    ) -> Callable[[], None]:
+        """Return a function that writes `checkpoints/{episodes}`, complete or not at all, and removes old ones.
 
-        Raises:
-            RunError: it cannot be written; the checkpoints before it stay.
+        It may run on another thread while this object is used. Once it returns, the checkpoint survives a power
+        failure, as far as the disk writes what it confirms, and so do all lines that were written before this call.
+        It raises `RunError` where the checkpoint cannot be written; those before it stay.
+
+        Args:
+            episodes: count of finished episodes.
+            states: states by name of the role; one in bytes is encoded already.
+            score: score of the network that won the newest merge; None: there has been none.
         """
-        payloads = {name: codec.encode(state) for name, state in states.items()}
         final = self.folder / "checkpoints" / f"{episodes:08d}"
-        with _written(self.folder):
-            try:
-                self._write_checkpoint(final, episodes, payloads)
-            except OSError:
-                shutil.rmtree(final.with_name(f".{final.name}.partial"), ignore_errors=True)  # it may fill the disk
-                raise
-
-    def _write_checkpoint(self, final: Path, episodes: int, payloads: Mapping[str, bytes]) -> None:
-        partial, aside = (final.with_name(f".{final.name}.{suffix}") for suffix in ("partial", "old"))
-        for left_over in (partial, aside):  # left by a killed process
-            shutil.rmtree(left_over, ignore_errors=True)
-        self._sync()  # a checkpoint contains no episode whose line could still be lost
-        partial.mkdir(parents=True)
-        for name, payload in payloads.items():
-            atomic_files.write(partial / f"{name}.state", payload)
-        hashes = {name: hashlib.sha256(payload).hexdigest() for name, payload in payloads.items()}
-        manifest = {
+        events = board.sizes(self.folder / "tensorboard")
+        about: dict[str, Any] = {
             "zsdist": __version__,
             "episodes": episodes,
             "vision": self._vision.to_json(),
-            "sha256": hashes,
-            "tensorboard": board.sizes(self.folder / "tensorboard"),
+            "score": score,
+            "tensorboard": events,
         }
-        atomic_files.write(partial / "manifest.json", json.dumps(manifest, indent=1).encode())
-        atomic_files.sync_folder(partial)
-        if final.exists():  # after as many episodes; moved aside in one step, so that a kill leaves no part of it
-            final.rename(aside)
-        partial.rename(final)
-        atomic_files.sync_folder(final.parent)
-        shutil.rmtree(aside, ignore_errors=True)
-        for old in checkpoints(self.folder)[:-CHECKPOINTS_KEPT]:
-            shutil.rmtree(old)
+        lines = [self.folder / name for name in ("episodes.jsonl", "metrics.jsonl")]
+
+        def write() -> None:
+            payloads = {name: codec.encode(own) if isinstance(own, State) else own for name, own in states.items()}
+            before = [*lines, *(self.folder / "tensorboard" / name for name in events)]
+            with _written(self.folder):
+                checkpoint_writer.write(final, payloads, about, before)
+                checkpoint_writer.rotate(self.folder, self._kept)
+
+        return write
 
     def wall_s(self) -> float:
         """Return the real seconds that the run has taken so far, earlier starts included."""
@@ -391,10 +341,3 @@ def _make_folders(folder: Path) -> None:
     """Make the folders of a run directory; copies of it may lack those that were empty."""
     for name in _FOLDERS:
         (folder / name).mkdir(parents=True, exist_ok=True)
-
-
-def _manifest(checkpoint: Path) -> dict[str, Any]:
-    manifest = json.loads((checkpoint / "manifest.json").read_text(encoding="utf-8"))
-    if not isinstance(manifest, dict):
-        raise ValueError("manifest.json is no JSON object")
-    return manifest

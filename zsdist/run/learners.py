@@ -36,7 +36,7 @@ def resumed(
     if state is None:
         saved = [found for found in (_newest_in_checkpoints(folder, context.name), restored) if found is not None]
         state = max(saved, key=lambda found: found.meta["updates"], default=None)
-    learner = Learner(context, level, dqn, state, kept)
+    learner = Learner(context, level, dqn, state, kept, folder / "nan")
     learner.continue_after(published)
     if kept.damaged:
         files, now = " ".join(kept.damaged)[:200], time.time()

@@ -7,7 +7,7 @@ from pathlib import Path
 from zsdist.common import locks
 from zsdist.config import Config
 from zsdist.errors import RunError
-from zsdist.run import cluster_address, directory, local_ray, location, preflight
+from zsdist.run import checkpoint_files, cluster_address, directory, local_ray, location, preflight
 from zsdist.run.program import RunSpec
 from zsdist.vision.fingerprint import VisionIdentity
 
@@ -52,7 +52,7 @@ def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify, held:
     _lock(folder, held)
     settings, states = directory.reopen(folder, overrides, notify)
     if states:
-        location.check_is_newest(given, directory.newest_checkpoint(folder))
+        location.check_is_newest(given, checkpoint_files.newest_checkpoint(folder))
     preflight.check_shards(settings, states)
     finished = len(states["scheduler"].meta["finished"]) if states else 0
     # With all episodes finished, the last merge or the evaluation may still be missing: then the run may be resumed.
@@ -62,7 +62,7 @@ def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify, held:
             f"the run in {folder} has finished {finished} episodes and --episodes is {settings.run.episodes}; "
             f"allowed is more than {finished}"
         )
-    trained = directory.read_vision(directory.newest_checkpoint(folder)) if states else None
+    trained = checkpoint_files.read_vision(checkpoint_files.newest_checkpoint(folder)) if states else None
     vision = check_parts(settings, notify)
     if trained is None:
         notify(f"the run in {folder} ended before its first checkpoint; it begins anew")

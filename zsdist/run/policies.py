@@ -8,6 +8,7 @@ from zsdist.common import places
 from zsdist.config import Notify
 from zsdist.errors import WeightsError
 from zsdist.run.checkpoint import Policy, load_policy
+from zsdist.run.checkpoint_writer import names_best
 
 SHIPPED = {"pretrained": Path(zsdist.__file__).parent / "policies" / "pretrained"}
 
@@ -30,7 +31,7 @@ def load_by_name(
         folder = SHIPPED[name] if name in SHIPPED else places.expand(name)
     except ValueError as error:
         raise WeightsError(f"policy {name!r}: {error}") from error
-    if not folder.exists():
+    if not folder.exists() and not names_best(folder):
         known = ", ".join((*SHIPPED, *other_names))
         raise WeightsError(f"policy {name!r} is no folder; allowed are a run directory, a checkpoint and {known}")
     return load_policy(folder, overrides, notify)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zsdist.agent import features
-from zsdist.common import code_hash
+from zsdist.common import background, code_hash
 from zsdist.config import Config
 from zsdist.driving.actor_car import ActorCar, CameraEnv
 from zsdist.driving.perception import Perception, VisionModel
@@ -162,7 +162,9 @@ class RunSpec:
 
     def context(self, role_spec: RoleSpec, transport: Transport, wake: threading.Event) -> Context:
         """Return the context of one role."""
-        return Context(self.config, self.run, role_spec.role, role_spec.id, role_spec.epoch, transport, wake)
+        own_thread = self.config.transport.kind != "memory"  # there the clock is virtual, and a run repeats bit for bit
+        place = background.thread(role_spec.name) if own_thread else background.at_once
+        return Context(self.config, self.run, role_spec.role, role_spec.id, role_spec.epoch, transport, wake, place)
 
     def build(
         self, role_spec: RoleSpec, transport: Transport, wake: threading.Event, parts: ActorParts | None = None
@@ -183,7 +185,9 @@ class RunSpec:
             case "scheduler":
                 restored = self.states.get("scheduler")
                 earlier_s = restored.meta["wall_s"] if restored else 0.0
-                return Scheduler(context, RunDirectory(self.folder, self.vision, earlier_s), restored)
+                return Scheduler(
+                    context, RunDirectory(self.folder, self.vision, earlier_s, config.run.checkpoints_kept), restored
+                )
             case shards.ROLE:
                 # Each start of the run has journals of its own: an earlier start's are older than the checkpoint.
                 folder = self.folder / "journal" / f"{self.start}-{role_spec.id}"
@@ -195,7 +199,7 @@ class RunSpec:
 
                 dqn, restored = make_learner(config, level), self.states.get(role_spec.name)
                 if config.placement != "ray":  # in one process it has neither a predecessor nor a successor
-                    return Learner(context, level, dqn, restored)
+                    return Learner(context, level, dqn, restored, refused=self.folder / "nan")
                 return learners.resumed(context, level, dqn, restored, folder=self.folder, start=self.start)
             case "actor":
                 parts = parts or self.make_parts(config)

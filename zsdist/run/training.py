@@ -8,7 +8,7 @@ from zsdist.common import commands, output_files
 from zsdist.config import Config
 from zsdist.errors import RunError, ZsdistError
 from zsdist.roles.replay import shards
-from zsdist.run import directory, local_ray, program
+from zsdist.run import checkpoint_files, directory, local_ray, program
 from zsdist.run.program import RunSpec, Watch
 from zsdist.wire.messages import State
 
@@ -44,7 +44,7 @@ def train(spec: RunSpec, interrupted: Callable[[], bool], watch: Watch) -> Summa
         discarded = is_first and directory.discard(spec.folder)
         if discarded or not isinstance(error, ZsdistError):
             raise
-        where = "resume from the last checkpoint" if directory.has_checkpoint(spec.folder) else "begin anew"
+        where = "resume from the last checkpoint" if checkpoint_files.has_checkpoint(spec.folder) else "begin anew"
         raise RunError(f"{error}; {where} with {commands.quoted('--resume', spec.folder)}") from error
 
 

@@ -18,7 +18,7 @@ import math
 import struct
 import threading
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,7 @@ _SIZE = struct.Struct("<I")
 _CHECKED = _HEADER.size - _SIZE.size  # bytes of the header that the checksum covers: all before the checksum
 _PACKING_AT = 6  # offset of the packing in the header
 _ALIGNMENT = 8  # bytes of the largest item of a column
+_LARGE = 2**20  # bytes from which a copy takes so long that other threads should run meanwhile
 _ZSTD_LEVEL = 1  # level 3 gains under 3.5 % here
 _INTEGERS = ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64")
 _DTYPES = {name: np.dtype(name).newbyteorder("<") for name in ("bool", *_INTEGERS, "float16", "float32", "float64")}
@@ -74,7 +75,7 @@ def pack(kind: int, meta: dict[str, Any], columns: Mapping[str, np.ndarray], lim
     if size > limit:
         raise DecodeError("size", f"{size} bytes; allowed are at most {limit}")
     if packing == ZSTD:
-        return seal(kind, _compressor().compress(b"".join(parts)))
+        return seal(kind, _compressor().compress(_joined(parts, size)))
     header = _header(kind, size, PLAIN, VERSION)
     checksum = zlib.crc32(header)
     for part in parts:
@@ -86,6 +87,18 @@ def seal(kind: int, body: bytes, packing: int = ZSTD, *, version: int = VERSION)
     """Return a message with header and checksum for a body that is already packed."""
     header = _header(kind, len(body), packing, version)
     return b"".join((header, _SIZE.pack(zlib.crc32(body, zlib.crc32(header))), body))
+
+
+def _joined(parts: Sequence[bytes | memoryview], size: int) -> bytes | memoryview:
+    """Return parts as one buffer; large ones are copied by numpy, which lets other threads run meanwhile."""
+    if size < _LARGE:
+        return b"".join(parts)
+    joined, end = np.empty(size, np.uint8), 0
+    for part in parts:
+        if count := part.nbytes if isinstance(part, memoryview) else len(part):
+            joined[end : end + count] = np.frombuffer(part, np.uint8)
+            end += count
+    return joined.data
 
 
 def _header(kind: int, size: int, packing: int, version: int) -> bytes:
@@ -133,7 +146,7 @@ def unpack(payload: bytes, limit: int) -> tuple[dict[str, Any], dict[str, np.nda
     start = _SIZE.size + size
     if start > len(content):
         raise DecodeError("content")
-    meta, descriptions = _parse_json(content[_SIZE.size : start])
+    meta, descriptions = _parse_json(bytes(content[_SIZE.size : start]))
     if start % _ALIGNMENT:
         raise DecodeError("alignment", f"columns begin at byte {start}")
     columns: dict[str, np.ndarray] = {}
@@ -148,7 +161,7 @@ def unpack(payload: bytes, limit: int) -> tuple[dict[str, Any], dict[str, np.nda
             raise DecodeError("shape", f"column {name!r} is longer than the message")
         if padded != end and any(content[end:padded]):
             raise DecodeError("padding", f"after column {name!r}")
-        if dtype == np.bool_ and any(byte > 1 for byte in set(content[start:end])):
+        if dtype == np.bool_ and np.frombuffer(content, np.uint8, count, start).max(initial=0) > 1:
             raise DecodeError("boolean", f"column {name!r}")
         column = np.frombuffer(content, dtype, count, start).reshape(shape)
         columns[name] = column if dtype.isnative else column.astype(dtype.newbyteorder("="))
@@ -180,14 +193,21 @@ def require_json(value: object) -> None:
         raise DecodeError("json", f"a {type(value).__name__} is not a JSON value")
 
 
-def _copied(body: memoryview, limit: int) -> bytearray:
+def _copied(body: memoryview, limit: int) -> memoryview:
     """Return a copy of content that was sent uncompressed."""
     if len(body) > limit:
         raise DecodeError("size", f"{len(body)} bytes; allowed are at most {limit}")
-    return bytearray(body)
+    return _writable(body)
 
 
-def _inflate(frame: memoryview, limit: int) -> bytearray:
+def _writable(content: bytes | memoryview) -> memoryview:
+    """Return a copy that may be written to; a large one is made by numpy, which lets other threads run meanwhile."""
+    if len(content) < _LARGE:
+        return memoryview(bytearray(content))
+    return np.array(np.frombuffer(content, np.uint8)).data
+
+
+def _inflate(frame: memoryview, limit: int) -> memoryview:
     """Return the content of exactly one zstd frame.
 
     The size is checked first, since the library ignores an output limit for a frame that declares its size.
@@ -203,10 +223,10 @@ def _inflate(frame: memoryview, limit: int) -> bytearray:
         raise DecodeError("zstd", str(error)) from error
     if len(content) != declared:
         raise DecodeError("zstd", "the content does not have the declared size")
-    return bytearray(content)
+    return _writable(content)
 
 
-def _parse_json(text: bytearray) -> tuple[dict[str, Any], list[Any]]:
+def _parse_json(text: bytes) -> tuple[dict[str, Any], list[Any]]:
     """Return the checked meta object, and the list that describes the columns, still unchecked."""
 
     def refuse(word: str) -> None:

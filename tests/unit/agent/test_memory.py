@@ -1,8 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist.agent.memory import START_DISC_M, EpisodeMemory
+from zsdist.errors import RunError
 from zsdist.planning.grid import Grid
 from zsdist.sim.scenes import families
 from zsdist.types import LatticeState
@@ -56,3 +59,13 @@ def test_the_ground_about_the_start_is_seen_and_free(memory):
     for aside in (-START_DISC_M / 2, 0.0, START_DISC_M / 2):
         fx, fy = GRID.fine_index(x, y + aside)
         assert situation.seen[fy, fx] and not situation.occupied[fy, fx]
+
+
+@pytest.mark.parametrize("name", ["ray_probabilities", "clearance_m", "advice"])
+def test_a_view_with_a_number_that_is_not_finite_does_not_reach_the_map(memory, name):
+    wrong = getattr(VIEW, name).copy()
+    wrong.ravel()[1] = np.nan
+    with pytest.raises(RunError, match=f"{name} of a picture hold nan, 1 of"):
+        memory.observe(GRID.pose(HERE), replace(VIEW, **{name: wrong}))
+    situation, _ = observe(memory, HERE)
+    assert situation.visits.sum() == 1

@@ -6,6 +6,7 @@ from fakes import LatticeEnv
 
 from zsdist.config import load
 from zsdist.driving.episode import Episode
+from zsdist.errors import RunError
 from zsdist.sim.scenes.scene import Obstacle, Scene, Start
 from zsdist.types import Action, Outcome
 
@@ -46,3 +47,30 @@ def test_the_step_limits_of_environment_and_task_truncate_an_episode():
         episode, results = drive(OPEN, Action.TURN_LEFT_90, **limits)
         assert episode.outcome is Outcome.TIMEOUT
         assert [result.outcome for result in results] == [None] * 4 + [Outcome.TIMEOUT]
+
+
+class Broken(LatticeEnv):
+    """Environment whose third step returns a number that is not finite."""
+
+    wrong, steps = "reward", 0
+
+    def step(self, action):
+        observation, reward, terminated, truncated, info = super().step(action)
+        self.steps += 1
+        if self.steps == 3 and self.wrong == "reward":
+            info = info | {"reward_terms": info["reward_terms"] | {"distance": math.nan}}
+        elif self.steps == 3:
+            observation = observation | {"pose": np.array([math.inf, 0.0, 0.0])}
+        return observation, reward, terminated, truncated, info
+
+
+@pytest.mark.parametrize("wrong", ["reward", "pose"])
+def test_a_number_of_the_environment_that_is_not_finite_goes_no_further(wrong):
+    env = Broken()
+    env.wrong = wrong
+    episode = Episode(env, OPEN)
+    for _ in range(2):
+        episode.step(Action.FORWARD)
+    with pytest.raises(RunError, match="pose and rewards of the environment hold"):
+        episode.step(Action.FORWARD)
+    assert len(episode.rewards) == 2

@@ -11,6 +11,7 @@ from zsdist.errors import RunError
 from zsdist.roles import divergence
 from zsdist.roles.base import Context
 from zsdist.roles.learner import BATCHES_AN_ANSWER, PREFETCH, UPDATES_A_STEP, Learner
+from zsdist.roles.rollback import ALLOWED
 from zsdist.transport.base import Mailbox
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import Level, StoredBatch
@@ -36,7 +37,7 @@ def batch(rng, rows=4):
 class Bench:
     """Learner at a memory transport; the test plays the replay and the scheduler."""
 
-    def __init__(self, shards=1, low=None):
+    def __init__(self, shards=1, low=None, refused=None):
         self.rng, self.broker, self.now = np.random.default_rng(0), MemoryBroker(), 0.0
         self.others = MemoryTransport(self.broker)
         self.shards, self.weights = [Mailbox(2**20) for _ in range(shards)], Mailbox(2**24)
@@ -47,7 +48,7 @@ class Bench:
         config = parse({"replay": {"shards": shards, "prioritised": True}, "low": low or {}, "run": {"actors": 2}})
         context = Context(config, RUN, "learner", "low", 1, MemoryTransport(self.broker), threading.Event())
         dqn = DqnLearner(FEATURES, ACTIONS, LevelConfig(hidden=(8,)) if low is None else config.low, seed=0)
-        self.learner = Learner(context, Level.LOW, dqn)
+        self.learner = Learner(context, Level.LOW, dqn, refused=refused)
 
     def step(self, seconds=0.1):
         self.now += seconds
@@ -275,8 +276,9 @@ def test_a_level_whose_values_leave_their_range_ends_the_run_with_the_cause(rewa
     assert "the low level diverged at update" in message and "after 12 episodes" in message
     assert "low.learning_rate is 0.5" in message and "--set low.learning_rate=0.002" in message
     assert all(np.isfinite(array).all() for array in saved.arrays.values())
-    (event,) = (json.loads(message.payload) for message in events.drain())
-    assert (event["event"], event["level"], event["finished"]) == ("diverged", "low", 12)
+    told = [json.loads(message.payload) for message in events.drain()]
+    assert [event["event"] for event in told] == ["rolled_back"] * ALLOWED + ["diverged"]
+    assert all((event["level"], event["finished"]) == ("low", 12) for event in told)
 
 
 def test_a_network_that_is_not_finite_is_in_no_state_and_no_message(bench, monkeypatch):
@@ -314,3 +316,14 @@ def test_no_return_of_ordinary_rewards_is_beyond_the_limit():
         largest = 1300 if config.reward.literal else divergence.SHAPED_REWARD
         horizon = min(config.sim.max_steps, 1 / max(1 - config.low.discount, 1e-9))
         assert divergence.value_limit(config, Level.LOW) > 100 * largest * horizon
+
+
+def test_a_captured_state_does_not_change_with_later_updates(bench):
+    bench.step()
+    make, before = bench.learner.capture(bench.now), bench.learner.state()
+    bench.answer(bench.requests.drain())
+    bench.step()
+    assert bench.learner.updates > before.meta["updates"]
+    found = make()
+    assert found.meta == before.meta
+    assert all(np.array_equal(array, found.arrays[name]) for name, array in before.arrays.items())

@@ -10,7 +10,7 @@ from tensorboard.util.tensor_util import make_ndarray
 
 from zsdist import config
 from zsdist.errors import RunError, WeightsError
-from zsdist.run import directory
+from zsdist.run import checkpoint_files, directory
 from zsdist.run.checkpoint import load_policy
 from zsdist.run.directory import RunDirectory
 from zsdist.vision.fingerprint import VisionIdentity
@@ -68,25 +68,27 @@ def test_epochs_of_two_runs_have_nothing_in_common(tmp_path):
 def test_a_checkpoint_reads_back_as_it_was_written_and_the_newest_wins(folder, run_log):
     for episodes in (5, 10, 100):
         run_log.checkpoint(episodes, states(episodes))
-    newest = directory.newest_checkpoint(folder)
+    newest = checkpoint_files.newest_checkpoint(folder)
     assert newest.name == "00000100"
-    read = directory.read_checkpoint(newest)
+    read = checkpoint_files.read_checkpoint(newest)
     assert read["scheduler"].meta == META
     np.testing.assert_array_equal(read["replay"].arrays["ring"], np.full(3, 100.0))
 
 
 def test_a_checkpoint_names_the_vision_model_of_its_policy(folder, run_log):
     run_log.checkpoint(5, states())
-    assert directory.read_vision(directory.newest_checkpoint(folder)) == VISION
+    assert checkpoint_files.read_vision(checkpoint_files.newest_checkpoint(folder)) == VISION
 
 
 @pytest.mark.parametrize("vision", [None, {"encoder": "clip/b"}, "clip/b"])
 def test_a_checkpoint_that_names_no_vision_model_is_refused(folder, run_log, vision):
     run_log.checkpoint(5, states())
-    path = directory.newest_checkpoint(folder) / "manifest.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"vision": vision}))
+    path = checkpoint_files.newest_checkpoint(folder) / "manifest.json"
+    manifest = json.loads(path.read_text()) | {"vision": vision}
+    del manifest["manifest_sha256"]  # as earlier versions wrote it
+    path.write_text(json.dumps(manifest))
     with pytest.raises(RunError, match="does not name the vision model"):
-        directory.read_vision(path.parent)
+        checkpoint_files.read_vision(path.parent)
     with pytest.raises(WeightsError, match="does not name the vision model"):
         load_policy(folder)
 
@@ -106,14 +108,14 @@ def test_a_damaged_checkpoint_is_refused_by_file(folder, run_log, damage):
     file = folder / "checkpoints" / "00000001" / "replay.state"
     file.write_bytes(damage(file.read_bytes()))
     with pytest.raises(RunError, match=r"replay\.state is damaged"):
-        directory.read_checkpoint(file.parent)
+        checkpoint_files.read_checkpoint(file.parent)
 
 
 def test_a_checkpoint_without_a_file_is_refused_by_file(folder, run_log):
     run_log.checkpoint(1, states())
     (folder / "checkpoints" / "00000001" / "replay.state").unlink()
     with pytest.raises(RunError, match=r"replay\.state"):
-        directory.read_checkpoint(folder / "checkpoints" / "00000001")
+        checkpoint_files.read_checkpoint(folder / "checkpoints" / "00000001")
 
 
 def test_a_resume_prunes_episodes_that_the_checkpoint_does_not_contain(folder, run_log):
@@ -182,7 +184,7 @@ def test_hidden_and_foreign_folders_are_no_checkpoints(folder, run_log):
     for name in (".00000009.partial", ".DS_Store", "00000008 copy", "99999999-mine", "٣"):
         shutil.copytree(checkpoints / "00000003", checkpoints / name)
     (checkpoints / "00000007").mkdir()  # without a manifest
-    assert directory.newest_checkpoint(folder).name == "00000003"
+    assert checkpoint_files.newest_checkpoint(folder).name == "00000003"
     for count in (4, 5, 6):
         run_log.checkpoint(count, states())
     assert not (checkpoints / "00000003").exists()
@@ -192,7 +194,7 @@ def test_hidden_and_foreign_folders_are_no_checkpoints(folder, run_log):
 def test_checkpoints_are_in_order_of_their_numbers_beyond_eight_digits(folder, run_log):
     for count in (99_999_998, 99_999_999, 100_000_000, 100_000_001):
         run_log.checkpoint(count, states())
-    assert [path.name for path in directory.checkpoints(folder)] == ["99999999", "100000000", "100000001"]
+    assert [path.name for path in checkpoint_files.checkpoints(folder)] == ["99999999", "100000000", "100000001"]
 
 
 def test_folders_that_a_copy_of_a_run_lacks_are_made_when_it_is_resumed(folder, run_log):
@@ -212,13 +214,23 @@ def test_a_change_of_a_fixed_setting_is_refused_by_name_and_changes_nothing(fold
     assert (folder / "config.yaml").read_bytes() == before
 
 
-def test_a_damaged_newest_checkpoint_is_refused_with_the_name_of_the_one_before(folder, run_log):
+def test_a_run_with_a_damaged_newest_checkpoint_is_resumed_from_the_one_before_and_says_so(folder, run_log):
     for count in (1, 2, 3):
-        run_log.checkpoint(count, states())
-    newest = folder / "checkpoints" / "00000003"
+        run_log.checkpoint(count, states(count))
+    newest, lines = folder / "checkpoints" / "00000003", []
     (newest / "replay.state").write_bytes(b"")
-    with pytest.raises(RunError, match=rf"is damaged.*; remove {newest} to resume from 00000002"):
-        directory.reopen(folder)
+    _, read = directory.reopen(folder, (), lines.append)
+    np.testing.assert_array_equal(read["replay"].arrays["ring"], np.full(3, 2.0))
+    (line,) = lines
+    assert line.startswith(f"checkpoint file {newest / 'replay.state'} is damaged")
+    assert line.endswith("the one before it is used, 00000002")
+    assert [path.name for path in checkpoint_files.checkpoints(folder)] == ["00000001", "00000002"]
+    assert (folder / "checkpoints" / "00000003.damaged" / "manifest.json").is_file()  # for people to look at
+    directory.rewind(folder, directory.reopen(folder, (), lines.append)[0], read)
+    assert len(lines) == 1
+    for count in (3, 4, 5):
+        run_log.checkpoint(count, states(count))
+    assert [path.name for path in checkpoint_files.checkpoints(folder)] == ["00000003", "00000004", "00000005"]
 
 
 def test_a_checkpoint_replaces_one_of_the_same_count(folder, run_log):
@@ -228,7 +240,7 @@ def test_a_checkpoint_replaces_one_of_the_same_count(folder, run_log):
     (left_over / "replay.state").touch()
     run_log.checkpoint(3, states(2.0))
     (only,) = (folder / "checkpoints").iterdir()
-    np.testing.assert_array_equal(directory.read_checkpoint(only)["replay"].arrays["ring"], np.full(3, 2.0))
+    np.testing.assert_array_equal(checkpoint_files.read_checkpoint(only)["replay"].arrays["ring"], np.full(3, 2.0))
 
 
 @pytest.mark.parametrize(("summary", "ended"), [('{"ended": "complete"}', "complete"), (None, None)])

@@ -4,6 +4,7 @@ Whatever it accepts is written into its journal before it is acknowledged. A suc
 the journal: nothing that was acknowledged is lost, and everything else is sent again.
 """
 
+import copy
 import json
 from collections import deque
 from collections.abc import Callable
@@ -21,6 +22,7 @@ from zsdist.replay.buffer import RingBuffer
 from zsdist.replay.journal import Journal, Record
 from zsdist.replay.limiter import BAND, Limiter
 from zsdist.replay.priorities import RowPriorities
+from zsdist.replay.ring_copy import RingCopy
 from zsdist.roles.replay.shards import ReplayShard
 from zsdist.roles.shapes import Shape
 from zsdist.types import Level
@@ -247,6 +249,10 @@ class LevelReplay:
     def state(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """Return all that a successor needs: sizes, limiter, inbox, counts and generator as JSON, and the ring."""
         return self._meta(), self.buffer.state()
+
+    def begin_copy(self) -> tuple[dict[str, Any], RingCopy]:
+        """Return `state` as it is now, the ring as a copy that is still to be made."""
+        return copy.deepcopy(self._meta()), self.buffer.begin_copy()
 
     def write_journal(self, now: float) -> None:
         """Write all that has been accepted into the journal; once this returns, it may be acknowledged."""

@@ -5,6 +5,7 @@ that died resumes from the journals.
 """
 
 import shutil
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from zsdist.types import Level
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders, Priorities, Push, SampleRequest, State
 
+COPY_BYTES = 8 * 2**20  # of the rings, copied in a step for a checkpoint
 MAX_WAITING = 256  # requests of a level; a learner has a few at a time
 
 
@@ -40,6 +42,8 @@ class Replay(Role):
         self.shard = ReplayShard.of(context.config, int(context.id))
         self.level_replays: dict[Level, LevelReplay] = {}
         self._folder = folder
+        self._asking: list[Callable[[bytes], None]] = []  # replies to requests for the state
+        self._copying: _StateCopy | None = None
         for level, shape in shapes.items():
             level_replay = LevelReplay(level, shape, context.config, self.shard, context.epoch, folder / level)
             level_replay.recover((restored.meta[level.value], restored.part(f"{level}/")) if restored else None)
@@ -91,7 +95,8 @@ class Replay(Role):
             for ack in level_replay.inbox.acks(now, level_replay.credit):
                 self.transport.publish(keys.ack(self.context.run, ack.actor), codec.encode(ack))
             wake_s = min(wake_s, level_replay.inbox.next_wake(now) or wake_s)
-        self.answer_state_requests(self._checkpoints, self.state)
+        if self._answer_states():
+            wake_s = now
         if self.finished:
             for level_replay in self.level_replays.values():
                 level_replay.journal.close()
@@ -141,6 +146,16 @@ class Replay(Role):
             arrays |= {f"{level}/{name}": array for name, array in columns.items()}
         return State(self.shard.name, meta, arrays)
 
+    def _answer_states(self) -> bool:
+        """Copy a slice of the state that was asked for, and reply when all is copied; return whether more is to do."""
+        self._asking += self.state_requests(self._checkpoints)
+        if self._copying is None and self._asking:
+            self._copying, self._asking = _StateCopy(self.shard.name, self.level_replays, self._asking), []
+        if self._copying is not None and self._copying.advance(COPY_BYTES):
+            self.reply_state(self._copying.replies, self._copying.state)
+            self._copying = None
+        return self._copying is not None or bool(self._asking)
+
     def _follow(self, content: ReplayOrders) -> None:
         limits = self.config.replay
         if content.buffer_size > limits.size_max or content.batch_size > limits.batch_max:
@@ -153,3 +168,33 @@ class Replay(Role):
         for level_replay in self.level_replays.values():
             level_replay.resize(content.buffer_size, content.batch_size)
         self.finished = content.stop
+
+
+class _StateCopy:
+    """Copy of a shard's state as it was at one moment.
+
+    Attributes:
+        replies: functions that reply to the requests that came before that moment.
+    """
+
+    def __init__(
+        self, name: str, level_replays: Mapping[Level, LevelReplay], replies: Sequence[Callable[[bytes], None]]
+    ) -> None:
+        self.replies = replies
+        self._name = name
+        self._parts = {level: level_replay.begin_copy() for level, level_replay in level_replays.items()}
+
+    def advance(self, most_bytes: int) -> bool:
+        """Copy a slice; return whether all is copied."""
+        for _, ring in self._parts.values():
+            while not ring.done and most_bytes > 0:
+                most_bytes -= ring.advance(most_bytes)
+        return all(ring.done for _, ring in self._parts.values())
+
+    def state(self) -> State:
+        """Return the copied state."""
+        meta = {level.value: part for level, (part, _) in self._parts.items()}
+        rings = {level: ring.arrays() for level, (_, ring) in self._parts.items()}
+        return State(
+            self._name, meta, {f"{at}/{name}": array for at, ring in rings.items() for name, array in ring.items()}
+        )

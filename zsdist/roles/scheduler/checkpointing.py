@@ -1,12 +1,41 @@
 """Collection of the roles' states for a checkpoint, as a state machine without messages."""
 
+from typing import NamedTuple
+
 from zsdist.config import Config, RunConfig
+from zsdist.errors import DecodeError
+from zsdist.roles import schemas
 from zsdist.roles.base import HEARTBEAT_S
 from zsdist.roles.replay import shards
+from zsdist.transport.base import Message
 from zsdist.types import Level
+from zsdist.wire import addresses, codec
 from zsdist.wire.messages import State
 
 ANSWER_WITHIN_S = 10.0  # a role that has not answered by then is asked again
+
+
+class Answer(NamedTuple):
+    """State of a role as it answered.
+
+    Attributes:
+        state: the state without its arrays.
+        payload: the whole state as it was sent.
+    """
+
+    state: State
+    payload: bytes
+
+
+def read_answer(message: Message, run: str) -> Answer | DecodeError:
+    """Return a role's answer, or why it is refused; nothing but the arguments is used, so any thread may call it."""
+    try:
+        state = codec.decode(message.payload, expect=State)
+        addresses.require(message.key, run, state)
+        schemas.check_state(state)
+    except DecodeError as error:
+        return error
+    return Answer(State(state.role, state.meta, {}), message.payload)
 
 
 class CheckpointSchedule:
@@ -20,6 +49,7 @@ class CheckpointSchedule:
         self._settings = settings
         self._episodes = 0  # finished at the last checkpoint
         self._made_s: float | None = None  # time of the last checkpoint, or of the first question
+        self._demanded = False
 
     def is_due(self, finished: int, now: float) -> bool:
         """Return whether a checkpoint is due.
@@ -31,11 +61,16 @@ class CheckpointSchedule:
         if self._made_s is None:
             self._made_s = now
         episodes, age_s = finished - self._episodes, now - self._made_s
-        return episodes >= self._settings.checkpoint_every_episodes or age_s >= self._settings.checkpoint_every_s
+        late = episodes >= self._settings.checkpoint_every_episodes or age_s >= self._settings.checkpoint_every_s
+        return late or self._demanded
+
+    def demand(self) -> None:
+        """Make a checkpoint due."""
+        self._demanded = True
 
     def note_checkpoint(self, finished: int, now: float | None = None) -> None:
         """Count from a checkpoint after `finished` episodes; `now` is None for that of an earlier start."""
-        self._episodes, self._made_s = finished, now
+        self._episodes, self._made_s, self._demanded = finished, now, False
 
 
 class StateCollection:
@@ -49,7 +84,7 @@ class StateCollection:
     def __init__(self, config: Config) -> None:
         self.shards = shards.state_names(config)
         self.names = [*self.shards, *(f"learner-{level}" for level in Level)]
-        self._states: dict[str, State] = {}
+        self._answers: dict[str, Answer] = {}
         self._ask_again_s = 0.0
         self._asked = False
 
@@ -60,26 +95,26 @@ class StateCollection:
 
     def clear(self) -> None:
         """Forget all states, so that `due` names every role at once."""
-        self._states, self._ask_again_s, self._asked = {}, 0.0, False
+        self._answers, self._ask_again_s, self._asked = {}, 0.0, False
 
-    def accept(self, state: State) -> None:
-        """Keep a state, in place of an earlier one of the same role."""
-        self._states[state.role] = state
+    def accept(self, answer: Answer) -> None:
+        """Keep an answer, in place of an earlier one of the same role."""
+        self._answers[answer.state.role] = answer
 
     def drop_open(self, now: float) -> None:
         """Forget the states of shards that still expect frames; they are asked again after a heartbeat."""
         for name in self.shards:
-            if name in self._states and any(part["open"] for part in self._states[name].meta.values()):
-                del self._states[name]
+            if name in self._answers and any(part["open"] for part in self._answers[name].state.meta.values()):
+                del self._answers[name]
                 self._ask_again_s = now + HEARTBEAT_S
 
-    def take(self) -> dict[str, State] | None:
-        """Return all states and forget them; None, and nothing is forgotten, while one is missing."""
+    def take(self) -> dict[str, Answer] | None:
+        """Return all answers and forget them; None, and nothing is forgotten, while one is missing."""
         if self._missing():
             return None
-        states = self._states
+        answers = self._answers
         self.clear()
-        return states
+        return answers
 
     def due(self, now: float) -> list[str]:
         """Return the names of the roles to ask now."""
@@ -89,4 +124,4 @@ class StateCollection:
         return self._missing()
 
     def _missing(self) -> list[str]:
-        return [name for name in self.names if name not in self._states]
+        return [name for name in self.names if name not in self._answers]

@@ -1,13 +1,21 @@
 """Scheduler role: leases episodes, conducts merges and checkpoints, and alone writes the run directory."""
 
+from concurrent.futures import Future
 from enum import StrEnum
+from functools import partial
 from typing import Any
 
 from zsdist.dqn.exploration import epsilon
-from zsdist.roles import schemas
+from zsdist.errors import DecodeError
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.replay import shards
-from zsdist.roles.scheduler.checkpointing import ANSWER_WITHIN_S, CheckpointSchedule, StateCollection
+from zsdist.roles.scheduler.checkpointing import (
+    ANSWER_WITHIN_S,
+    Answer,
+    CheckpointSchedule,
+    StateCollection,
+    read_answer,
+)
 from zsdist.roles.scheduler.leases import Leases
 from zsdist.roles.scheduler.merge import NO_MERGE, Drive, Merge, deal_drives, next_merge_at
 from zsdist.roles.scheduler.records_inbox import RecordsInbox
@@ -49,7 +57,9 @@ class Scheduler(Role):
         self._offered: dict[Level, dict[str, int]] = {level: {} for level in Level}  # candidate -> its newest merge
         self._merged = dict.fromkeys(Level, 0)  # index of the last merge that each learner has taken over
         self._collection = StateCollection(context.config)
-        self._final_states: dict[str, State] = {}
+        self._reading: list[Future[Answer | DecodeError]] = []  # answers of this stage
+        self._writing: Future[None] | None = None  # the last checkpoint, while it is written
+        self._final_states: dict[str, State] | None = None  # in the last checkpoint of the run
         self._schedule = CheckpointSchedule(context.config.run)
         self._next_orders_s = self._next_metrics_s = 0.0
         self._standstill = StandstillWatch()
@@ -211,12 +221,15 @@ class Scheduler(Role):
             merge.finish()
         if merge.phase is not before:
             self._next_orders_s = 0.0
-        if merge.phase is Phase.DONE and self._save(now):
+        if merge.phase is Phase.DONE:
             self.totals.merges.append(merge.summary())
             assert merge.chosen is not None  # else the phase is DRIVE still
             self.event(now, "merge", merge=merge.index, chosen=merge.chosen, score=merge.score(merge.chosen))
             self.merge = None
+            self._schedule.demand()
             self._enter(Stage.CLOSING if self.finished_episodes >= self.target else Stage.TRAIN)
+            if self.stage is Stage.TRAIN:
+                self._save(now)
 
     def _enter(self, stage: Stage) -> None:
         """Begin a stage, and publish it at once.
@@ -224,7 +237,7 @@ class Scheduler(Role):
         No later checkpoint contains states that were requested before, even if they are still on their way.
         """
         self.stage, self._next_orders_s = stage, 0.0
-        self._answers = self.mailbox("checkpoint")
+        self._answers, self._reading = self.mailbox("checkpoint"), []
         self._collection.clear()
 
     def _conduct_end(self, now: float) -> None:
@@ -233,7 +246,9 @@ class Scheduler(Role):
             if any(inbox.open_streams() for inbox in self._inboxes.values()):
                 return
             self.stage = Stage.SAVING
-        if not self._save(now, final=True):
+        if self._final_states is None:
+            self._save(now, final=True)
+        if self._final_states is None or not self._has_written():
             return
         summary = run_summary(
             self.totals,
@@ -246,24 +261,48 @@ class Scheduler(Role):
         self.run_log.summary(summary)
         self.stage, self._next_orders_s = Stage.DONE, 0.0
 
-    def _save(self, now: float, final: bool = False) -> bool:
-        """Request the states of all roles, and write a checkpoint once all have answered; return whether it did."""
-        for _, state in self.messages(self._answers, State):
-            if self.checked(schemas.check_state, state) is not None:
-                self._collection.accept(state)
+    def _save(self, now: float, final: bool = False) -> None:
+        """Request the states of all roles, and once all have answered begin to write a checkpoint.
+
+        Answers are read and the checkpoint is written in the background, one checkpoint at a time.
+        """
+        if not self._has_written():
+            return
+        self._receive_answers()
         if final:
             self._collection.drop_open(now)
-        states = self._collection.take()
-        if states is not None:
-            self.run_log.checkpoint(self.finished_episodes, {**states, "scheduler": self.state()})
-            self._schedule.note_checkpoint(self.finished_episodes, now)
-            self._final_states = states
-            return True
+        answers = self._collection.take()
+        if answers is None:
+            self._request_states(now)
+            return
+        states = {name: answer.payload for name, answer in answers.items()} | {"scheduler": codec.encode(self.state())}
+        write = self.run_log.begin_checkpoint(self.finished_episodes, states, self.totals.score)
+        self._writing = self.in_background(write)
+        self._schedule.note_checkpoint(self.finished_episodes, now)
+        if final:
+            self._final_states = {name: answer.state for name, answer in answers.items()}
+
+    def _has_written(self) -> bool:
+        """Return whether the last checkpoint is on the disk."""
+        return self._writing is None or self._writing.done()
+
+    def _receive_answers(self) -> None:
+        """Take the answers that have been read; begin to read those that have arrived."""
+        run = self.context.run
+        self._reading += [self.in_background(partial(read_answer, message, run)) for message in self._answers.drain()]
+        read = [reading.result() for reading in self._reading if reading.done()]
+        self._reading = self._reading[len(read) :]  # they are read in order
+        for answer in read:
+            if isinstance(answer, DecodeError):
+                self.refuse(answer.reason)
+            else:
+                self._collection.accept(answer)
+
+    def _request_states(self, now: float) -> None:
         for name in self._collection.due(now):
             request = codec.encode(Orders(self.context.epoch, name, {"ask": "state", "epoch": self.newest_epoch(name)}))
             where = keys.control(self.context.run, name)
             self.transport.request(where, request, self._answers, timeout_s=ANSWER_WITHIN_S)
-        return False
 
     # -- output -------------------------------------------------------------------------------------------------
 

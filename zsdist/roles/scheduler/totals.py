@@ -33,6 +33,11 @@ class RunTotals:
         self._restarts_before: dict[str, int] = {}  # in earlier starts, by kind of role
         self._restarts_now: dict[str, int] = {}
 
+    @property
+    def score(self) -> float | None:
+        """Score of the network that won the newest merge; None: there has been none."""
+        return self.merges[-1]["scores"][self.merges[-1]["chosen"]] if self.merges else None
+
     def add_episode(self, record: dict[str, Any], finished: int) -> None:
         """Count one finished episode, and adapt the sizes of the replay to the returns.
 

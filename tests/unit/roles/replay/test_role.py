@@ -7,6 +7,7 @@ from zsdist.config import parse
 from zsdist.errors import RunError
 from zsdist.replay import journal
 from zsdist.roles.base import Context
+from zsdist.roles.replay import role
 from zsdist.roles.replay.role import Replay
 from zsdist.roles.shapes import Shape
 from zsdist.transport.base import Mailbox
@@ -276,3 +277,31 @@ def test_an_actor_is_told_why_its_frame_cannot_be_read(bench):
     assert "magic" in [ack.refused for ack in bench.step() + bench.step() + bench.step()][-1]
     bench.push(2, 9, trajectory(30, 1))
     assert [ack.refused for ack in bench.step() + bench.step()][-1] == ""
+
+
+def test_a_state_is_copied_in_slices_and_is_that_of_the_moment_of_the_request(bench, monkeypatch):
+    monkeypatch.setattr(role, "COPY_BYTES", 1)
+    answers = Mailbox(2**24)
+
+    def request():
+        asked = codec.encode(Orders(1, "replay", {"ask": "state"}))
+        bench.others.request(keys.control(RUN, "replay"), asked, answers, timeout_s=1.0)
+
+    request()
+    bench.step()
+    before, steps = bench.replay.state(), 0
+    for number in range(2, 5):
+        request()
+        bench.push(number, 8 + 4 * (number - 1), trajectory(10 * number, 4))
+    while not answers:
+        bench.step()
+        steps += 1
+    assert steps > 4
+    (first,) = (codec.decode(message.payload, expect=State) for message in answers.drain())
+    alike(before, first)
+    now = bench.replay.state()
+    while not answers:
+        bench.step()
+    later = [codec.decode(message.payload, expect=State) for message in answers.drain()]
+    assert len(later) == 3  # answered by one copy
+    alike(now, later[0])

@@ -1,7 +1,7 @@
 import pytest
 
 from zsdist.config import parse
-from zsdist.roles.scheduler.checkpointing import ANSWER_WITHIN_S, StateCollection
+from zsdist.roles.scheduler.checkpointing import ANSWER_WITHIN_S, Answer, StateCollection
 from zsdist.wire.messages import State
 
 NAMES = ["replay", "replay-1", "learner-high", "learner-low"]
@@ -9,7 +9,8 @@ NAMES = ["replay", "replay-1", "learner-high", "learner-low"]
 
 def state(role, frames_expected=0):
     level_replay = {"open": frames_expected}
-    return State(role, {"high": level_replay, "low": level_replay} if role.startswith("replay") else {}, {})
+    meta = {"high": level_replay, "low": level_replay} if role.startswith("replay") else {}
+    return Answer(State(role, meta, {}), b"")
 
 
 @pytest.fixture
@@ -29,7 +30,7 @@ def test_states_are_given_once_and_only_when_all_are_there(collection):
         assert collection.take() is None
         collection.accept(state(name))
     taken = collection.take()
-    assert sorted(taken) == sorted(NAMES) and all(taken[name].role == name for name in NAMES)
+    assert sorted(taken) == sorted(NAMES) and all(taken[name].state.role == name for name in NAMES)
     assert collection.take() is None
     assert collection.due(0.1) == NAMES  # for the next checkpoint, at once
 
