@@ -24,12 +24,14 @@ from typing import NamedTuple
 os.environ["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
 
 import psutil
-from rehearsal import SEEN, kinematic
+from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist import config
 from zsdist.run import directory, program, ray
-from zsdist.run.program import RunSpec
+from zsdist.run.program import ActorParts, RunSpec
+from zsdist.run.scene_schedule import SceneSchedule
 from zsdist.transport.base import Mailbox, Transport
+from zsdist.vision.fingerprint import VisionIdentity
 
 SETTINGS = (
     "transport.endpoint=tcp/127.0.0.1:7800",
@@ -148,6 +150,11 @@ class Revival:
             print(f"{role} {signal.Signals(number).name}: {times}", flush=True)
 
 
+def kinematic(settings: config.Config) -> ActorParts:
+    """Return the parts of an actor; not those of tests/rehearsal.py, with which a standby would load torch."""
+    return ActorParts(lambda: LatticeEnv(config=settings), FakeVisualAct(), SceneSchedule(settings))
+
+
 def standby_waits() -> bool:
     """Return whether a standby process has warmed up."""
     for process in psutil.Process().children(recursive=True):
@@ -161,7 +168,8 @@ def ride(folder: Path, revival: Revival, *overrides: str) -> dict:
     """Run until all kills are done; return the summary of the run."""
     settings = config.load(None, (*SETTINGS, *overrides))
     directory.create(folder, settings)
-    spec = RunSpec(settings, directory.key_name(folder), folder, {}, SEEN, kinematic)
+    seen = VisionIdentity.of(FakeVisualAct(), "head")
+    spec = RunSpec(settings, directory.key_name(folder), folder, {}, seen, kinematic)
     epochs = directory.issue_epochs(folder, program.epoch_count(settings))
     ray.run(spec, epochs, interrupted=revival.interrupted, watch=revival.watch)
     return json.loads((folder / "summary.json").read_text())
