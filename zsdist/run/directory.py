@@ -293,8 +293,8 @@ class RunDirectory(Owned):
             "zsdist": __version__,
             "episodes": episodes,
             "vision": self._vision.to_json(),
-            "score": score,
             "tensorboard": events,
+            **({} if score is None else {"score": score}),
         }
         lines = [self.folder / name for name in ("episodes.jsonl", "metrics.jsonl")]
 

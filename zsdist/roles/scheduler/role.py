@@ -1,25 +1,17 @@
 """Scheduler role: leases episodes, conducts merges and checkpoints, and alone writes the run directory."""
 
-from concurrent.futures import Future
 from enum import StrEnum
-from functools import partial
 from typing import Any
 
 from zsdist.dqn.exploration import epsilon
-from zsdist.errors import DecodeError
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.replay import shards
-from zsdist.roles.scheduler.checkpointing import (
-    ANSWER_WITHIN_S,
-    Answer,
-    CheckpointSchedule,
-    StateCollection,
-    read_answer,
-)
+from zsdist.roles.scheduler.checkpointing import CheckpointSchedule
 from zsdist.roles.scheduler.leases import Leases
 from zsdist.roles.scheduler.merge import NO_MERGE, Drive, Merge, deal_drives, next_merge_at
 from zsdist.roles.scheduler.records_inbox import RecordsInbox
 from zsdist.roles.scheduler.run_log import RunLog
+from zsdist.roles.scheduler.saving import Saving
 from zsdist.roles.scheduler.standstill import StandstillWatch
 from zsdist.roles.scheduler.summary import run_summary
 from zsdist.roles.scheduler.totals import RunTotals
@@ -56,9 +48,7 @@ class Scheduler(Role):
         self._inboxes = {stream: RecordsInbox(stream, context.epoch, self.refuse) for stream in (EPISODES, EVALUATION)}
         self._offered: dict[Level, dict[str, int]] = {level: {} for level in Level}  # candidate -> its newest merge
         self._merged = dict.fromkeys(Level, 0)  # index of the last merge that each learner has taken over
-        self._collection = StateCollection(context.config)
-        self._reading: list[Future[Answer | DecodeError]] = []  # answers of this stage
-        self._writing: Future[None] | None = None  # the last checkpoint, while it is written
+        self._saving = Saving(self)
         self._final_states: dict[str, State] | None = None  # in the last checkpoint of the run
         self._schedule = CheckpointSchedule(context.config.run)
         self._next_orders_s = self._next_metrics_s = 0.0
@@ -69,7 +59,6 @@ class Scheduler(Role):
         self._reports = self.mailbox("records")
         self._learners = self.mailbox("weights")
         self._watch = self.mailbox("stats")
-        self._answers = self.mailbox("checkpoint")  # to the requests of this stage
         self._commands = self.mailbox("commands")
         self.transport.subscribe(keys.episodes(run, keys.ANY, keys.ANY), self._reports)
         self.transport.subscribe(keys.evaluation(run, keys.ANY), self._reports)
@@ -117,7 +106,7 @@ class Scheduler(Role):
             "episodes_in_flight": len(self.leases.holders),
             **{outcome.value: count for outcome, count in self.totals.outcomes.items()},
             **self.totals.statistics(),
-            **self._collection.statistics(),
+            **self._saving.statistics(),
         }
         if self.merge is not None:
             fields["drives_left"] = len(self.merge.outstanding())
@@ -237,8 +226,7 @@ class Scheduler(Role):
         No later checkpoint contains states that were requested before, even if they are still on their way.
         """
         self.stage, self._next_orders_s = stage, 0.0
-        self._answers, self._reading = self.mailbox("checkpoint"), []
-        self._collection.clear()
+        self._saving.restart()
 
     def _conduct_end(self, now: float) -> None:
         """End the run: actors close their epochs, the replay stores everything, then checkpoint and summary follow."""
@@ -248,7 +236,7 @@ class Scheduler(Role):
             self.stage = Stage.SAVING
         if self._final_states is None:
             self._save(now, final=True)
-        if self._final_states is None or not self._has_written():
+        if self._final_states is None or not self._saving.has_written:
             return
         summary = run_summary(
             self.totals,
@@ -262,47 +250,14 @@ class Scheduler(Role):
         self.stage, self._next_orders_s = Stage.DONE, 0.0
 
     def _save(self, now: float, final: bool = False) -> None:
-        """Request the states of all roles, and once all have answered begin to write a checkpoint.
-
-        Answers are read and the checkpoint is written in the background, one checkpoint at a time.
-        """
-        if not self._has_written():
-            return
-        self._receive_answers()
-        if final:
-            self._collection.drop_open(now)
-        answers = self._collection.take()
-        if answers is None:
-            self._request_states(now)
+        """Request the states of all roles, and once all have answered begin to write a checkpoint, one at a time."""
+        if not self._saving.has_written or (answers := self._saving.collect(now, delivered=final)) is None:
             return
         states = {name: answer.payload for name, answer in answers.items()} | {"scheduler": codec.encode(self.state())}
-        write = self.run_log.begin_checkpoint(self.finished_episodes, states, self.totals.score)
-        self._writing = self.in_background(write)
+        self._saving.write(self.run_log.begin_checkpoint(self.finished_episodes, states, self.totals.score))
         self._schedule.note_checkpoint(self.finished_episodes, now)
         if final:
             self._final_states = {name: answer.state for name, answer in answers.items()}
-
-    def _has_written(self) -> bool:
-        """Return whether the last checkpoint is on the disk."""
-        return self._writing is None or self._writing.done()
-
-    def _receive_answers(self) -> None:
-        """Take the answers that have been read; begin to read those that have arrived."""
-        run = self.context.run
-        self._reading += [self.in_background(partial(read_answer, message, run)) for message in self._answers.drain()]
-        read = [reading.result() for reading in self._reading if reading.done()]
-        self._reading = self._reading[len(read) :]  # they are read in order
-        for answer in read:
-            if isinstance(answer, DecodeError):
-                self.refuse(answer.reason)
-            else:
-                self._collection.accept(answer)
-
-    def _request_states(self, now: float) -> None:
-        for name in self._collection.due(now):
-            request = codec.encode(Orders(self.context.epoch, name, {"ask": "state", "epoch": self.newest_epoch(name)}))
-            where = keys.control(self.context.run, name)
-            self.transport.request(where, request, self._answers, timeout_s=ANSWER_WITHIN_S)
 
     # -- output -------------------------------------------------------------------------------------------------
 
