@@ -20,7 +20,8 @@ from zsdist.wire.frame import PLAIN
 from zsdist.wire.messages import State
 
 KEEP_EVERY_S = 2.0
-SHARE = 0.02  # most of its time that a learner spends on keeping its state
+SHARE = 0.02  # part of its time that a learner spends on keeping its state
+KEEP_AFTER_S = 30.0  # longest time between two states, whatever it costs
 DIGITS = 20  # of the epoch in names of files, so that they sort by it
 
 
@@ -125,7 +126,7 @@ class KeptState:
                 path.unlink(missing_ok=True)
         except OSError as error:
             raise self._failed("written", error) from error
-        self._next_s = now + max(KEEP_EVERY_S, (self._clock() - started_s) / SHARE)
+        self._next_s = now + min(max(KEEP_EVERY_S, (self._clock() - started_s) / SHARE), KEEP_AFTER_S)
 
     def note_version(self, version: int) -> None:
         """Write down the version of weights that are about to be published, so that no successor publishes it again.

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from zsdist.errors import RunError
-from zsdist.roles.kept_state import KEEP_EVERY_S, SHARE, KeptState, MergeState
+from zsdist.roles.kept_state import KEEP_AFTER_S, KEEP_EVERY_S, SHARE, KeptState, MergeState
 from zsdist.wire.messages import State
 
 
@@ -81,7 +81,7 @@ def test_an_older_state_is_used_where_the_newest_is_damaged(tmp_path):
     assert successor.damaged == [newest.name]
 
 
-@pytest.mark.parametrize(("cost_s", "every_s"), [(0.001, KEEP_EVERY_S), (0.3, 0.3 / SHARE)])
+@pytest.mark.parametrize(("cost_s", "every_s"), [(0.001, KEEP_EVERY_S), (0.3, 0.3 / SHARE), (9.0, KEEP_AFTER_S)])
 def test_a_state_that_takes_long_to_write_is_kept_more_rarely(tmp_path, cost_s, every_s):
     kept = KeptState(tmp_path / "k", 9, Clock(cost_s))
     assert kept.is_due(100.0)

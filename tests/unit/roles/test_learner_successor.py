@@ -12,7 +12,7 @@ from storm import trajectory
 from zsdist.config import LevelConfig, parse
 from zsdist.dqn.learner import DqnLearner
 from zsdist.roles.base import Context
-from zsdist.roles.kept_state import KEEP_EVERY_S
+from zsdist.roles.kept_state import KEEP_AFTER_S
 from zsdist.roles.replay.role import Replay
 from zsdist.roles.shapes import Shape
 from zsdist.run import learners
@@ -105,7 +105,7 @@ def life(tmp_path):
 def test_a_successor_continues_bit_for_bit_from_a_state_that_is_seconds_old(life):
     life.order(LEARNS)
     life.learn(40)
-    life.step(KEEP_EVERY_S)
+    life.step(KEEP_AFTER_S)
     before = life.learner.state()
     after = life.kill().state()
     assert before.meta["updates"] == after.meta["updates"] > 0
