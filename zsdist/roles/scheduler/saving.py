@@ -54,7 +54,8 @@ class Saving:
         if answers is None:
             context = self._role.context
             for name in self._collection.due(now):
-                request = codec.encode(Orders(context.epoch, name, {"ask": "state"}))
+                wanted = {"ask": "state", "epoch": self._role.newest_epoch(name)}
+                request = codec.encode(Orders(context.epoch, name, wanted))
                 where = keys.control(context.run, name)
                 self._role.transport.request(where, request, self._answers, timeout_s=ANSWER_WITHIN_S)
         return answers
