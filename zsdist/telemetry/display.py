@@ -117,10 +117,10 @@ class Display:
                 since_s, waits, in_flight = (event.get(name) for name in ("since_s", "waits", "in_flight"))
                 line = f"nothing has moved for {since_s} s: waiting are {waits}; {in_flight} messages are in flight"
                 self.console.say(line)
-            elif new and event.get("event") == "journal_damaged":
+            elif event.get("event") == "journal_damaged":
                 self._announced_s = float(told_s)
                 self.console.say(f"{event.get('role')}-{event.get('id')}: {event.get('what')}")
-            elif new and event.get("event") == "role_replaced":
+            elif event.get("event") == "role_replaced":
                 self._announced_s = float(told_s)
                 self.console.say(f"{event.get('name')} is replaced: {event.get('reason')}")
 
