@@ -4,10 +4,13 @@ An actor's certificate is bound to its keys: it may publish only under its own n
 message names with the key under which the message arrived.
 """
 
+import re
+
 from zsdist.transport.access import Grant
 from zsdist.wire import keys
 from zsdist.wire.keys import ANY
 
+MAX_ACTORS = 4096  # at a time, and names of actors that have rights: actor-0 to actor-4095
 HUB, TRUSTED, MONITOR = "hub", "trusted", "monitor"  # common names; an actor's is its role's name, such as `actor-0`
 EVERYTHING = (f"{keys.ROOT}/**",)
 WATCHED = (keys.stats(ANY, ANY, ANY), keys.events(ANY))  # sources of statistics and displays
@@ -24,6 +27,16 @@ def certificate_of(role: str, identifier: str) -> str:
 def actor_name(identifier: str | int) -> str:
     """Return the name of an actor on keys, in leases and on its certificate."""
     return f"actor-{identifier}"
+
+
+def is_actor_name(name: str) -> bool:
+    """Return whether a name is that of an actor with rights, `actor-0` to `actor-4095`."""
+    return re.fullmatch(r"actor-(0|[1-9][0-9]{0,3})", name) is not None and actor_number(name) < MAX_ACTORS
+
+
+def actor_number(name: str) -> int:
+    """Return the number in the name of an actor."""
+    return int(name.partition("-")[2])
 
 
 def client_names(actors: int) -> list[str]:
@@ -56,5 +69,7 @@ def _actor(identifier: str) -> Grant:
             keys.control(ANY, "actor"),
             keys.evaluation(ANY, name),
         ),
+        request=(keys.join(ANY, name),),
         alive=(keys.alive(ANY, "actor", identifier),),
+        watch=(keys.alive(ANY, "scheduler", ANY),),
     )

@@ -14,7 +14,8 @@ import torch
 
 from zsdist.errors import RunError, ZsdistError
 from zsdist.roles.base import HEARTBEAT_S, Role
-from zsdist.run import program
+from zsdist.run import directory, program
+from zsdist.run.guests import Guests
 from zsdist.run.program import RoleSpec, RunSpec, Watch
 from zsdist.transport.base import Transport
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
@@ -163,12 +164,14 @@ def _step_all(
     watch: Watch,
 ) -> None:
     scheduler = hosted[0]
+    guests = Guests(spec, supervisor, lambda: directory.issue_epochs(spec.folder, 1)[0])
     next_supervision_s = clock.now
     while scheduler.due_s is not None:
         now = clock.now
         if now >= next_supervision_s:
             next_supervision_s = now + HEARTBEAT_S
-            content = program.supervision(role_specs, interrupted=interrupted())
+            guests.step(now)
+            content = program.supervision(role_specs, interrupted=interrupted(), guests=guests)
             orders = Orders(epoch, "scheduler", content)
             supervisor.publish(keys.control(spec.run, "scheduler"), codec.encode(orders), retained=True)
         worked = [role.step_if_due(now) for role in hosted]

@@ -37,6 +37,7 @@ from zsdist.wire.messages import State
 
 if TYPE_CHECKING:
     from zsdist.dqn.base import BaseDqnLearner
+    from zsdist.run.guests import Guests
 
 Watch = Callable[[Transport, float], None]  # called once a round with the runner's transport and the clock
 
@@ -148,7 +149,8 @@ class RunSpec:
 
     def open_hub(self, endpoint: str | None = None) -> ZenohHub:
         """Open the router at `endpoint`; None: at the configured one, or the next free port above it."""
-        grants, tries = permissions.access_list(self.config.run.actors), PORTS_TRIED if endpoint is None else 1
+        # Rights for every name that an actor may have, also one that joins the run from elsewhere.
+        grants, tries = permissions.access_list(permissions.MAX_ACTORS), PORTS_TRIED if endpoint is None else 1
         endpoint = endpoint or self.config.transport.endpoint
         return ZenohHub(endpoint, self._identity(permissions.HUB), grants, ports_tried=tries)
 
@@ -235,7 +237,11 @@ def make_hub(spec: RunSpec, role_spec: RoleSpec, transport: Transport, wake: thr
 
 
 def supervision(
-    role_specs: Sequence[RoleSpec], *, interrupted: bool, restarts: Mapping[str, int] | None = None
+    role_specs: Sequence[RoleSpec],
+    *,
+    interrupted: bool,
+    restarts: Mapping[str, int] | None = None,
+    guests: "Guests | None" = None,
 ) -> dict[str, Any]:
     """Return the content of the orders that a runner repeats to the scheduler (`schemas.Supervision`).
 
@@ -243,9 +249,12 @@ def supervision(
         role_specs: all roles; the orders name the actors' epochs.
         interrupted: whether to stop early.
         restarts: number of processes replaced so far in this start, by kind of role.
+        guests: actors that have joined from elsewhere.
     """
+    own = {role_spec.name: role_spec.epoch for role_spec in role_specs if role_spec.role == "actor"}
     return {
-        "epochs": {role_spec.name: role_spec.epoch for role_spec in role_specs if role_spec.role == "actor"},
+        "epochs": own | (guests.epochs if guests else {}),
+        "left": guests.left if guests else {},
         "restarts": dict(restarts or {}),
         "interrupted": interrupted,
     }

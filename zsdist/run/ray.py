@@ -24,6 +24,7 @@ from zsdist.roles.replay import shards
 from zsdist.run import cluster_address, local_ray, preflight, program
 from zsdist.run.allocator import keep_freed_memory
 from zsdist.run.directory import issue_epochs
+from zsdist.run.guests import Guests
 from zsdist.run.program import ActorParts, RoleSpec, RunSpec, Watch
 from zsdist.run.restarts import Restarts
 from zsdist.transport.base import Transport
@@ -235,6 +236,7 @@ class _Supervisor:
         self._drive(self.role_specs[HUB])
         transport = self.spec.connect(program.supervisor([self.epoch]), self.endpoint)
         try:
+            self.guests = Guests(self.spec, transport, lambda: issue_epochs(self.spec.folder, 1)[0])
             for name, role_spec in self.role_specs.items():
                 if name != HUB:
                     self.hosts[name] = self._host(role_spec)
@@ -250,8 +252,12 @@ class _Supervisor:
                 ray.kill(host)
 
     def _supervise(self, transport: Transport, interrupted: bool) -> None:
+        self.guests.step(time.time())
         content = program.supervision(
-            list(self.role_specs.values()), restarts=self.restarts.by_kind(), interrupted=interrupted
+            list(self.role_specs.values()),
+            restarts=self.restarts.by_kind(),
+            interrupted=interrupted,
+            guests=self.guests,
         )
         orders = codec.encode(Orders(self.epoch, "scheduler", content))
         transport.publish(keys.control(self.spec.run, "scheduler"), orders, retained=True)

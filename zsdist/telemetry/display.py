@@ -18,6 +18,7 @@ TABLE_EVERY_S = 0.5
 QUIET_AFTER_S = 3.0  # every role reports twice a second
 DONE = "done"  # last stage that a scheduler reports
 MAILBOX_BYTES = 8 * 2**20
+_COMES_AND_GOES = {"actor_joined": "has joined the run", "actor_left": "has left the run"}
 
 
 class Display:
@@ -108,14 +109,20 @@ class Display:
 
     def _announce(self) -> None:
         """Print new events that nobody may miss."""
+        told_s = self._announced_s  # several events may have one time
         for event in self.snapshot.events:
-            told_s = event.get("time_s", 0.0)
-            new = not isinstance(told_s, str) and told_s > self._announced_s
-            if new and event.get("event") == "standstill":
-                self._announced_s = float(told_s)
+            time_s = event.get("time_s", 0.0)
+            if isinstance(time_s, str) or time_s <= told_s:
+                continue
+            if event.get("event") == "standstill":
                 since_s, waits, in_flight = (event.get(name) for name in ("since_s", "waits", "in_flight"))
                 line = f"nothing has moved for {since_s} s: waiting are {waits}; {in_flight} messages are in flight"
-                self.console.say(line)
+            elif event.get("event") in _COMES_AND_GOES:
+                line = f"{event.get('actor')} {_COMES_AND_GOES[str(event['event'])]}"
+            else:
+                continue
+            self._announced_s = max(self._announced_s, float(time_s))
+            self.console.say(line)
 
     def figures(self) -> dict[str, str]:
         """Return the text under each heading."""

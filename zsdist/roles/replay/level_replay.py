@@ -117,11 +117,22 @@ class LevelReplay:
             return False
         if self._limited(actor, current):
             self.limiter.close(f"{actor}/{current}")
+        self._closed.discard((actor, current))
         self.inbox.issue(actor, epoch)
         self.limiter.open(f"{actor}/{epoch}")
         self._epochs[actor] = epoch
         self._entries.append((Entry.EPOCH, json.dumps([actor, epoch]).encode()))
         return True
+
+    def dismiss(self, actor: str, epoch: int) -> None:
+        """Close an epoch of an actor that has left for good, at the last frame in order; again, it changes nothing.
+
+        The journal has no record of it: a successor gets the same orders.
+        """
+        if self._limited(actor, epoch):
+            self.limiter.close(f"{actor}/{epoch}")
+            self.inbox.close(actor, epoch)
+            self._closed.add((actor, epoch))
 
     def receive(self, push: Push, payload: bytes, now: float) -> None:
         """Store the trajectories of a frame, and of held frames that follow it in order.

@@ -49,8 +49,9 @@ class Replay(Role):
         self._errors = self.mailbox("priority")
         self._orders = self.mailbox("orders")
         self._checkpoints = self.mailbox("checkpoint")
+        self._heard: set[str] = set()  # actors to whose pushes it has subscribed; `ANY`: to those of all
         for actor in sorted(self.shard.actors or (keys.ANY,)):
-            self.transport.subscribe(keys.push(run, keys.ANY, actor, keys.ANY), self._pushes)
+            self._hear(actor)
         for level in self.level_replays:
             self.transport.serve(keys.sample(run, level, self.shard.index), self._requests)
             if context.config.replay.prioritised:
@@ -136,6 +137,12 @@ class Replay(Role):
             arrays |= {f"{level}/{name}": array for name, array in columns.items()}
         return State(self.shard.name, meta, arrays)
 
+    def _hear(self, actor: str) -> None:
+        """Subscribe to the pushes of an actor, once."""
+        if actor not in self._heard and keys.ANY not in self._heard:
+            self._heard.add(actor)
+            self.transport.subscribe(keys.push(self.context.run, keys.ANY, actor, keys.ANY), self._pushes)
+
     def _follow(self, content: ReplayOrders) -> None:
         limits = self.config.replay
         if content.buffer_size > limits.size_max or content.batch_size > limits.batch_max:
@@ -143,8 +150,12 @@ class Replay(Role):
             return
         for actor, epoch in content.epochs.items():
             if self.shard.owns(actor):
+                self._hear(actor)
                 for level_replay in self.level_replays.values():
                     level_replay.issue(actor, epoch)
+        for actor, epoch in content.left.items():
+            for level_replay in self.level_replays.values():
+                level_replay.dismiss(actor, epoch)
         for level_replay in self.level_replays.values():
             level_replay.resize(content.buffer_size, content.batch_size)
         self.finished = content.stop

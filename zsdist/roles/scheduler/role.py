@@ -8,8 +8,10 @@ from zsdist.roles import schemas
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.replay import shards
 from zsdist.roles.scheduler.checkpointing import ANSWER_WITHIN_S, CheckpointSchedule, StateCollection
+from zsdist.roles.scheduler.drive_deal import DriveDeal
 from zsdist.roles.scheduler.leases import Leases
-from zsdist.roles.scheduler.merge import NO_MERGE, Drive, Merge, deal_drives, next_merge_at
+from zsdist.roles.scheduler.members import Members
+from zsdist.roles.scheduler.merge import NO_MERGE, Drive, Merge, next_merge_at
 from zsdist.roles.scheduler.records_inbox import RecordsInbox
 from zsdist.roles.scheduler.run_log import RunLog
 from zsdist.roles.scheduler.standstill import StandstillWatch
@@ -43,7 +45,8 @@ class Scheduler(Role):
         self.leases = Leases()
         self.stage = Stage.TRAIN
         self.merge: Merge | None = None
-        self._epochs: dict[str, int] = {}  # newest epoch of each actor
+        self._members = Members(context.config.run.actors)
+        self._deal = DriveDeal(context.config.run.cars_per_actor)
         self._interrupted = False
         self._inboxes = {stream: RecordsInbox(stream, context.epoch, self.refuse) for stream in (EPISODES, EVALUATION)}
         self._offered: dict[Level, dict[str, int]] = {level: {} for level in Level}  # candidate -> its newest merge
@@ -88,6 +91,7 @@ class Scheduler(Role):
         self._publish(now)
         if now >= self._next_metrics_s:
             self._next_metrics_s = now + 1.0
+            self.snapshot.keep_actors(self._members.epochs)
             self.run_log.metrics(self.snapshot.row())
             self._standstill.watch(now, self.snapshot, self.event)
         self.finished = self.stage is Stage.DONE
@@ -117,15 +121,12 @@ class Scheduler(Role):
 
     def _follow_supervisor(self, now: float) -> None:
         for content in self.orders(self._commands, {Orders: Supervision}):
-            for actor, epoch in content.epochs.items():
-                if epoch <= self._epochs.get(actor, -1):
-                    continue
-                if actor in self._epochs:
-                    self.leases.give_back(actor)
-                    self.event(now, "actor_replaced", actor=actor, actor_epoch=epoch)
-                self._epochs[actor] = epoch
+            for event, actor, epoch in self._members.follow(content, admits=self.stage in (Stage.TRAIN, Stage.MERGE)):
+                self.leases.give_back(actor)
                 for inbox in self._inboxes.values():
-                    inbox.issue(actor, epoch)
+                    (inbox.close if event == "actor_left" else inbox.issue)(actor, epoch)
+                if event:
+                    self.event(now, event, actor=actor, actor_epoch=epoch)
                 self._next_orders_s = 0.0
             if self.totals.set_restarts(content.restarts):
                 self.event(now, "restarted", **self.totals.restarts())
@@ -187,7 +188,7 @@ class Scheduler(Role):
         elif finished >= self.target:
             self._enter(Stage.CLOSING)
         else:
-            for actor in self._epochs:
+            for actor in self._members.epochs:
                 self.leases.grant(actor, self.config.run.cars_per_actor, min(barrier, self.target))
             if self._schedule.is_due(finished, now):
                 self._save(now)
@@ -287,15 +288,16 @@ class Scheduler(Role):
         ending = self.stage in (Stage.CLOSING, Stage.SAVING, Stage.DONE)
         return {
             "actor": {
-                "epochs": self._epochs,
-                "leases": {actor: self.leases.held_by(actor) for actor in self._epochs},
+                "epochs": self._members.epochs,
+                "leases": {actor: self.leases.held_by(actor) for actor in self._members.epochs},
                 "finished": self.finished_episodes,
                 "merge": merge.index if merge else len(self.totals.merges) + 1,
                 "closing": ending,
                 "cut": ending and self._interrupted,
             },
             shards.ROLE: {
-                "epochs": self._epochs,
+                "epochs": self._members.epochs,
+                "left": self._members.left,
                 "buffer_size": self.totals.sizing.size,
                 "batch_size": self.totals.sizing.batch_size,
                 "stop": done,
@@ -311,7 +313,7 @@ class Scheduler(Role):
 
     def _drives(self) -> dict[str, list[Drive]]:
         outstanding, candidates = (self.merge.outstanding(), self.merge.candidates) if self.merge else ([], ())
-        return deal_drives(outstanding, candidates, sorted(self._epochs))
+        return self._deal.deal(self.merge.index if self.merge else 0, outstanding, candidates, self._members.epochs)
 
     # -- state --------------------------------------------------------------------------------------------------
 
