@@ -5,6 +5,7 @@ message names with the key under which the message arrived.
 """
 
 import re
+from collections.abc import Iterable
 
 from zsdist.transport.access import Grant
 from zsdist.wire import keys
@@ -44,16 +45,23 @@ def client_names(actors: int) -> list[str]:
     return [TRUSTED, MONITOR, *map(actor_name, range(actors))]
 
 
-def access_list(actors: int) -> list[Grant]:
-    """Return the grants of a run with `actors` actors; every other common name may do nothing."""
+def access_list(actors: int, certified: Iterable[str] = ()) -> list[Grant]:
+    """Return the grants of a run; every other common name may do nothing.
+
+    Args:
+        actors: number of the run's own actors.
+        certified: common names that certificates were made for; the actors among them may join the run from elsewhere.
+    """
+    own = list(map(actor_name, range(actors)))
+    joining = sorted(set(filter(is_actor_name, certified)).difference(own), key=actor_number)
     trusted = Grant(TRUSTED, *[EVERYTHING] * 6)
     hub = Grant(HUB, publish=(keys.stats(ANY, "hub", ANY), keys.events(ANY)), alive=(keys.alive(ANY, "hub", ANY),))
     monitor = Grant(MONITOR, subscribe=(*WATCHED, keys.weights(ANY, ANY)), watch=TOKENS)
-    return [trusted, hub, monitor, *(_actor(str(number)) for number in range(actors))]
+    return [trusted, hub, monitor, *map(_actor, own + joining)]
 
 
-def _actor(identifier: str) -> Grant:
-    name = actor_name(identifier)
+def _actor(name: str) -> Grant:
+    identifier = str(actor_number(name))
     return Grant(
         name,
         publish=(

@@ -130,8 +130,6 @@ class Guests:
             return self._verdict(self.epochs[name])
         if name in self._own or (guest is not None and guest.joiner != request.joiner):
             return self._verdict(None, f"{name} takes part already")
-        if guest is None and len(self._own) + len(self._guests) >= permissions.MAX_ACTORS:
-            return self._verdict(None, f"{permissions.MAX_ACTORS} actors take part already")
         self.epochs[name] = self._issue_epoch()
         self.left.pop(name, None)
         self._guests[name] = _Guest(request.joiner, request.process, now)

@@ -23,9 +23,10 @@ from zsdist.roles import permissions
 from zsdist.roles.schemas import JoinTerms
 from zsdist.run import guest_process, preflight, program
 from zsdist.run.guest_process import Doorbell, Ending, Report
-from zsdist.run.program import ActorParts, RunSpec
 from zsdist.run.orders_watch import OrdersWatch
+from zsdist.run.program import ActorParts, RunSpec
 from zsdist.run.restarts import RESTARTS_ALLOWED
+from zsdist.transport import certificates
 from zsdist.transport.certificates import Identity
 from zsdist.transport.zenoh import ZenohTransport
 from zsdist.vision.fingerprint import VisionIdentity
@@ -331,8 +332,7 @@ def actor_names(tls: Path | None, actors: int) -> list[str]:
     """
     if tls is None:
         return [permissions.actor_name(number) for number in range(permissions.MAX_ACTORS)]
-    found = (path.stem for path in tls.glob("actor-*.pem"))
-    names = sorted(filter(permissions.is_actor_name, found), key=permissions.actor_number)
+    names = sorted(filter(permissions.is_actor_name, certificates.names(tls)), key=permissions.actor_number)
     if len(names) < actors:
         raise TransportError(
             f"{tls} has certificates of {len(names)} actors and --actors is {actors}; make more with "

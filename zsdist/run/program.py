@@ -26,6 +26,7 @@ from zsdist.roles.shapes import SHAPES, learner_seed, level_settings
 from zsdist.run.directory import RunDirectory
 from zsdist.run.scene_schedule import SceneSchedule
 from zsdist.sim.env import CarNavigation
+from zsdist.transport import certificates
 from zsdist.transport.base import Transport
 from zsdist.transport.certificates import Identity
 from zsdist.transport.zenoh import PORTS_TRIED, ZenohHub, ZenohTransport
@@ -149,8 +150,10 @@ class RunSpec:
 
     def open_hub(self, endpoint: str | None = None) -> ZenohHub:
         """Open the router at `endpoint`; None: at the configured one, or the next free port above it."""
-        # Rights for every name that an actor may have, also one that joins the run from elsewhere.
-        grants, tries = permissions.access_list(permissions.MAX_ACTORS), PORTS_TRIED if endpoint is None else 1
+        config, tries = self.config, PORTS_TRIED if endpoint is None else 1
+        # Not of all possible names: a grant takes 0.2 MiB of the hub.
+        certified = () if config.transport.tls is None else certificates.names(config.transport.tls)
+        grants = permissions.access_list(config.run.actors, certified)
         endpoint = endpoint or self.config.transport.endpoint
         return ZenohHub(endpoint, self._identity(permissions.HUB), grants, ports_tried=tries)
 
