@@ -181,13 +181,12 @@ class RunSpec:
         context, config = self.context(role_spec, transport, wake), self.config
         match role_spec.role:
             case "scheduler":
-                restored = self.states.get("scheduler")
-                earlier_s = restored.meta["wall_s"] if restored else 0.0
-                return Scheduler(context, RunDirectory(self.folder, self.vision, earlier_s), restored)
+                log, ledger = RunDirectory(self.folder, self.vision), self._journal(role_spec.role)
+                return Scheduler(context, log, ledger, self.states.get(role_spec.role))
             case shards.ROLE:
-                # Each start of the run has journals of its own: an earlier start's are older than the checkpoint.
-                folder = self.folder / "journal" / f"{self.start}-{role_spec.id}"
-                return Replay(context, SHAPES, folder, self.states.get(shards.state_name(int(role_spec.id))))
+                return Replay(
+                    context, SHAPES, self._journal(role_spec.id), self.states.get(shards.state_name(int(role_spec.id)))
+                )
             case "learner":
                 level = Level(role_spec.id)
                 from zsdist.roles.learner import Learner  # the only role that needs torch: two seconds and 150 MB
@@ -203,6 +202,10 @@ class RunSpec:
                 cars = [ActorCar(parts.make_env(), config) for _ in range(config.run.cars_per_actor)]
                 return Actor(context, cars, self._perception(parts.visual_act), parts.schedule)
         raise ValueError(f"no role is called {role_spec.role!r}")
+
+    def _journal(self, name: str) -> Path:
+        """Return the folder of a journal; each start of the run has its own."""
+        return self.folder / "journal" / f"{self.start}-{name}"
 
     def _perception(self, visual_act: VisionModel) -> Perception:
         size = self.config.vision.cache_bytes
