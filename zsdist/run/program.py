@@ -135,7 +135,9 @@ class RunSpec:
         states: states of the checkpoint from which the run resumes, by role name; empty for a new run.
         vision: vision model that every car uses.
         make_parts: factory of the parts of an actor; tests put a kinematic car in the place of the simulation.
-        start: unique word for this start of the run, part of the names of its replays' journals.
+        start: unique word for this start of the run, part of the names of its journals; a start that goes on with the
+            journals of one whose launcher was killed has the same.
+        launch: epoch of the runner; 0: none was issued yet.
     """
 
     config: Config
@@ -145,6 +147,7 @@ class RunSpec:
     vision: VisionIdentity
     make_parts: Callable[[Config], ActorParts] = simulation
     start: str = field(default_factory=lambda: uuid.uuid4().hex)
+    launch: int = 0
 
     def open_hub(self, endpoint: str | None = None) -> ZenohHub:
         """Open the router at `endpoint`; None: at the configured one, or the next free port above it."""
@@ -162,7 +165,8 @@ class RunSpec:
 
     def context(self, role_spec: RoleSpec, transport: Transport, wake: threading.Event) -> Context:
         """Return the context of one role."""
-        return Context(self.config, self.run, role_spec.role, role_spec.id, role_spec.epoch, transport, wake)
+        who = (self.run, role_spec.role, role_spec.id, role_spec.epoch)
+        return Context(self.config, *who, transport, wake, launch=self.launch)
 
     def build(
         self, role_spec: RoleSpec, transport: Transport, wake: threading.Event, parts: ActorParts | None = None

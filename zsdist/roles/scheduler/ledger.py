@@ -17,10 +17,11 @@ from zsdist.replay.journal import Journal, Record
 from zsdist.wire import codec
 from zsdist.wire.messages import State
 
+FORMAT = 1  # of bases and entries; a ledger of another one is not read
 _NUMBER = struct.Struct("<I")  # before the content of each entry: its number since the base
 
 
-class Entry(IntEnum):
+class LedgerEntry(IntEnum):
     """Kinds of entries."""
 
     FRAME = 1  # a frame of records as it arrived, once all frames before it have arrived
@@ -42,6 +43,39 @@ class LedgerContent(NamedTuple):
     entries: list[Record]
 
 
+def read(folder: Path) -> LedgerContent | None:
+    """Return the content of a ledger whose scheduler is gone; None where there is none.
+
+    Raises:
+        RunError: it cannot be read, or is damaged.
+    """
+    journal = Journal(folder)
+    try:
+        return _recover(journal, folder)
+    finally:
+        journal.close()
+
+
+def _recover(journal: Journal, folder: Path) -> LedgerContent | None:
+    found = journal.recover()
+    if found is None:
+        return None
+    try:
+        base = codec.decode(found.base, expect=State).meta
+        numbers = [_NUMBER.unpack_from(content)[0] for _, content in found.records]
+    except (DecodeError, struct.error) as error:
+        raise _failed(folder, f"is damaged: {error}") from error
+    if base.pop("format", None) != FORMAT:
+        raise _failed(folder, "was written by another version of zsdist")
+    if numbers != list(range(len(numbers))):
+        raise _failed(folder, "is damaged: an entry is missing")
+    return LedgerContent(base, [(kind, content[_NUMBER.size :]) for kind, content in found.records])
+
+
+def _failed(folder: Path, what: str) -> RunError:
+    return RunError(f"scheduler's ledger {folder} {what}")
+
+
 class Ledger:
     """Ledger of one start of a run, in a folder of its own. Each incarnation of the scheduler takes it over.
 
@@ -61,7 +95,7 @@ class Ledger:
         try:
             atomic_files.replace(self._holder, self._name)
         except OSError as error:
-            raise self._failed(f"cannot be written: {error.strerror or error}") from error
+            raise _failed(self._folder, f"cannot be written: {error.strerror or error}") from error
 
     def recover(self) -> LedgerContent | None:
         """Return the content that a predecessor has left; None where there is none.
@@ -69,27 +103,18 @@ class Ledger:
         Raises:
             RunError: it cannot be read, or is damaged.
         """
-        found = self._journal.recover()
-        if found is None:
-            return None
-        try:
-            base = codec.decode(found.base, expect=State).meta
-            numbers = [_NUMBER.unpack_from(content)[0] for _, content in found.records]
-        except (DecodeError, struct.error) as error:
-            raise self._failed(f"is damaged: {error}") from error
-        if numbers != list(range(len(numbers))):
-            raise self._failed("is damaged: an entry is missing")
-        self._count = len(numbers)
-        return LedgerContent(base, [(kind, content[_NUMBER.size :]) for kind, content in found.records])
+        content = _recover(self._journal, self._folder)
+        self._count = 0 if content is None else len(content.entries)
+        return content
 
     def require_newest(self) -> None:
         """Raise `RunError` where a successor has taken over the ledger: this process must not write any more."""
         try:
             holder = self._holder.read_bytes()
         except OSError as error:
-            raise self._failed(f"cannot be read: {error.strerror or error}") from error
+            raise _failed(self._folder, f"cannot be read: {error.strerror or error}") from error
         if holder != self._name:
-            raise self._failed(f"belongs to a successor, of epoch {holder.decode()}")
+            raise _failed(self._folder, f"belongs to a successor, of epoch {holder.decode()}")
 
     def append(self, entries: Sequence[Record]) -> None:
         """Hand entries to the operating system in one write; what follows from them may be made known then.
@@ -119,12 +144,9 @@ class Ledger:
         Raises:
             RunError: the disk is full, or the folder cannot be written.
         """
-        self._journal.rebase(codec.encode(State("scheduler", base, {})))
+        self._journal.rebase(codec.encode(State("scheduler", base | {"format": FORMAT}, {})))
         self._count = 0
 
     def close(self) -> None:
         """Close the file; closing again does nothing."""
         self._journal.close()
-
-    def _failed(self, what: str) -> RunError:
-        return RunError(f"scheduler's ledger {self._folder} {what}")

@@ -13,7 +13,7 @@ from zsdist.config import Config
 from zsdist.replay.journal import Record
 from zsdist.roles.scheduler.checkpointing import CheckpointSchedule
 from zsdist.roles.scheduler.leases import Leases
-from zsdist.roles.scheduler.ledger import Entry, LedgerContent
+from zsdist.roles.scheduler.ledger import LedgerEntry, LedgerContent
 from zsdist.roles.scheduler.merge import Merge
 from zsdist.roles.scheduler.records_inbox import RecordsInbox
 from zsdist.roles.scheduler.totals import RunTotals
@@ -54,6 +54,7 @@ class RunProgress:
         schedule: decision when the next checkpoint is due.
         max_lag_versions, max_lag_s: as in `zsdist.telemetry.snapshot.Snapshot`.
         wall_s: real seconds that the run has taken, as far as was noted.
+        launch: epoch of the runner.
         entries: what has changed and is not in the ledger yet, but for the attributes that `status` returns.
     """
 
@@ -69,6 +70,7 @@ class RunProgress:
         self.schedule = CheckpointSchedule(config.run)
         self.max_lag_versions, self.max_lag_s = 0, 0.0
         self.wall_s = 0.0
+        self.launch = 0
         self.entries: list[Record] = []
         self._noted: dict[str, Any] = {}  # status in the ledger
 
@@ -87,7 +89,7 @@ class RunProgress:
         self.epochs[actor] = epoch
         for inbox in self.inboxes.values():
             inbox.issue(actor, epoch)
-        self._note(Entry.EPOCH, [actor, epoch])
+        self._note(LedgerEntry.EPOCH, [actor, epoch])
         return replaced
 
     def receive(self, records: Records, payload: bytes, now: float) -> list[Line]:
@@ -103,7 +105,7 @@ class RunProgress:
         """
         lines = []
         for frame in self.inboxes[records.stream].receive(records, now):
-            self.entries.append((Entry.FRAME, payload if frame is records else codec.encode(frame)))
+            self.entries.append((LedgerEntry.FRAME, payload if frame is records else codec.encode(frame)))
             for record in frame.records:
                 if frame.stream == EVALUATION:
                     self._add_drive(record)
@@ -122,7 +124,26 @@ class RunProgress:
         for actor in self.epochs:
             arguments = (actor, self._config.run.cars_per_actor, barrier)
             if self.leases.grant(*arguments):
-                self._note(Entry.GRANT, arguments)
+                self._note(LedgerEntry.GRANT, arguments)
+
+    def begin_launch(self, launch: int) -> bool:
+        """Go on under a runner; return whether it is another one than before.
+
+        All actors of another one are gone: the episodes that they drove are free, and what they have not delivered is
+        lost. A run that was about to end goes on with what is left to do.
+        """
+        if launch == self.launch:
+            return False
+        self.launch = launch
+        for actor, epoch in self.epochs.items():
+            self.leases.give_back(actor)
+            for inbox in self.inboxes.values():
+                inbox.close(actor, epoch)
+        self.epochs = {}
+        self.totals.begin_start()
+        self.interrupted = False
+        self.stage = Stage.TRAIN if self.merge is None else Stage.MERGE
+        return True
 
     def begin_merge(self) -> None:
         """Begin the next merge."""
@@ -140,7 +161,7 @@ class RunProgress:
         assert self.merge is not None
         self.totals.merges.append(self.merge.summary())
         self.merge = None
-        self.entries.append((Entry.MERGED, b""))
+        self.entries.append((LedgerEntry.MERGED, b""))
 
     # -- the ledger ---------------------------------------------------------------------------------------------
 
@@ -149,7 +170,7 @@ class RunProgress:
         status = self.status()
         changed = {name: value for name, value in status.items() if self._noted.get(name) != value}
         if changed:
-            self._note(Entry.STATUS, changed)
+            self._note(LedgerEntry.STATUS, changed)
             self._noted = status
         entries, self.entries = self.entries, []
         return entries
@@ -164,6 +185,7 @@ class RunProgress:
             "checkpoint": list(self.schedule.state()),
             "max_lag": [self.max_lag_versions, self.max_lag_s],
             "wall_s": self.wall_s,
+            "launch": self.launch,
         }
 
     def base(self) -> dict[str, Any]:
@@ -191,15 +213,15 @@ class RunProgress:
         self._follow(base["status"])
         for kind, entry in content.entries:
             match kind:
-                case Entry.FRAME:
+                case LedgerEntry.FRAME:
                     lines += self.receive(codec.decode(entry, expect=Records), entry, 0.0)
-                case Entry.EPOCH:
+                case LedgerEntry.EPOCH:
                     self.issue(*json.loads(entry))
-                case Entry.GRANT:
+                case LedgerEntry.GRANT:
                     self.leases.grant(*json.loads(entry))
-                case Entry.MERGED:
+                case LedgerEntry.MERGED:
                     self.end_merge()
-                case Entry.STATUS:
+                case LedgerEntry.STATUS:
                     self._follow(json.loads(entry))
         self.entries.clear()  # the ledger has them already
         return lines
@@ -211,6 +233,7 @@ class RunProgress:
         self.totals.restarts_now = status.get("restarts", self.totals.restarts_now)
         self.max_lag_versions, self.max_lag_s = status.get("max_lag", (self.max_lag_versions, self.max_lag_s))
         self.wall_s = status.get("wall_s", self.wall_s)
+        self.launch = status.get("launch", self.launch)
         if "checkpoint" in status:
             self.schedule.note_checkpoint(*status["checkpoint"])
         if "merge" in status:
@@ -224,7 +247,7 @@ class RunProgress:
         else:
             self.merge.phase = Phase(merge["phase"])
 
-    def _note(self, kind: Entry, content: Any) -> None:
+    def _note(self, kind: LedgerEntry, content: Any) -> None:
         self.entries.append((kind, json.dumps(content).encode()))
 
     # -- checkpoints --------------------------------------------------------------------------------------------

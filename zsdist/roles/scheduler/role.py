@@ -43,7 +43,7 @@ class Scheduler(Role):
         self._final_states: dict[str, State] = {}
         self._next_orders_s = self._next_metrics_s = 0.0
         self._standstill = StandstillWatch()
-        self._is_successor = self._recover(restored)
+        self._begins_as = self._recover(restored)
         run = context.run
         self._reports = self.mailbox("records")
         self._learners = self.mailbox("weights")
@@ -75,9 +75,9 @@ class Scheduler(Role):
     def work(self, now: float) -> float:
         """Receive what has arrived, decide what follows, write it into the ledger, and publish it."""
         self.ledger.require_newest()
-        if self._is_successor:
-            self._is_successor = False
-            self.event(now, "scheduler_replaced", stage=self.stage.value, finished=self.finished_episodes)
+        if self._begins_as:
+            self.event(now, self._begins_as, stage=self.stage.value, finished=self.finished_episodes)
+            self._begins_as = ""
         self._follow_supervisor(now)
         self._receive_records(now)
         self._receive_offers()
@@ -298,11 +298,10 @@ class Scheduler(Role):
         self._note_figures()
         return State("scheduler", self.progress.state(), {})
 
-    def _recover(self, restored: State | None) -> bool:
+    def _recover(self, restored: State | None) -> str:
         """Go on from the ledger; where there is none, begin one, from a checkpoint's `state` or from nothing.
 
-        Returns:
-            Whether there was a ledger.
+        Returns the name of the event that tells watchers; empty where there was no ledger.
         """
         found = self.ledger.recover()
         if found is not None:
@@ -310,11 +309,12 @@ class Scheduler(Role):
                 self.run_log.episode(line)
         elif restored is not None:
             self.progress.restore(restored.meta)
+        is_another_launch = self.progress.begin_launch(self.context.launch)
         self.ledger.rebase(self.progress.base())
         self.snapshot.max_lag_versions = self.progress.max_lag_versions
         self.snapshot.max_lag_s = self.progress.max_lag_s
         self._earlier_s = self.progress.wall_s
-        return found is not None
+        return "" if found is None else "resumed" if is_another_launch else "scheduler_replaced"
 
     def _note_figures(self) -> None:
         """Note the figures that change with time alone."""
