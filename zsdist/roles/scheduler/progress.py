@@ -13,7 +13,7 @@ from zsdist.config import Config
 from zsdist.replay.journal import Record
 from zsdist.roles.scheduler.checkpointing import CheckpointSchedule
 from zsdist.roles.scheduler.leases import Leases
-from zsdist.roles.scheduler.ledger import LedgerEntry, LedgerContent
+from zsdist.roles.scheduler.ledger import LedgerContent, LedgerEntry
 from zsdist.roles.scheduler.merge import Merge
 from zsdist.roles.scheduler.records_inbox import RecordsInbox
 from zsdist.roles.scheduler.totals import RunTotals
