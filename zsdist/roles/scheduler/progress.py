@@ -48,6 +48,7 @@ class RunProgress:
         leases: episodes that are finished, and those that actors drive.
         stage: present stage; a change of it is noted like one of any other attribute.
         merge: present merge; None: there is none.
+        merge_index: index of the last merge that was begun.
         interrupted: whether the run was told to stop early.
         epochs: newest epoch of each actor.
         inboxes: receivers of the actors' records by stream.
@@ -64,6 +65,7 @@ class RunProgress:
         self.leases = Leases()
         self.stage = Stage.TRAIN
         self.merge: Merge | None = None
+        self.merge_index = 0
         self.interrupted = False
         self.epochs: dict[str, int] = {}
         self.inboxes = {stream: RecordsInbox(stream, sender_epoch, refuse) for stream in (EPISODES, EVALUATION)}
@@ -130,7 +132,8 @@ class RunProgress:
         """Go on under a runner; return whether it is another one than before.
 
         All actors of another one are gone: the episodes that they drove are free, and what they have not delivered is
-        lost. A run that was about to end goes on with what is left to do.
+        lost. A run that was about to end goes on with what is left to do. An unfinished merge is held again, under an
+        index of its own, since a learner may or may not remember its candidates.
         """
         if launch == self.launch:
             return False
@@ -143,13 +146,16 @@ class RunProgress:
         self.totals.begin_start()
         self.interrupted = False
         self.stage = Stage.TRAIN if self.merge is None else Stage.MERGE
+        if self.merge is not None and self.merge.phase is not Phase.DONE:
+            self.begin_merge()
         return True
 
     def begin_merge(self) -> None:
         """Begin the next merge."""
         settings = self._config.merge
+        self.merge_index += 1
         self.merge = Merge(
-            index=len(self.totals.merges) + 1,
+            index=self.merge_index,
             episode=self.finished,
             candidates=(RECENT, DISTILLED, BEST) if self.totals.merges else (RECENT, DISTILLED),
             scenes=settings.validation_scenes,
@@ -180,6 +186,7 @@ class RunProgress:
         return {
             "stage": self.stage.value,
             "merge": self.merge and self.merge.outline(),
+            "merge_index": self.merge_index,
             "interrupted": self.interrupted,
             "restarts": self.totals.restarts_now,
             "checkpoint": list(self.schedule.state()),
@@ -234,6 +241,7 @@ class RunProgress:
         self.max_lag_versions, self.max_lag_s = status.get("max_lag", (self.max_lag_versions, self.max_lag_s))
         self.wall_s = status.get("wall_s", self.wall_s)
         self.launch = status.get("launch", self.launch)
+        self.merge_index = status.get("merge_index", self.merge_index)
         if "checkpoint" in status:
             self.schedule.note_checkpoint(*status["checkpoint"])
         if "merge" in status:
@@ -260,6 +268,7 @@ class RunProgress:
             "max_lag_versions": self.max_lag_versions,
             "max_lag_s": self.max_lag_s,
             "wall_s": self.wall_s,
+            "merge_index": self.merge_index,
         }
 
     def restore(self, meta: dict[str, Any]) -> None:
@@ -269,4 +278,6 @@ class RunProgress:
         self.max_lag_versions, self.max_lag_s, self.wall_s = (
             meta[name] for name in ("max_lag_versions", "max_lag_s", "wall_s")
         )
+        # Checkpoints of earlier versions do not name it; then every merge that was begun had ended.
+        self.merge_index = meta.get("merge_index", len(self.totals.merges))
         self.schedule.note_checkpoint(self.finished)

@@ -267,7 +267,7 @@ class Scheduler(Role):
                 "epochs": progress.epochs,
                 "leases": {actor: progress.leases.held_by(actor) for actor in progress.epochs},
                 "finished": self.finished_episodes,
-                "merge": merge.index if merge else len(progress.totals.merges) + 1,
+                "merge": merge.index if merge else progress.merge_index + 1,
                 "closing": ending,
                 "cut": ending and progress.interrupted,
             },
