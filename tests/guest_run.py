@@ -10,7 +10,7 @@ from zsdist.config import parse
 from zsdist.roles import schemas
 from zsdist.roles.actor import Actor
 from zsdist.roles.base import HEARTBEAT_S, Context
-from zsdist.roles.scheduler.role import Stage
+from zsdist.roles.scheduler.progress import Stage
 from zsdist.roles.schemas import JoinTerms, JoinVerdict
 from zsdist.run import program
 from zsdist.run.guests import Guests

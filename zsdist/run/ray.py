@@ -133,8 +133,9 @@ def run(
 ) -> None:
     """Run to the end, or until an interruption is noticed and everything is saved.
 
-    A dead actor is replaced by a new incarnation. So is a dead replay, which resumes from its journal, and a dead hub,
-    which listens at the endpoint of its predecessor. The death of any other role ends the run.
+    A dead actor is replaced by a new incarnation. So is a dead replay, which resumes from its journal, a dead
+    scheduler, which resumes from its ledger, and a dead hub, which listens at the endpoint of its predecessor. The
+    death of any other role ends the run.
 
     Args:
         spec: specification of the run.

@@ -7,7 +7,7 @@ from zsdist.errors import RunError
 from zsdist.roles.replay import shards
 from zsdist.run.program import RoleSpec
 
-RESTARTED = ("actor", shards.ROLE, "hub")  # kinds of roles whose death loses nothing that counts
+RESTARTED = ("actor", shards.ROLE, "hub", "scheduler")  # kinds of roles whose death loses nothing that counts
 RESTARTS_ALLOWED = 20  # restarts of one role before the run is given up
 
 

@@ -5,7 +5,7 @@ import pytest
 from guest_run import GuestRun
 
 from zsdist import __version__
-from zsdist.roles.scheduler.role import Stage
+from zsdist.roles.scheduler.progress import Stage
 from zsdist.run.guests import LOST_AFTER_S
 from zsdist.types import Level
 
@@ -24,16 +24,16 @@ def test_a_guest_drives_its_share_and_ends_with_the_run(run):
     run.finish()
     assert run.drivers() == {"actor-0", "actor-3"}
     run.until(lambda: guest.finished)
-    assert run.events["actor_joined"] == 1 and run.scheduler.totals.restarts() == {"actor": 0}
+    assert run.events["actor_joined"] == 1 and run.scheduler.progress.totals.restarts() == {"actor": 0}
 
 
 def test_a_guest_that_leaves_delivers_everything_and_its_episodes_are_driven_elsewhere(run):
     run = run()
     guest = run.join(3)
-    run.until(lambda: run.scheduler.leases.held_by("actor-3") and guest.env_steps > 5)
+    run.until(lambda: run.scheduler.progress.leases.held_by("actor-3") and guest.env_steps > 5)
     run.leave(guest)
     run.wait(1.0)
-    assert run.scheduler.leases.held_by("actor-3") == []
+    assert run.scheduler.progress.leases.held_by("actor-3") == []
     assert run.finish()["transitions"][Level.LOW]["abandoned_at_most"] == 0
     assert run.events["actor_left"] == 1
 
@@ -44,9 +44,9 @@ def test_a_guest_that_vanishes_is_given_up_after_some_seconds(run):
     run.until(lambda: guest.env_steps > 5)
     run.remove(guest)
     run.wait(LOST_AFTER_S - 1.0)
-    assert run.scheduler.leases.held_by("actor-3")  # it may come back until then
+    assert run.scheduler.progress.leases.held_by("actor-3")  # it may come back until then
     run.wait(2.0)
-    assert run.scheduler.leases.held_by("actor-3") == []
+    assert run.scheduler.progress.leases.held_by("actor-3") == []
     run.finish()
 
 
@@ -98,9 +98,9 @@ def test_a_guest_that_was_given_up_and_wakes_does_no_harm_and_knows_it(run):
     run.broker.announce("zsdist/flow/alive/actor/3", b"0")  # it is cut off; what it sends later arrives again
     run.wait(LOST_AFTER_S + 1.0)
     assert not guest.is_named
-    held = run.scheduler.leases.held_by("actor-3")
+    held = run.scheduler.progress.leases.held_by("actor-3")
     run.wait(2.0)
-    assert held == run.scheduler.leases.held_by("actor-3") == []
+    assert held == run.scheduler.progress.leases.held_by("actor-3") == []
     run.finish()
 
 

@@ -6,7 +6,13 @@ from zsdist.errors import RunError
 from zsdist.run.program import RoleSpec
 from zsdist.run.restarts import RESTARTS_ALLOWED, Restarts
 
-FIRST = [RoleSpec("hub", "0", 1), RoleSpec("scheduler", "0", 2), RoleSpec("replay", "0", 3), RoleSpec("actor", "1", 4)]
+FIRST = [
+    RoleSpec("hub", "0", 1),
+    RoleSpec("scheduler", "0", 2),
+    RoleSpec("replay", "0", 3),
+    RoleSpec("actor", "1", 4),
+    RoleSpec("learner", "high", 5),
+]
 
 
 @pytest.fixture
@@ -17,7 +23,7 @@ def restarts():
 
 def test_only_roles_whose_death_loses_nothing_are_replaced(restarts):
     replaced = {name for name in restarts.role_specs if restarts.may_replace(name)}
-    assert replaced == {"hub-0", "replay-0", "actor-1"}
+    assert replaced == {"hub-0", "scheduler-0", "replay-0", "actor-1"}
 
 
 def test_each_incarnation_has_the_name_of_its_predecessor_and_an_epoch_of_its_own(restarts):
