@@ -35,6 +35,8 @@ LOCAL_SETTINGS = ("vision.weights", "vision.encoder", "vision.cache_bytes")  # m
 TERMS_WITHIN_S = 10.0
 QUIET_AFTER_S = 5.0  # the run repeats its orders four times a second
 AWAY_S = 600.0  # silence after which the run is given up
+STOPPED_AFTER_S = 15.0  # silence of a process that drives after which it is replaced; it reports once a second
+EXITS_WITHIN_S = 5.0  # time from the last word of a process to its end
 AGAIN_AFTER_S = 1.0  # time until a process that could not take part is replaced
 LINE_EVERY_S = 10.0
 LEAVE_WITHIN_S = guest_process.LEAVE_WITHIN_S + guest_process.GOODBYE_WITHIN_S
@@ -54,6 +56,7 @@ class _Slot:
         deaths: number of its processes that died.
         episodes, env_steps: counts of the present process.
         earlier: both counts of the processes before it.
+        heard_s: monotonic time of the last report of the present process; None: it has not begun to drive.
         over: whether the run has ended for it.
     """
 
@@ -65,19 +68,35 @@ class _Slot:
     episodes: int = 0
     env_steps: int = 0
     earlier: tuple[int, int] = (0, 0)
+    heard_s: float | None = None
     over: bool = False
 
     def take(self, report: Report) -> None:
-        self.episodes, self.env_steps = report.episodes, report.env_steps
+        self.episodes, self.env_steps, self.heard_s = report.episodes, report.env_steps, time.monotonic()
 
-    def clear(self) -> None:
-        """Forget a process that has ended."""
+    @property
+    def stopped(self) -> bool:
+        """True if its process has begun to drive and reports no longer, so that it hangs or was stopped."""
+        return self.heard_s is not None and time.monotonic() - self.heard_s > STOPPED_AFTER_S
+
+    def kill(self) -> None:
+        """Kill its process; the end of the connection follows."""
+        assert self.process is not None, "there is one"
+        self.process.kill()
+
+    def clear(self) -> int | None:
+        """Forget a process that has ended or is about to; return its exit status."""
         assert self.process is not None, "there was one"
-        self.process.join()
+        self.process.join(EXITS_WITHIN_S)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
         self.link.close()
+        status = self.process.exitcode
         self.earlier = (self.earlier[0] + self.episodes, self.earlier[1] + self.env_steps)
-        self.process, self.link, self.episodes, self.env_steps = None, None, 0, 0
+        self.process, self.link, self.episodes, self.env_steps, self.heard_s = None, None, 0, 0, None
         self.again_s = time.monotonic() + AGAIN_AFTER_S
+        return status
 
 
 class Party:
@@ -225,7 +244,12 @@ class Party:
         links = {slot.link: slot for slot in self._slots if slot.link is not None}
         if not links:
             time.sleep(timeout_s)
-        for link in multiprocessing.connection.wait(list(links), timeout_s) if links else ():
+            return
+        ready = multiprocessing.connection.wait(list(links), timeout_s)
+        for slot in (slot for link, slot in links.items() if link not in ready and slot.stopped):
+            self._notify(f"{slot.name} has not reported for {STOPPED_AFTER_S:g} s; it is killed")
+            slot.kill()
+        for link in ready:
             slot = links[link]
             try:
                 report = slot.link.recv()
@@ -249,14 +273,11 @@ class Party:
             case Ending.DISMISSED:
                 self._notify(f"{slot.name} takes no part in the run any longer; it asks again")
             case _:
-                pass  # no hub answers; the watcher says so
+                self._notify(f"{slot.name}: {report.reason}")
 
     def _mourn(self, slot: _Slot) -> None:
         """Handle a process that has died without a word."""
-        assert slot.process is not None, "it had a connection"
-        slot.process.join()
-        reason = f"{slot.name} died: exit status {slot.process.exitcode}"
-        slot.clear()
+        reason = f"{slot.name} died: exit status {slot.clear()}"
         slot.deaths += 1
         if slot.deaths > RESTARTS_ALLOWED:
             raise RunError(f"{reason}; it had been restarted {RESTARTS_ALLOWED} times")
@@ -278,7 +299,7 @@ class Party:
         """End all processes that are left."""
         for slot in self._slots:
             if slot.process is not None:
-                slot.process.kill()
+                slot.kill()
                 slot.clear()
 
     # -- the run ------------------------------------------------------------------------------------------------
