@@ -227,6 +227,7 @@ class _Supervisor:
         self.work: dict[ray.ObjectRef, str] = {}  # result of each role's `drive` -> its name
         self.standby: ray.actor.ActorHandle | None = None
         self.standby_due_s = 0.0
+        self.guests: Guests  # from the connection to the hub on
 
     def run(self, interrupted: Callable[[], bool], watch: Watch) -> None:
         """Run until the scheduler has finished."""
