@@ -258,7 +258,8 @@ class _Supervisor:
             list(self.role_specs.values()),
             restarts=self.restarts.by_kind(),
             interrupted=interrupted,
-            guests=self.guests,
+            guests=self.guests.epochs,
+            left=self.guests.left,
         )
         orders = codec.encode(Orders(self.epoch, "scheduler", content))
         transport.publish(keys.control(self.spec.run, "scheduler"), orders, retained=True)
