@@ -117,7 +117,9 @@ class GuestRun(WholeRun):
             self._next_orders_s = self.now + HEARTBEAT_S
             self.guests.step(self.now)
             own = [RoleSpec("actor", "0", 1)]
-            content = program.supervision(own, interrupted=self.interrupted, guests=self.guests)
+            content = program.supervision(
+                own, interrupted=self.interrupted, guests=self.guests.epochs, left=self.guests.left
+            )
             orders = codec.encode(Orders(1, "scheduler", content))
             self._runner.publish(keys.control(RUN, "scheduler"), orders, retained=True)
         super().step()

@@ -43,7 +43,7 @@ class Ending(StrEnum):
 
 
 @dataclass(frozen=True)
-class Report:
+class GuestReport:
     """Word of the process to its parent.
 
     Attributes:
@@ -118,7 +118,7 @@ class GuestProcess:
         self._role_spec = RoleSpec("actor", identifier, 0)
         self._wake, self._leaves = threading.Event(), threading.Event()
         self._orphaned = False
-        self._last = Report()
+        self._last = GuestReport()
 
     def run(self) -> None:
         """Be an actor until the run ends, or the parent asks to leave, or it is gone; report to the parent."""
@@ -133,7 +133,7 @@ class GuestProcess:
         except Exception:
             traceback.print_exc()  # a defect: the parent notices the end of this process, and starts another one
             os._exit(1)
-        self._tell(Report(ending, reason, self._last.episodes, self._last.env_steps))
+        self._tell(GuestReport(ending, reason, self._last.episodes, self._last.env_steps))
 
     def _listen(self) -> None:
         """Wait for the parent's word, or its end; end this process where it does not leave in time."""
@@ -146,7 +146,7 @@ class GuestProcess:
         time.sleep(LEAVE_WITHIN_S + GOODBYE_WITHIN_S + 2.0)
         os._exit(1)
 
-    def _tell(self, report: Report) -> None:
+    def _tell(self, report: GuestReport) -> None:
         self._last = report
         if not self._orphaned:
             try:
@@ -204,7 +204,7 @@ class GuestProcess:
         return Ending.LEFT if self._leaves.is_set() else Ending.ENDED
 
     def _report(self, fields: dict[str, Any]) -> None:
-        self._tell(Report(episodes=int(fields["episodes_produced"]), env_steps=int(fields["env_steps"])))
+        self._tell(GuestReport(episodes=int(fields["episodes_produced"]), env_steps=int(fields["env_steps"])))
 
 
 def work(spec: RunSpec, identifier: str, endpoint: str, joiner: str, parent: Connection) -> None:

@@ -171,7 +171,7 @@ def _step_all(
         if now >= next_supervision_s:
             next_supervision_s = now + HEARTBEAT_S
             guests.step(now)
-            content = program.supervision(role_specs, interrupted=interrupted(), guests=guests)
+            content = program.supervision(role_specs, interrupted=interrupted(), guests=guests.epochs, left=guests.left)
             orders = Orders(epoch, "scheduler", content)
             supervisor.publish(keys.control(spec.run, "scheduler"), codec.encode(orders), retained=True)
         worked = [role.step_if_due(now) for role in hosted]

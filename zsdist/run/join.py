@@ -22,7 +22,7 @@ from zsdist.errors import RunError, TransportError, WeightsError
 from zsdist.roles import permissions
 from zsdist.roles.schemas import JoinTerms
 from zsdist.run import guest_process, preflight, program
-from zsdist.run.guest_process import Doorbell, Ending, Report
+from zsdist.run.guest_process import Doorbell, Ending, GuestReport
 from zsdist.run.orders_watch import OrdersWatch
 from zsdist.run.program import ActorParts, RunSpec
 from zsdist.run.restarts import RESTARTS_ALLOWED
@@ -71,7 +71,7 @@ class _Slot:
     heard_s: float | None = None
     over: bool = False
 
-    def take(self, report: Report) -> None:
+    def take(self, report: GuestReport) -> None:
         self.episodes, self.env_steps, self.heard_s = report.episodes, report.env_steps, time.monotonic()
 
     @property
@@ -261,7 +261,7 @@ class Party:
                 slot.clear()
                 self._account_for(slot, report)
 
-    def _account_for(self, slot: _Slot, report: Report) -> None:
+    def _account_for(self, slot: _Slot, report: GuestReport) -> None:
         match report.ending:
             case Ending.FAILED:
                 raise RunError(report.reason)

@@ -38,7 +38,6 @@ from zsdist.wire.messages import State
 
 if TYPE_CHECKING:
     from zsdist.dqn.base import BaseDqnLearner
-    from zsdist.run.guests import Guests
 
 Watch = Callable[[Transport, float], None]  # called once a round with the runner's transport and the clock
 
@@ -251,7 +250,8 @@ def supervision(
     *,
     interrupted: bool,
     restarts: Mapping[str, int] | None = None,
-    guests: "Guests | None" = None,
+    guests: Mapping[str, int] | None = None,
+    left: Mapping[str, int] | None = None,
 ) -> dict[str, Any]:
     """Return the content of the orders that a runner repeats to the scheduler (`schemas.Supervision`).
 
@@ -259,12 +259,13 @@ def supervision(
         role_specs: all roles; the orders name the actors' epochs.
         interrupted: whether to stop early.
         restarts: number of processes replaced so far in this start, by kind of role.
-        guests: actors that have joined from elsewhere.
+        guests: epochs of the actors that have joined from elsewhere.
+        left: last epochs of those that have left again.
     """
     own = {role_spec.name: role_spec.epoch for role_spec in role_specs if role_spec.role == "actor"}
     return {
-        "epochs": own | (guests.epochs if guests else {}),
-        "left": guests.left if guests else {},
+        "epochs": {**own, **(guests or {})},
+        "left": dict(left or {}),
         "restarts": dict(restarts or {}),
         "interrupted": interrupted,
     }

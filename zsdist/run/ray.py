@@ -228,6 +228,7 @@ class _Supervisor:
         self.work: dict[ray.ObjectRef, str] = {}  # result of each role's `drive` -> its name
         self.standby: ray.actor.ActorHandle | None = None
         self.standby_due_s = 0.0
+        self.guests: Guests  # from the connection to the hub on
 
     def run(self, interrupted: Callable[[], bool], watch: Watch) -> None:
         """Run until the scheduler has finished."""
@@ -258,7 +259,8 @@ class _Supervisor:
             list(self.role_specs.values()),
             restarts=self.restarts.by_kind(),
             interrupted=interrupted,
-            guests=self.guests,
+            guests=self.guests.epochs,
+            left=self.guests.left,
         )
         orders = codec.encode(Orders(self.epoch, "scheduler", content))
         transport.publish(keys.control(self.spec.run, "scheduler"), orders, retained=True)
