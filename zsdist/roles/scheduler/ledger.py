@@ -146,7 +146,3 @@ class Ledger:
         """
         self._journal.rebase(codec.encode(State("scheduler", base | {"format": FORMAT}, {})))
         self._count = 0
-
-    def close(self) -> None:
-        """Close the file; closing again does nothing."""
-        self._journal.close()

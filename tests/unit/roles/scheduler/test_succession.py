@@ -408,7 +408,6 @@ def test_a_ledger_from_which_an_entry_is_missing_is_not_believed(tmp_path):
     ledger.rebase({"first": 1})
     ledger.append([(1, b"one"), (2, b"two")])
     ledger.append([(3, b"three")])
-    ledger.close()
     assert Ledger(tmp_path, 2).recover() == ({"first": 1}, [(1, b"one"), (2, b"two"), (3, b"three")])
     (log,) = tmp_path.glob("*.log")
     content = log.read_bytes()
