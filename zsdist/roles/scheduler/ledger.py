@@ -28,6 +28,7 @@ class LedgerEntry(IntEnum):
     EPOCH = 2  # JSON: an actor and the epoch that was issued to it
     GRANT = 3  # JSON: arguments of `Leases.grant`
     MERGED = 4  # empty: the merge has ended
+    LEFT = 6  # JSON: an actor that is gone, and its last epoch
     STATUS = 5  # JSON: those fields of `RunProgress.status` that have changed
 
 

@@ -94,6 +94,15 @@ class RunProgress:
         self._note(LedgerEntry.EPOCH, [actor, epoch])
         return replaced
 
+    def dismiss(self, actor: str, epoch: int) -> None:
+        """Close an epoch of an actor that is gone and has no successor, and free its episodes."""
+        self.leases.give_back(actor)
+        for inbox in self.inboxes.values():
+            inbox.close(actor, epoch)
+        if self.epochs.get(actor) == epoch:
+            del self.epochs[actor]
+        self._note(LedgerEntry.LEFT, [actor, epoch])
+
     def receive(self, records: Records, payload: bytes, now: float) -> list[Line]:
         """Accept the records of a frame, and of held frames that follow it in order.
 
@@ -138,11 +147,8 @@ class RunProgress:
         if launch == self.launch:
             return False
         self.launch = launch
-        for actor, epoch in self.epochs.items():
-            self.leases.give_back(actor)
-            for inbox in self.inboxes.values():
-                inbox.close(actor, epoch)
-        self.epochs = {}
+        for actor, epoch in list(self.epochs.items()):
+            self.dismiss(actor, epoch)
         self.totals.begin_start()
         self.interrupted = False
         self.stage = Stage.TRAIN if self.merge is None else Stage.MERGE
@@ -224,6 +230,8 @@ class RunProgress:
                     lines += self.receive(codec.decode(entry, expect=Records), entry, 0.0)
                 case LedgerEntry.EPOCH:
                     self.issue(*json.loads(entry))
+                case LedgerEntry.LEFT:
+                    self.dismiss(*json.loads(entry))
                 case LedgerEntry.GRANT:
                     self.leases.grant(*json.loads(entry))
                 case LedgerEntry.MERGED:
