@@ -18,9 +18,9 @@ class EpisodesFile(Owned):
 
     def __init__(self, path: Path) -> None:
         """Open a file to append to, made if missing; an unfinished line at its end is cut off."""
-        json_lines.cut(path, lambda record: "finished_as" in record)
+        json_lines.cut_unfinished(path)
         self._file = path.open("a", buffering=1, encoding="utf-8")
-        self._last = next((json.loads(line)["finished_as"] for _, line in json_lines.backwards(path)), 0)
+        self._last = _last_number(path)
 
     def append(self, record: dict[str, Any]) -> bool:
         """Append a line; return False where the file has the line of that `finished_as` already."""
@@ -38,3 +38,13 @@ class EpisodesFile(Owned):
     def close(self) -> None:
         """Close the file; closing again does nothing."""
         self._file.close()
+
+
+def _last_number(path: Path) -> int:
+    """Return the `finished_as` of the last line that has one; 0 where there is none."""
+    for _, line in json_lines.backwards(path):
+        try:
+            return int(json.loads(line)["finished_as"])
+        except (ValueError, KeyError, TypeError):
+            continue  # damaged
+    return 0

@@ -38,7 +38,7 @@ class FiguresFile(Owned):
 
         A row that a killed process did not finish is cut off.
         """
-        json_lines.cut(path, lambda row: True)
+        json_lines.cut_unfinished(path)
         self._path = path
         self._file = self._opened()
         self._next = _next_number(path)

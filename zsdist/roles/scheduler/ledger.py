@@ -28,8 +28,8 @@ class LedgerEntry(IntEnum):
     EPOCH = 2  # JSON: an actor and the epoch that was issued to it
     GRANT = 3  # JSON: arguments of `Leases.grant`
     MERGED = 4  # empty: the merge has ended
+    LEFT = 6  # JSON: an actor that is gone, and its last epoch
     STATUS = 5  # JSON: those fields of `RunProgress.status` that have changed
-    LEFT = 6  # JSON: an actor that has left for good, and its epoch
 
 
 class LedgerContent(NamedTuple):
@@ -147,7 +147,3 @@ class Ledger:
         """
         self._journal.rebase(codec.encode(State("scheduler", base | {"format": FORMAT}, {})))
         self._count = 0
-
-    def close(self) -> None:
-        """Close the file; closing again does nothing."""
-        self._journal.close()

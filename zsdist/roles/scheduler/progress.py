@@ -97,11 +97,12 @@ class RunProgress:
         return replaced
 
     def dismiss(self, actor: str, epoch: int) -> None:
-        """Free the episodes of an actor that has left for good, and close its epoch at the last frame in order."""
+        """Close an epoch of an actor that is gone and has no successor, and free its episodes."""
         self.leases.give_back(actor)
-        self.epochs.pop(actor, None)
         for inbox in self.inboxes.values():
             inbox.close(actor, epoch)
+        if self.epochs.get(actor, epoch) <= epoch:
+            self.epochs.pop(actor, None)
         self._note(LedgerEntry.LEFT, [actor, epoch])
 
     def receive(self, records: Records, payload: bytes, now: float) -> list[Line]:
@@ -154,11 +155,8 @@ class RunProgress:
         if launch == self.launch:
             return False
         self.launch = launch
-        for actor, epoch in self.epochs.items():
-            self.leases.give_back(actor)
-            for inbox in self.inboxes.values():
-                inbox.close(actor, epoch)
-        self.epochs = {}
+        for actor, epoch in list(self.epochs.items()):
+            self.dismiss(actor, epoch)
         self.totals.begin_start()
         self.interrupted = False
         self.stage = Stage.TRAIN if self.merge is None else Stage.MERGE

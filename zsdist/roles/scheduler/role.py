@@ -312,7 +312,7 @@ class Scheduler(Role):
         self.ledger.rebase(self.progress.base())
         self.snapshot.max_lag_versions = self.progress.max_lag_versions
         self.snapshot.max_lag_s = self.progress.max_lag_s
-        self._earlier_s = self.progress.wall_s
+        self._earlier_s = self.progress.wall_s - self.run_log.wall_s()
         return "" if found is None else "resumed" if is_another_launch else "scheduler_replaced"
 
     def _note_figures(self) -> None:

@@ -19,8 +19,9 @@ from zsdist.replay import journal
 from zsdist.replay.journal import Journal
 from zsdist.roles.base import Context
 from zsdist.roles.scheduler.ledger import Ledger
-from zsdist.roles.scheduler.progress import RunProgress
+from zsdist.roles.scheduler.progress import RunProgress, Stage
 from zsdist.roles.scheduler.role import Scheduler
+from zsdist.roles.schemas import Phase
 from zsdist.run.directory import RunDirectory
 from zsdist.transport.base import Mailbox
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
@@ -408,7 +409,6 @@ def test_a_ledger_from_which_an_entry_is_missing_is_not_believed(tmp_path):
     ledger.rebase({"first": 1})
     ledger.append([(1, b"one"), (2, b"two")])
     ledger.append([(3, b"three")])
-    ledger.close()
     assert Ledger(tmp_path, 2).recover() == ({"first": 1}, [(1, b"one"), (2, b"two"), (3, b"three")])
     (log,) = tmp_path.glob("*.log")
     content = log.read_bytes()
@@ -434,3 +434,28 @@ def test_a_ledger_stays_small(tmp_path, fate):
             ledger.rebase(progress.base())
         most = max(most, ledger.nbytes)
     assert most < 16_384  # of some ten entries and the averages of the last episodes
+
+
+def test_under_another_runner_the_actors_are_gone_and_an_unfinished_merge_begins_again(tmp_path):
+    ledger, progress = Ledger(tmp_path, 1), RunProgress(CONFIG, 1, lambda reason: None)
+    progress.begin_launch(1000)
+    ledger.rebase(progress.base())
+    for actor in ACTORS:
+        progress.issue(actor, 7)
+    progress.grant(4)
+    progress.begin_merge()
+    progress.merge.start_drives([{"recent", "distilled"}] * 2)
+    progress.stage, progress.interrupted = Stage.MERGE, True
+    progress.totals.set_restarts({"hub": 1})
+    progress.dismiss("actor-1", 7)
+    ledger.append(progress.take_entries())
+
+    same = RunProgress(CONFIG, 2, lambda reason: None)
+    same.recover(Ledger(tmp_path, 2).recover())
+    assert not same.begin_launch(1000) and same.base() == progress.base()
+    assert same.epochs == {"actor-0": 7} and sorted(same.leases.holders) == [1, 2]
+
+    assert same.begin_launch(2000)
+    assert same.epochs == {} and same.leases.holders == {} and all(inbox.closed for inbox in same.inboxes.values())
+    assert (same.stage, same.interrupted, same.merge.index, same.merge.phase) == (Stage.MERGE, False, 2, Phase.COLLECT)
+    assert same.totals.restarts() == {"actor": 0, "hub": 1} and not same.totals.set_restarts({})
