@@ -247,7 +247,7 @@ class WholeRun:
     @property
     def merges(self):
         """Number of merges that have ended."""
-        return len(self.scheduler.totals.merges)
+        return len(self.scheduler.progress.totals.merges)
 
     def held(self):
         """Return the numbers of retained values, tokens, subscriptions and services of all roles."""
