@@ -110,7 +110,8 @@ def _open(options: argparse.Namespace, console: PlainConsole, held: contextlib.E
 def _join(options: argparse.Namespace, console: PlainConsole) -> int:
     """Add actors to a run elsewhere until it ends; return 128 plus its number where a signal has taken them away."""
     for name in ("config", "episodes", "seed", "single_process", "run_dir", "resume", "address"):
-        if getattr(options, name) not in (None, False):
+        value = getattr(options, name)
+        if value is not None and value is not False:
             option = f"--{name.replace('_', '-')}"
             raise ConfigError(f"{option} cannot be combined with --join: the run at {options.join} has its own")
     for override in options.set:
