@@ -21,7 +21,8 @@ from zsdist import config
 from zsdist.config import parse
 from zsdist.replay import journal, records
 from zsdist.roles.replay import level_replay
-from zsdist.roles.replay.level_replay import Entry, LevelReplay
+from zsdist.roles.replay.level_journal import Entry
+from zsdist.roles.replay.level_replay import LevelReplay
 from zsdist.roles.replay.shards import ReplayShard
 from zsdist.roles.shapes import Shape
 from zsdist.run import checkpoint_files, directory

@@ -227,7 +227,7 @@ class WholeRun:
         self._supervisor, self._watched = MemoryTransport(self.broker), Mailbox(2**24)
         self._supervisor.subscribe(keys.events(RUN), self._watched)
         self.events = Counter()
-        self.scheduler = Scheduler(self._context("scheduler", "0"), self.log)
+        self.scheduler = Scheduler(self._context("scheduler", "0"), self.log, folder / "ledger")
         shapes, actors = REAL_SHAPES, range(config.run.actors)
         self._roles = [self.scheduler, Replay(self._context("replay", "0"), shapes, folder / "journal")]
         for level, shape in shapes.items():
@@ -248,7 +248,7 @@ class WholeRun:
     @property
     def merges(self):
         """Number of merges that have ended."""
-        return len(self.scheduler.totals.merges)
+        return len(self.scheduler.progress.totals.merges)
 
     def held(self):
         """Return the numbers of retained values, tokens, subscriptions and services of all roles."""
@@ -259,10 +259,22 @@ class WholeRun:
         """Step until a number of merges have ended, or for `give_up_s` of virtual time."""
         until_s = self.now + give_up_s
         while self.merges < merges and self.now < until_s:
-            self._round()
+            self.step()
         return self.merges
 
-    def _round(self):
+    def add(self, role):
+        """Step a further role from now on."""
+        self._roles.append(role)
+        self._due_s[role] = self.now
+
+    def remove(self, role):
+        """End a role at once, as if its process had died."""
+        self._roles.remove(role)
+        del self._due_s[role]
+        role.transport.close()
+
+    def step(self):
+        """Let all roles work that have something to do, and advance the clock."""
         worked = False
         for role in self._roles:
             due_s, wake = self._due_s[role], role.context.wake
@@ -273,4 +285,4 @@ class WholeRun:
         for message in self._watched.drain():
             self.events[json.loads(message.payload)["event"]] += 1
         due = [due_s for due_s in self._due_s.values() if due_s is not None]
-        self.now = self.now + TICK_S if worked else max(self.now, min(due, default=self.now))
+        self.now = self.now + TICK_S if worked else max(self.now, min(due, default=self.now + TICK_S))

@@ -11,6 +11,7 @@ from zsdist.wire.codec import decode
 from zsdist.wire.messages import (
     EPISODES,
     Ack,
+    Admission,
     AnyMessage,
     Candidate,
     Jobs,
@@ -113,6 +114,7 @@ def every_message(rng: np.random.Generator) -> list[AnyMessage]:
         Candidate(1, Level.HIGH, 3, "distilled", parameters(rng)),
         Orders(9, "actor", content),
         Jobs(9, "a-0", content),
+        Admission("actor-0", content),
         State("replay", content | {"rng": 2**120}, arrays),
     ]
 

@@ -10,7 +10,8 @@ from zsdist.common.console import PlainConsole
 from zsdist.common.signals import Interrupted, Interruption, handled_by, status_of
 from zsdist.errors import ConfigError
 from zsdist.reporting import final_evaluation
-from zsdist.run import opening, training
+from zsdist.roles import permissions
+from zsdist.run import join, opening, training
 from zsdist.run.program import RunSpec
 from zsdist.telemetry.display import Display
 from zsdist.transport.base import Transport
@@ -34,12 +35,21 @@ def make_parser() -> argparse.ArgumentParser:
     add("--resume", type=cli.path, metavar="DIR", help="resume the run in DIR and append to its files")
     address = "Ray cluster to run on, from one of its nodes: auto or HOST:PORT"
     setting("--address", "run.address", metavar="RAY", help=address)
+    add(
+        "--join",
+        metavar="ENDPOINT",
+        help="add --actors N actors to the run whose hub is at ENDPOINT, from this machine",
+    )
+    tls = "folder with certificates, for a hub that asks for them (transport.tls)"
+    setting("--tls", "transport.tls", type=cli.path, metavar="DIR", help=tls)
     add("--plain", action="store_true", help="show progress as lines, also on a terminal")
     return parser
 
 
 def main(options: argparse.Namespace) -> int:
     """Train as the options say; return 0 when the work is done, 128 plus its number where a signal interrupted it."""
+    if options.join is not None:
+        return _join(options, PlainConsole())
     with contextlib.ExitStack() as held:
         return _launch(options, PlainConsole(), held)
 
@@ -105,6 +115,30 @@ def _open(options: argparse.Namespace, console: PlainConsole, held: contextlib.E
                 f"--{name.replace('_', '-')} cannot be combined with --resume: the run in {options.resume} has its own"
             )
     return opening.open_resumed(options.resume, overrides, console.say, held)
+
+
+def _join(options: argparse.Namespace, console: PlainConsole) -> int:
+    """Add actors to a run elsewhere until it ends; return 128 plus its number where a signal has taken them away."""
+    for name in ("config", "episodes", "seed", "single_process", "run_dir", "resume", "address"):
+        value = getattr(options, name)
+        if value is not None and value is not False:
+            option = f"--{name.replace('_', '-')}"
+            raise ConfigError(f"{option} cannot be combined with --join: the run at {options.join} has its own")
+    for override in options.set:
+        for key in config.leaves_of(override):
+            if key not in join.LOCAL_SETTINGS:
+                raise ConfigError(
+                    f"--set {key} cannot be combined with --join: the run at {options.join} has its own settings; "
+                    f"allowed are {', '.join(join.LOCAL_SETTINGS)}"
+                )
+    actors = 1 if options.actors is None else options.actors
+    if not 1 <= actors <= permissions.MAX_ACTORS:
+        raise ConfigError(f"--actors is {actors}; allowed is 1 to {permissions.MAX_ACTORS}")
+    interruption = Interruption()
+    with handled_by(interruption):
+        party = join.Party(options.join, options.tls, actors, options.set, console.say)
+        party.take_part(interruption)
+    return interruption.status if interruption() else 0
 
 
 def _train(spec: RunSpec, console: PlainConsole, interruption: Interruption, *, prefer_lines: bool) -> training.Summary:

@@ -34,7 +34,7 @@ from rehearsal import SEEN, kinematic
 
 from zsdist import config
 from zsdist.replay import records
-from zsdist.roles.replay.level_replay import Entry
+from zsdist.roles.replay.level_journal import Entry
 from zsdist.run import directory, program, ray, restarts
 from zsdist.run.program import RunSpec
 from zsdist.transport.base import Mailbox, Transport

@@ -183,6 +183,22 @@ def test_an_actor_can_declare_its_own_token_and_no_other(connect):
     assert [reply for reply in replies if reply.ok] == []
 
 
+def test_an_actor_asks_to_join_under_its_own_name_and_sees_which_runs_there_are(connect):
+    trusted, actor = connect(permissions.TRUSTED), connect("actor-0")
+    trusted.answer("join/*", b"terms")
+    assert actor.ask("join/actor-0") == [b"terms"]
+    assert actor.ask("join/actor-1") == actor.ask("join/*") == []
+    connect("actor-1").answer("join/actor-0", b"forged")
+    assert actor.ask("join/actor-0") == [b"terms"]
+    tokens = [trusted.session.liveliness().declare_token(f"{RUN}/alive/{who}") for who in ("scheduler/0", "replay/0")]
+    seen = set()
+    while not seen:
+        replies = actor.session.liveliness().get("zsdist/*/alive/scheduler/*", timeout=0.5)
+        seen = {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
+    assert seen == {f"{RUN}/alive/scheduler/0"} and actor.alive() == set()
+    del tokens
+
+
 def test_a_monitor_receives_statistics_events_weights_and_tokens_and_nothing_else(connect):
     trusted, monitor = connect(permissions.TRUSTED), connect(permissions.MONITOR)
     for key in TO_MONITOR:

@@ -194,3 +194,23 @@ def test_an_impossible_folder_is_refused_in_one_line(tmp_path):
 
 def test_a_run_to_resume_with_an_impossible_name_is_refused_in_one_line(capsys):
     assert "File name too long" in refusal(capsys, "--resume", "x" * 300)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "telling"),
+    [
+        (["--resume", "runs/x"], "--resume cannot be combined with --join: the run at tcp/127.0.0.1:1 has its own"),
+        (["--episodes", "3"], "--episodes cannot be combined"),
+        (["--seed", "0"], "--seed cannot be combined"),
+        (["--config", "x.yaml"], "--config cannot be combined"),
+        (["--run-dir", "x"], "--run-dir cannot be combined"),
+        (["--address", "auto"], "--address cannot be combined"),
+        (["--single-process"], "--single-process cannot be combined"),
+        (["--set", "low.learning_rate=1"], "--set low.learning_rate cannot be combined with --join"),
+        (["--actors", "0"], "--actors is 0; allowed is 1 to 4096"),
+        (["--tls", "nowhere", "--actors", "2"], "nowhere has certificates of 0 actors and --actors is 2"),
+        ([], "no hub answers at tcp/127.0.0.1:1"),
+    ],
+)
+def test_a_join_that_cannot_be_is_refused_in_one_line(capsys, arguments, telling):
+    assert telling in refusal(capsys, "--join", "tcp/127.0.0.1:1", *arguments)

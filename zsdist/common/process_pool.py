@@ -8,6 +8,7 @@ from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import resource_tracker
+from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
 from zsdist.common import signals
@@ -50,13 +51,12 @@ def each(
                 return
             yield work(item)
         return
-    environment = {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")}
-    os.environ.update(dict.fromkeys(environment, "1"))
     others = set(multiprocessing.active_children())
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(begin, arguments))
     left = iter(items)
     running: set[Future[Result]] = set()
+    restore = _set_one_thread()
     try:
         while True:
             while len(running) < _AHEAD * workers and go_on() and (following := next(left, None)) is not None:
@@ -73,8 +73,31 @@ def each(
             child.kill()
         # Wait: Python prints a traceback if the pool's own thread is still ending when the interpreter exits.
         pool.shutdown(wait=True, cancel_futures=True)
-        for name, value in environment.items():
+        restore()
+
+
+def _set_one_thread() -> Callable[[], None]:
+    """Let processes that are started from now on compute in one thread each; return the function that ends this."""
+    before = {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")}
+    os.environ.update(dict.fromkeys(before, "1"))
+
+    def restore() -> None:
+        for name, value in before.items():
             os.environ.pop(name) if value is None else os.environ.update({name: value})
+
+    return restore
+
+
+def start(process: BaseProcess) -> None:
+    """Start a process that computes in one thread and does not react to signals that ask to stop, as `submit` does."""
+    restore = _set_one_thread()
+    try:
+        with signals.withheld():
+            resource_tracker.ensure_running()
+        with signals.withheld():
+            process.start()
+    finally:
+        restore()
 
 
 def submit(pool: ProcessPoolExecutor, work: Callable[[Item], Result], item: Item) -> Future[Result]:

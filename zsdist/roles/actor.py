@@ -59,6 +59,8 @@ class Actor(Role):
         self._finished_episodes = 0
         self._closing = False
         self._cut = False
+        self._leaves = False
+        self.is_named = True  # whether the newest orders name this incarnation
         self._outboxes = ActorOutboxes(context.run, context.name, context.epoch, context.config.transport)
         self._accounts = {car: CreditAccount() for car in self.cars}
         run = context.run
@@ -88,6 +90,10 @@ class Actor(Role):
         self._outboxes.flush(self.transport, now)
         self.finished = self._outboxes.drained
         return now if ready else min([now + HEARTBEAT_S, *self._outboxes.wakes(now)])
+
+    def leave(self) -> None:
+        """Cut all episodes, deliver what was driven, and finish, although the run goes on."""
+        self._leaves = self._closing = self._cut = True
 
     def statistics(self) -> dict[str, float | str]:
         """Return counts of steps, cars and cached readings, versions and lags of weights, and counts of outboxes."""
@@ -122,13 +128,14 @@ class Actor(Role):
                 self._follow(content)
 
     def _follow(self, content: ActorOrders) -> None:
-        if content.epochs.get(self.context.name) != self.context.epoch:
+        self.is_named = content.epochs.get(self.context.name) == self.context.epoch
+        if not self.is_named:
             return  # meant for a predecessor of this process, or for its successor
         self._leases = content.leases.get(self.context.name, [])
         self._started.intersection_update(self._leases)  # a number that is not leased to it any more never returns
         self._finished_episodes = content.finished
-        self._closing = content.closing
-        self._cut = content.cut
+        self._closing = content.closing or self._leaves
+        self._cut = content.cut or self._leaves
         for key in [key for key in self._candidates if key[0] < content.merge]:
             del self._candidates[key]
 

@@ -47,6 +47,7 @@ class Context:
         transport: transport of all messages of the role.
         wake: event that is set whenever a mailbox of this role receives something.
         background: place for work that would hold up a step, such as encoding a state.
+        launch: epoch of the runner; all older epochs are of processes that are gone with another runner.
     """
 
     config: Config
@@ -57,6 +58,7 @@ class Context:
     transport: Transport
     wake: threading.Event = field(default_factory=threading.Event)
     background: Background = at_once
+    launch: int = 0
 
     @property
     def name(self) -> str:

@@ -12,11 +12,12 @@ from typing import Annotated, Any, Final, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 
 from zsdist.errors import DecodeError
+from zsdist.roles.permissions import MAX_ACTORS
 from zsdist.types import Outcome
 from zsdist.wire.codec import MAX_COUNT
 from zsdist.wire.messages import EPISODES, Records, State
 
-MAX_ACTORS, MAX_LEASES, MAX_DRIVES, MAX_PATH = 4096, 256, 65_536, 65_536
+MAX_LEASES, MAX_DRIVES, MAX_PATH = 256, 65_536, 65_536
 
 Count = Annotated[int, Field(ge=0, lt=MAX_COUNT)]
 Number = Annotated[int, Field(ge=1, lt=2**31)]  # number of an episode
@@ -59,9 +60,10 @@ class ActorOrders(Content):
 
 
 class ReplayOrders(Content):
-    """Orders to the replay: the actors whose pushes it accepts, and its sizes."""
+    """Orders to the replay: the actors whose pushes it accepts, those that have left for good, and its sizes."""
 
     epochs: Epochs
+    left: Epochs = {}
     buffer_size: Annotated[int, Field(ge=1)]
     batch_size: Annotated[int, Field(ge=1)]
     stop: bool
@@ -84,9 +86,11 @@ class Supervision(Content):
 
     They name the epochs of the actors, the restarts by kind of role, whether to stop, and the number of finished
     episodes at which all roles close after a checkpoint; None: they close at the end of the run, after its summary.
+    An actor that is not named may be unknown to a runner that has just begun. Only one in `left` is gone for good.
     """
 
     epochs: Epochs
+    left: Epochs = {}
     restarts: Annotated[dict[Name, Count], Field(max_length=64)]
     interrupted: bool
     until: Count | None = None
@@ -97,6 +101,36 @@ class StateRequest(Content):
 
     ask: Literal["state"]
     epoch: Count = 0
+
+
+class JoinRequest(Content):
+    """Question of a process that wants to be an actor: the run's terms, an epoch, or to leave again.
+
+    `joiner` names the command that has started the process, `process` the process itself. Both are unique words.
+    """
+
+    ask: Literal["terms", "epoch", "leave"]
+    joiner: Name
+    process: Name
+
+
+class JoinTerms(Content):
+    """Answer of a run: all that an actor needs to know of it, and the actors that it has already."""
+
+    run: Name
+    start: Name
+    version: Text
+    settings: dict[str, Any]
+    vision: dict[Name, Text]
+    taken: Annotated[list[Name], Field(max_length=MAX_ACTORS)]
+
+
+class JoinVerdict(Content):
+    """Answer of a run: the epoch of a new actor, or the reason for which it gets none."""
+
+    start: Name
+    epoch: Count | None
+    reason: Text
 
 
 class DriveJobs(Content):

@@ -5,6 +5,7 @@ was stopped and resumed (`zsdist.run.sittings`). Over zenoh the clock is real, s
 from outside.
 """
 
+import shutil
 import threading
 import time
 import uuid
@@ -19,6 +20,7 @@ from zsdist.errors import RunError, ZsdistError
 from zsdist.roles.base import HEARTBEAT_S, Role
 from zsdist.roles.scheduler.role import Scheduler
 from zsdist.run import checkpoint_files, directory, program, sittings
+from zsdist.run.guests import Guests
 from zsdist.run.program import RoleSpec, RunSpec, Watch
 from zsdist.transport.base import Transport
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
@@ -59,7 +61,8 @@ def run(
                 (spec.folder / "endpoint").write_text(hub.endpoint, encoding="utf-8")
                 connect = partial(spec.connect, endpoint=hub.endpoint)
                 with closing(connect(program.supervisor(epochs))) as supervisor:
-                    runner = _Runner(spec, epochs, supervisor, connect, RunSpec.build)
+                    guests = Guests(spec, supervisor, lambda: directory.issue_epochs(spec.folder, 1)[0])
+                    runner = _Runner(spec, epochs, supervisor, connect, RunSpec.build, guests=guests)
                     with closing(runner):
                         runner.run(_RealClock(), interrupted, watch)
     finally:
@@ -87,6 +90,7 @@ def _run_in_sittings(spec: RunSpec, epochs: Sequence[int], interrupted: Callable
             del runner, sitting  # before the roles of the next sitting take as much memory
             if not ended:
                 break
+            shutil.rmtree(spec.folder / "journal", ignore_errors=True)  # of roles that have ended
             # Read back, so that the next sitting begins as that of a resumed run would.
             states = checkpoint_files.read_checkpoint(checkpoint_files.newest_checkpoint(spec.folder))
             epochs = directory.issue_epochs(spec.folder, len(epochs))
@@ -129,6 +133,7 @@ class _Runner:
         connect: function that opens the transport of a role.
         build: function that builds a role.
         until: number of finished episodes at which all roles close; None: that of the whole run.
+        guests: actors that may join from elsewhere; None: none may.
     """
 
     def __init__(
@@ -139,8 +144,9 @@ class _Runner:
         connect: Connect,
         build: Build,
         until: int | None = None,
+        guests: Guests | None = None,
     ) -> None:
-        self._run, self._epoch, self._until = spec.run, epochs[0], until
+        self._run, self._epoch, self._until, self._guests = spec.run, epochs[0], until, guests
         self._supervisor = supervisor
         self._role_specs = program.roles(spec.config, epochs[2:])
         self._transports: list[Transport] = []
@@ -185,6 +191,8 @@ class _Runner:
             now = clock.now
             if now >= next_supervision_s:
                 next_supervision_s = now + HEARTBEAT_S
+                if self._guests is not None:
+                    self._guests.step(now)
                 self._supervise(interrupted())
             worked = [role.step_if_due(now) for role in self._hosted]
             stopped = stop()
@@ -201,7 +209,9 @@ class _Runner:
             transport.close()
 
     def _supervise(self, interrupted: bool) -> None:
-        content = program.supervision(self._role_specs, interrupted=interrupted, until=self._until)
+        joined, left = (self._guests.epochs, self._guests.left) if self._guests is not None else (None, None)
+        orders_of = {"interrupted": interrupted, "until": self._until, "guests": joined, "left": left}
+        content = program.supervision(self._role_specs, **orders_of)
         orders = codec.encode(Orders(self._epoch, "scheduler", content))
         self._supervisor.publish(keys.control(self._run, "scheduler"), orders, retained=True)
 

@@ -10,7 +10,7 @@ from typing import Any
 from zsdist import config
 from zsdist.common import commands, folders, locks
 from zsdist.errors import ConfigError, RunError
-from zsdist.run import checkpoint_files, directory, location
+from zsdist.run import checkpoint_files, directory, killed_start, location
 
 SIGNS = ("config.yaml", "epochs", "endpoint", "metrics.jsonl", "episodes.jsonl", "summary.json")
 ALIVE_WITHIN_S = 60.0  # where locks cannot be read, a run that wrote something within this time counts as running
@@ -70,7 +70,8 @@ class RunLife:
             f"run {self.title} was last seen at {clock(self.seen_s)} and has not ended: it was killed, or it cannot be "
             "reached from here"
         )
-        how = "resume it" if checkpoint_files.checkpoints(self.folder) else "it has no checkpoint yet and begins anew"
+        has_state = checkpoint_files.has_checkpoint(self.folder) or killed_start.has_ledger(self.folder)
+        how = "resume it" if has_state else "it has no checkpoint yet and begins anew"
         return f"{line}; if it was killed, {how} with {commands.module('zsdist.launch', '--resume', self.folder)}"
 
     def summary(self) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from zsdist.roles.shapes import SHAPES, learner_seed, level_settings
 from zsdist.run.directory import RunDirectory
 from zsdist.run.scene_schedule import SceneSchedule
 from zsdist.sim.env import CarNavigation
+from zsdist.transport import certificates
 from zsdist.transport.base import Transport
 from zsdist.transport.certificates import Identity
 from zsdist.transport.zenoh import PORTS_TRIED, ZenohHub, ZenohTransport
@@ -135,7 +136,9 @@ class RunSpec:
         states: states of the checkpoint from which the run resumes, by role name; empty for a new run.
         vision: vision model that every car uses.
         make_parts: factory of the parts of an actor; tests put a kinematic car in the place of the simulation.
-        start: unique word for this start of the run, part of the names of its replays' journals.
+        start: unique word for this start of the run, part of the names of its journals; a start that goes on with the
+            journals of one whose launcher was killed has the same.
+        launch: epoch of the runner; 0: none was issued yet.
     """
 
     config: Config
@@ -145,10 +148,14 @@ class RunSpec:
     vision: VisionIdentity
     make_parts: Callable[[Config], ActorParts] = simulation
     start: str = field(default_factory=lambda: uuid.uuid4().hex)
+    launch: int = 0
 
     def open_hub(self, endpoint: str | None = None) -> ZenohHub:
         """Open the router at `endpoint`; None: at the configured one, or the next free port above it."""
-        grants, tries = permissions.access_list(self.config.run.actors), PORTS_TRIED if endpoint is None else 1
+        config, tries = self.config, PORTS_TRIED if endpoint is None else 1
+        # Not of all possible names: a grant takes 0.2 MiB of the hub.
+        certified = () if config.transport.tls is None else certificates.names(config.transport.tls)
+        grants = permissions.access_list(config.run.actors, certified)
         endpoint = endpoint or self.config.transport.endpoint
         return ZenohHub(endpoint, self._identity(permissions.HUB), grants, ports_tried=tries)
 
@@ -162,15 +169,14 @@ class RunSpec:
 
     def open_directory(self) -> RunDirectory:
         """Open the files of the run, as the scheduler writes them."""
-        restored = self.states.get("scheduler")
-        earlier_s = restored.meta["wall_s"] if restored else 0.0
-        return RunDirectory(self.folder, self.vision, earlier_s, self.config.run.checkpoints_kept)
+        return RunDirectory(self.folder, self.vision, self.config.run.checkpoints_kept)
 
     def context(self, role_spec: RoleSpec, transport: Transport, wake: threading.Event) -> Context:
         """Return the context of one role."""
         own_thread = self.config.transport.kind != "memory"  # there the clock is virtual, and a run repeats bit for bit
         place = background.thread(role_spec.name) if own_thread else background.at_once
-        return Context(self.config, self.run, role_spec.role, role_spec.id, role_spec.epoch, transport, wake, place)
+        who = (self.run, role_spec.role, role_spec.id, role_spec.epoch)
+        return Context(self.config, *who, transport, wake, place, self.launch)
 
     def build(
         self,
@@ -195,11 +201,12 @@ class RunSpec:
         context, config = self.context(role_spec, transport, wake), self.config
         match role_spec.role:
             case "scheduler":
-                return Scheduler(context, run_directory or self.open_directory(), self.states.get("scheduler"))
+                log, ledger = run_directory or self.open_directory(), self._journal(role_spec.role)
+                return Scheduler(context, log, ledger, self.states.get(role_spec.role))
             case shards.ROLE:
-                # Each start of the run has journals of its own: an earlier start's are older than the checkpoint.
-                folder = self.folder / "journal" / f"{self.start}-{role_spec.id}"
-                return Replay(context, SHAPES, folder, self.states.get(shards.state_name(int(role_spec.id))))
+                return Replay(
+                    context, SHAPES, self._journal(role_spec.id), self.states.get(shards.state_name(int(role_spec.id)))
+                )
             case "learner":
                 level = Level(role_spec.id)
                 from zsdist.roles.learner import Learner  # the only role that needs torch: two seconds and 150 MB
@@ -219,6 +226,10 @@ class RunSpec:
                 cars = [ActorCar(parts.make_env(), config) for _ in range(config.run.cars_per_actor)]
                 return Actor(context, cars, self._perception(parts.visual_act), parts.schedule)
         raise ValueError(f"no role is called {role_spec.role!r}")
+
+    def _journal(self, name: str) -> Path:
+        """Return the folder of a journal; each start of the run has its own."""
+        return self.folder / "journal" / f"{self.start}-{name}"
 
     def _perception(self, visual_act: VisionModel) -> Perception:
         size = self.config.vision.cache_bytes
@@ -256,6 +267,8 @@ def supervision(
     interrupted: bool,
     restarts: Mapping[str, int] | None = None,
     until: int | None = None,
+    guests: Mapping[str, int] | None = None,
+    left: Mapping[str, int] | None = None,
 ) -> dict[str, Any]:
     """Return the content of the orders that a runner repeats to the scheduler (`schemas.Supervision`).
 
@@ -264,9 +277,13 @@ def supervision(
         interrupted: whether to stop early.
         restarts: number of processes replaced so far in this start, by kind of role.
         until: number of finished episodes at which all roles close; None: the run's.
+        guests: epochs of the actors that have joined from elsewhere.
+        left: last epochs of those that have left again.
     """
+    own = {role_spec.name: role_spec.epoch for role_spec in role_specs if role_spec.role == "actor"}
     return {
-        "epochs": {role_spec.name: role_spec.epoch for role_spec in role_specs if role_spec.role == "actor"},
+        "epochs": {**own, **(guests or {})},
+        "left": dict(left or {}),
         "restarts": dict(restarts or {}),
         "interrupted": interrupted,
         "until": until,

@@ -21,6 +21,7 @@ from zsdist.roles.base import HEARTBEAT_S, HOST
 from zsdist.roles.replay import shards
 from zsdist.run import cluster_address, local_ray, program
 from zsdist.run.directory import issue_epochs
+from zsdist.run.guests import Guests
 from zsdist.run.heartbeats import HUB, Heartbeats
 from zsdist.run.last_words import RoleLog
 from zsdist.run.processes import ProcessIdentity
@@ -48,7 +49,8 @@ def run(
     """Run to the end, or until an interruption is noticed and everything is saved.
 
     A role that dies or stops is replaced by a new incarnation, which goes on from what its predecessor has written:
-    a replay from its journal, a learner from its kept state. A new hub listens at the endpoint of its predecessor.
+    a replay from its journal, the scheduler from its ledger, a learner from its kept state. A new hub listens at the
+    endpoint of its predecessor.
 
     Args:
         spec: specification of the run.
@@ -152,6 +154,7 @@ class _Supervisor:
         self.asked: dict[ray.ObjectRef, ray.actor.ActorHandle] = {}  # questions for places
         self.heartbeats = Heartbeats(time.monotonic())
         self.words = Mailbox(WORDS_BYTES)
+        self.guests: Guests  # from the connection to the hub on
 
     def run(self, interrupted: Callable[[], bool], watch: Watch) -> None:
         """Run until the scheduler has finished."""
@@ -162,6 +165,7 @@ class _Supervisor:
         transport = self.spec.connect(program.supervisor([self.epoch]), self.endpoint)
         transport.subscribe(keys.stats(self.spec.run, keys.ANY, keys.ANY), self.words)
         try:
+            self.guests = Guests(self.spec, transport, lambda: issue_epochs(self.spec.folder, 1)[0])
             for name, role_spec in self.role_specs.items():
                 if name != HUB:
                     self.hosts[name] = self._host(role_spec)
@@ -177,8 +181,13 @@ class _Supervisor:
                 ray.kill(host)
 
     def _supervise(self, transport: Transport, interrupted: bool) -> None:
+        self.guests.step(time.time())
         content = program.supervision(
-            list(self.role_specs.values()), restarts=self.restarts.by_kind(), interrupted=interrupted
+            list(self.role_specs.values()),
+            restarts=self.restarts.by_kind(),
+            interrupted=interrupted,
+            guests=self.guests.epochs,
+            left=self.guests.left,
         )
         orders = codec.encode(Orders(self.epoch, "scheduler", content))
         transport.publish(keys.control(self.spec.run, "scheduler"), orders, retained=True)

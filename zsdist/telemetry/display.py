@@ -8,7 +8,7 @@ from rich.live import Live
 from rich.table import Table
 
 from zsdist.common.console import PlainConsole, pairs_table
-from zsdist.telemetry.snapshot import Snapshot
+from zsdist.telemetry.snapshot import Fields, Snapshot
 from zsdist.transport.base import Mailbox, Transport
 from zsdist.types import Level
 from zsdist.wire import keys
@@ -108,21 +108,13 @@ class Display:
 
     def _announce(self) -> None:
         """Print new events that nobody may miss."""
+        told_s = self._announced_s  # several events may have one time
         for event in self.snapshot.events:
-            told_s = event.get("time_s", 0.0)
-            if isinstance(told_s, str) or told_s <= self._announced_s:
+            time_s = event.get("time_s", 0.0)
+            if isinstance(time_s, str) or time_s <= told_s or not (line := _news(event)):
                 continue
-            if event.get("event") == "standstill":
-                self._announced_s = float(told_s)
-                since_s, waits, in_flight = (event.get(name) for name in ("since_s", "waits", "in_flight"))
-                line = f"nothing has moved for {since_s} s: waiting are {waits}; {in_flight} messages are in flight"
-                self.console.say(line)
-            elif event.get("event") == "journal_damaged":
-                self._announced_s = float(told_s)
-                self.console.say(f"{event.get('role')}-{event.get('id')}: {event.get('what')}")
-            elif event.get("event") == "role_replaced":
-                self._announced_s = float(told_s)
-                self.console.say(f"{event.get('name')} is replaced: {event.get('reason')}")
+            self._announced_s = max(self._announced_s, float(time_s))
+            self.console.say(line)
 
     def figures(self) -> dict[str, str]:
         """Return the text under each heading."""
@@ -186,3 +178,20 @@ class Display:
         age_s = self._earlier_s + (self._heard_s if still else time.monotonic()) - self._opened_s
         self._shown_s = max(self._shown_s, age_s)
         return self._shown_s
+
+
+def _news(event: Fields) -> str:
+    """Return the line about an event that nobody may miss; empty for any other one."""
+    match event.get("event"):
+        case "standstill":
+            since_s, waits, in_flight = (event.get(name) for name in ("since_s", "waits", "in_flight"))
+            return f"nothing has moved for {since_s} s: waiting are {waits}; {in_flight} messages are in flight"
+        case "journal_damaged":
+            return f"{event.get('role')}-{event.get('id')}: {event.get('what')}"
+        case "role_replaced":
+            return f"{event.get('name')} is replaced: {event.get('reason')}"
+        case "actor_joined":
+            return f"{event.get('actor')} has joined the run"
+        case "actor_left":
+            return f"{event.get('actor')} has left the run"
+    return ""

@@ -2,7 +2,7 @@
 
 import json
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from operator import itemgetter
 
 from zsdist.transport.base import Message
@@ -60,6 +60,16 @@ class Snapshot:
                     self.alive.add(role)
             else:
                 self._take_json(parsed, message.payload)
+
+    def keep_actors(self, names: Collection[str]) -> None:
+        """Forget the statistics of all actors but those of these names: the others' weights stay out of date."""
+        for key in [(role, identifier) for role, identifier in self.roles if role == "actor"]:
+            if "-".join(key) not in names:
+                self._forget(key)
+
+    def _forget(self, key: tuple[str, str]) -> None:
+        del self.roles[key]
+        self._history.pop(key, None)
 
     def of(self, role: str) -> dict[str, Fields]:
         """Return the statistics of every instance of a role, by id."""
@@ -152,6 +162,9 @@ class Snapshot:
             self.malformed += 1
         elif parsed.kind == "events":
             self.events = [*self.events[-99:], fields]
+            key = ("actor", str(fields.get("actor")).removeprefix("actor-"))
+            if fields.get("event") == "actor_left" and key in self.roles:
+                self._forget(key)
         elif parsed.kind == "stats" and _valid(fields, *role) and (role in self.roles or len(self.roles) < MAX_ROLES):
             if self.roles.get(role, {}).get("epoch") != fields.get("epoch"):
                 self._history.pop(role, None)  # from another process, whose counters do not continue these

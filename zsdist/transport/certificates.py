@@ -125,6 +125,11 @@ def make(folder: Path, server: str, clients: Iterable[str], hosts: Sequence[str]
     return made
 
 
+def names(folder: str | Path) -> list[str]:
+    """Return the common names that a folder has certificates of, in alphabetical order; the authority's is not one."""
+    return sorted(path.stem for path in Path(folder).glob("*.pem") if path.stem != AUTHORITY)
+
+
 def common_name(certificate: x509.Certificate) -> str:
     """Return the common name in a certificate; empty if it has none."""
     names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)

@@ -12,6 +12,7 @@ from zsdist.types import Ack
 from zsdist.wire import keys
 from zsdist.wire.messages import (
     EPISODES,
+    Admission,
     AnyMessage,
     Candidate,
     Jobs,
@@ -55,5 +56,6 @@ _ADDRESSES: Mapping[type, Callable[[Any], tuple[str, dict[str, Any]]]] = {
     Candidate: lambda candidate: ("candidate", {"level": candidate.level, "id": candidate.name}),
     Orders: lambda orders: ("control", {"role": orders.role}),
     Jobs: lambda jobs: ("evaluation", {"actor": jobs.actor}),
+    Admission: lambda admission: ("join", {"actor": admission.actor}),
     State: lambda state: ("control", {"role": state.role}),
 }

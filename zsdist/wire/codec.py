@@ -20,6 +20,7 @@ from zsdist.wire.messages import (
     EVALUATION,
     MAX_BATCHES,
     Ack,
+    Admission,
     AnyMessage,
     Candidate,
     Jobs,
@@ -344,6 +345,13 @@ def _check_jobs(meta: Meta, columns: Columns) -> None:
     _json_object(meta, "content")
 
 
+def _check_admission(meta: Meta, columns: Columns) -> None:
+    _no_columns(columns)
+    _fields(meta, "actor", "content")
+    _names(meta, "actor")
+    _json_object(meta, "content")
+
+
 def _split_state(message: State) -> tuple[Meta, Columns]:
     return {"role": message.role, "meta": message.meta}, message.arrays
 
@@ -379,5 +387,6 @@ _KINDS: Mapping[type, _Kind] = {
     Jobs: _Kind(9, 16 * MIB, _plain, _check_jobs, lambda meta, columns: Jobs(**meta)),
     State: _Kind(10, 2048 * MIB, _split_state, _check_state, _build_state),
     Priorities: _Kind(11, MIB, _split_priorities, _check_priorities, _build_priorities, frame.PLAIN),
+    Admission: _Kind(12, MIB, _plain, _check_admission, lambda meta, columns: Admission(**meta)),
 }
 _BY_NUMBER = {kind.number: (message_type, kind) for message_type, kind in _KINDS.items()}

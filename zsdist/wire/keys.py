@@ -30,6 +30,7 @@ _FORMS: dict[str, tuple[str, ...]] = {
     "stats": ("role", "id"),
     "events": (),
     "alive": ("role", "id"),
+    "join": ("actor",),
 }
 _SHARDED = (
     "sample",
@@ -111,6 +112,11 @@ def events(run: str) -> str:
 def alive(run: str, role: str, identifier: str) -> str:
     """Return the key of the liveliness token of a role."""
     return _join(run, "alive", role, identifier)
+
+
+def join(run: str, actor: str) -> str:
+    """Return the key of the questions of an actor that joins a run from elsewhere, actor to runner."""
+    return _join(run, "join", actor)
 
 
 def parse(key: str) -> ParsedKey | None:

@@ -167,6 +167,19 @@ class Jobs:
 
 
 @dataclass(frozen=True)
+class Admission:
+    """Question of an actor that joins a run from elsewhere, or the answer of the run: a JSON object.
+
+    Attributes:
+        actor: name of the actor, which its certificate is for.
+        content: a model of `zsdist.roles.schemas`, as JSON.
+    """
+
+    actor: str
+    content: dict[str, Any]
+
+
+@dataclass(frozen=True)
 class State:
     """Checkpoint of a role: `meta` is a JSON object, and `arrays` stay bit-identical, including NaN and infinity."""
 
@@ -180,5 +193,16 @@ class State:
 
 
 AnyMessage = (
-    Push | Records | Ack | SampleRequest | SampleReply | Priorities | WeightsMessage | Candidate | Orders | Jobs | State
+    Push
+    | Records
+    | Ack
+    | SampleRequest
+    | SampleReply
+    | Priorities
+    | WeightsMessage
+    | Candidate
+    | Orders
+    | Jobs
+    | Admission
+    | State
 )

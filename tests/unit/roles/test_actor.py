@@ -116,3 +116,22 @@ def test_a_record_that_would_be_refused_ends_the_run_at_once_with_its_value():
     with pytest.raises(RunError, match=r"actor-0: the record of an episode is out of range: .*return is 1e\+38"):
         for now in (0.0, 0.1, 0.2):
             actor.step(now)
+
+
+def test_an_actor_that_is_told_to_leave_cuts_its_cars_and_closes_its_streams_whatever_the_orders_say(bench):
+    car = InstantCar()
+    bench.actor.cars = [car]
+    bench.actor.perception = NoPictures()
+    car.begin(None, {})
+    content = {"epochs": {"actor-0": 1}, "leases": {}, "finished": 0, "merge": 1, "closing": False, "cut": False}
+    bench.actor.leave()
+    bench.others.publish(keys.control(RUN, "actor"), codec.encode(Orders(1, "actor", content)))
+    statistics = bench.statistics(1.0)
+    assert car.idle and bench.actor.is_named and statistics["episodes_unacknowledged_frames"] == 1
+    bench.others.publish(keys.control(RUN, "actor"), codec.encode(Orders(1, "actor", content | {"epochs": {}})))
+    bench.statistics(2.0)
+    assert not bench.actor.is_named and not bench.actor.finished
+    for stream in ("high", "low", "episodes", "evaluation"):
+        bench.others.publish(keys.ack(RUN, "actor-0"), codec.encode(Ack(1, "actor-0", 1, stream, 1, None)))
+    bench.statistics(3.0)
+    assert bench.actor.finished

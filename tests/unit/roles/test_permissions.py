@@ -24,9 +24,22 @@ def test_each_actor_may_push_under_its_own_name_only():
 @pytest.mark.parametrize("name", ["hub", "monitor", "actor-0", "actor-2"])
 def test_only_trusted_roles_serve_request_or_publish_weights_and_orders(name):
     grant = GRANTS[name]
-    assert grant.serve == grant.request == ()
+    assert grant.serve == ()
+    assert grant.request == ((keys.join(keys.ANY, name),) if name.startswith("actor-") else ())
     for key in (keys.weights("run", "low"), keys.candidate("run", "low", "best"), keys.control("run", "actor")):
         assert not covers(grant.publish, key)
+
+
+def test_each_actor_with_a_certificate_has_rights_once_and_nobody_else_gets_any():
+    grants = permissions.access_list(2, ["actor-1", "actor-7", "actor-4096", "actor-07", "stranger", "hub", "actor-3"])
+    assert [grant.name for grant in grants] == ["trusted", "hub", "monitor", "actor-0", "actor-1", "actor-3", "actor-7"]
+
+
+@pytest.mark.parametrize(
+    ("name", "may"), [("actor-0", True), ("actor-4095", True), ("actor-4096", False), ("actor-01", False), ("a", False)]
+)
+def test_names_of_actors(name, may):
+    assert permissions.is_actor_name(name) is may
 
 
 def test_each_zenoh_rule_names_one_certificate_and_only_its_grants():

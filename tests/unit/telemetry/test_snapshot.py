@@ -165,3 +165,15 @@ def test_no_more_roles_are_remembered_than_a_run_can_have(monkeypatch):
     snapshot.update(Message(keys.alive("run", "actor", str(number)), b"1") for number in range(55))
     assert len(snapshot.roles) == len(snapshot.alive) == 50
     assert snapshot.malformed == 5
+
+
+def test_actors_that_have_left_count_no_more():
+    snapshot = Snapshot()
+    actors = [stats("actor", identifier, low_weight_version=1, cars_driving=2) for identifier in ("0", "1", "2")]
+    snapshot.update([stats("learner", "low", weight_version=9), *actors])
+    event = {"time_s": 1.0, "event": "actor_left", "actor": "actor-2"}
+    snapshot.update([Message(keys.events("run"), json.dumps(event).encode())])
+    assert set(snapshot.of("actor")) == {"0", "1"}
+    snapshot.keep_actors({"actor-1"})
+    snapshot.update([stats("actor", "1", low_weight_version=9, cars_driving=1)])
+    assert snapshot.lag_versions()[Level.LOW] == 0 and snapshot.total("actor", "cars_driving") == 1

@@ -9,6 +9,7 @@ from zsdist.wire import addresses, keys
 from zsdist.wire.messages import (
     EPISODES,
     Ack,
+    Admission,
     Candidate,
     Jobs,
     Orders,
@@ -36,6 +37,8 @@ def key_of(message, run="run"):
             return keys.weights(run, message.weights.level)
         case Candidate():
             return keys.candidate(run, message.level, message.name)
+        case Admission():
+            return keys.join(run, message.actor)
         case Jobs():
             return keys.evaluation(run, message.actor)
         case Orders():

@@ -22,6 +22,7 @@ EXAMPLES = [
     (keys.stats(RUN, "replay", "0"), "stats/replay/0", {"role": "replay", "id": "0"}),
     (keys.events(RUN), "events", {}),
     (keys.alive(RUN, "learner", "low"), "alive/learner/low", {"role": "learner", "id": "low"}),
+    (keys.join(RUN, "actor-3"), "join/actor-3", {"actor": "actor-3"}),
 ]
 
 

@@ -9,7 +9,6 @@ import copy
 import json
 from collections import deque
 from collections.abc import Callable
-from enum import IntEnum
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,32 +17,18 @@ import numpy as np
 from zsdist.common import random_streams
 from zsdist.config import Config
 from zsdist.protocol.inbox import Inbox
-from zsdist.replay import segments
 from zsdist.replay.buffer import RingBuffer
-from zsdist.replay.journal import Journal, Record
 from zsdist.replay.limiter import BAND, Limiter
 from zsdist.replay.priorities import RowPriorities
 from zsdist.replay.ring_copy import RingCopy
-from zsdist.roles.replay.group_sync import GroupSync
+from zsdist.roles.replay.level_journal import Entry, LevelJournal
 from zsdist.roles.replay.shards import ReplayShard
 from zsdist.roles.shapes import Shape
 from zsdist.types import Level
 from zsdist.wire import codec
-from zsdist.wire.frame import PLAIN
-from zsdist.wire.messages import Push, SampleReply, State
+from zsdist.wire.messages import Push, SampleReply
 
 HOLD_REQUEST_S = 0.3  # a request that cannot be served for so long is answered with "no batch yet"
-PART_ROWS = 128  # rows in a part of a piece, which are lost together where it is damaged
-PACE_EVERY_S = 0.05  # largest age of the pace in a journal; its transitions are always complete
-
-
-class Entry(IntEnum):
-    """Kinds of records in the journal."""
-
-    PUSH = 1  # a frame as it arrived, once all frames before it have arrived
-    EPOCH = 2  # JSON: an actor and the epoch that was issued to it
-    PACE = 3  # JSON: `LevelReplay.pace`
-    HEADS = 4  # JSON: `Inbox.progress` of the actors whose frames come before it, should these be damaged
 
 
 def credit_to_end_options(config: Config) -> int:
@@ -84,7 +69,7 @@ class LevelReplay:
     Attributes:
         lost_rows: transitions that the ring has lost with damaged pieces of journals.
         news: lines about damage that nobody has been told yet.
-        sync: times at which the journal is forced onto the disk.
+        journal: journal of all that is accepted.
     """
 
     def __init__(
@@ -118,14 +103,8 @@ class LevelReplay:
         self._closed: set[tuple[str, int]] = set()
         self.lost_rows = 0
         self.news: list[str] = []
-        self.journal = Journal(folder, synced=settings.fsync_ms is not None)
-        self.sync = GroupSync(settings.fsync_ms)
-        self._delivered: set[str] = set()  # actors with frames among the entries
+        self.journal = LevelJournal(folder, level, settings.fsync_ms)
         self.recovered = 0  # frames read from the journal
-        self._entries: list[Record] = []  # to be written before the next acknowledgement
-        self._in_pieces = 0  # the journal's pieces hold all rows of the ring that were written before this one
-        self._pace: dict[str, int] = {}  # last one in the journal
-        self._next_pace_s = 0.0
 
     def issue(self, actor: str, epoch: int) -> bool:
         """Accept an epoch of an actor and close its older one at the last frame in order; return whether it was new."""
@@ -134,11 +113,22 @@ class LevelReplay:
             return False
         if self._limited(actor, current):
             self.limiter.close(f"{actor}/{current}")
+        self._closed.discard((actor, current))
         self.inbox.issue(actor, epoch)
         self.limiter.open(f"{actor}/{epoch}")
         self._epochs[actor] = epoch
-        self._entries.append((Entry.EPOCH, json.dumps([actor, epoch]).encode()))
+        self.journal.note_epoch(actor, epoch)
         return True
+
+    def dismiss(self, actor: str, epoch: int) -> None:
+        """Close an epoch of an actor that has left for good, at the last frame in order; again, it changes nothing.
+
+        The journal has no record of it: a successor gets the same orders.
+        """
+        if self._limited(actor, epoch):
+            self.limiter.close(f"{actor}/{epoch}")
+            self.inbox.close(actor, epoch)
+            self._closed.add((actor, epoch))
 
     def receive(self, push: Push, payload: bytes, now: float) -> None:
         """Store the trajectories of a frame, and of held frames that follow it in order.
@@ -160,8 +150,7 @@ class LevelReplay:
             if frame.closes:
                 self.limiter.close(stream)
                 self._closed.add((frame.actor, frame.epoch))
-            self._entries.append((Entry.PUSH, payload if frame is push else codec.encode(frame)))
-            self._delivered.add(frame.actor)
+            self.journal.note_frame(frame.actor, payload if frame is push else codec.encode(frame))
 
     def skip(self, actor: str, epoch: int, received: int, produced: int, closed: bool = False) -> None:
         """Go on behind acknowledged frames that are lost with a journal; their transitions count as rejected.
@@ -183,7 +172,7 @@ class LevelReplay:
                 self._closed.add((actor, epoch))
         if lost:
             self.rejected["lost"] = self.rejected.get("lost", 0) + lost
-        self._delivered.add(actor)
+        self.journal.note_progress(actor)
         self.news.append(f"{lost} acknowledged transitions of {actor} are lost with records of the journal")
 
     def credit(self, actor: str, epoch: int) -> int | None:
@@ -299,64 +288,36 @@ class LevelReplay:
         return copy.deepcopy(self._meta()), self.buffer.begin_copy()
 
     def write_journal(self, now: float) -> None:
-        """Write all that has been accepted into the journal; `sync` says when it may be acknowledged."""
-        if now >= self._next_pace_s and (pace := self.pace()) != self._pace:
-            self._entries.append((Entry.PACE, json.dumps(pace).encode()))
-            self._pace, self._next_pace_s = pace, now + PACE_EVERY_S
-        if self._delivered:
-            heads = [[actor, *self.inbox.progress(actor)] for actor in sorted(self._delivered)]
-            self._entries.append((Entry.HEADS, json.dumps(heads).encode()))
-        if self._entries:
-            self.journal.append(self._entries)
-            self._entries = []
-            self._delivered.clear()
-            self.sync.note_records()
+        """Write all that has been accepted into the journal, which says when it may be acknowledged."""
+        self.journal.write(now, self.pace, self.inbox.progress)
         if self.journal.wants_base:
-            self._compact_journal()
-        if self.sync.due(now):
-            self.journal.sync()
+            self.journal.compact(self._meta(), self.buffer)
+        self.journal.sync(now)
 
-    def recover(self, restored: tuple[dict[str, Any], dict[str, np.ndarray]] | None) -> None:
-        """Resume from the journal; where there is none, begin one, from a checkpoint's `state` or from nothing."""
-        found = self.journal.recover()
+    def recover(self, restored: tuple[dict[str, Any], dict[str, np.ndarray]] | None, launch: int = 0) -> None:
+        """Resume from the journal; where there is none, begin one, from a checkpoint's `state` or from nothing.
+
+        Args:
+            restored: parts of the state in a checkpoint.
+            launch: epoch of the runner; actors with older epochs in the journal are gone.
+        """
+        found = self.journal.recover(self.buffer.rows_since(0))
         if found is None:
             if restored is not None:
                 self.restore(*restored, same_run=False)
-            self._compact_journal()
+            self.journal.compact(self._meta(), self.buffer)
             return
-        base = codec.decode(found.base, expect=State)
-        parts = [(0, self.buffer.rows_since(0))]  # no rows, but all columns
-        for piece in found.pieces:
-            part = codec.decode(piece, expect=State)
-            parts.append((part.meta["first"], part.arrays))
-        rows, lost = segments.join(base.arrays, base.meta["held"], parts)
-        self.restore(base.meta, rows, same_run=True)
-        self._in_pieces = self.buffer.written
-        for place in self.journal.damage:
-            self.news.append(str(place))
-        if lost:
-            self.lost_rows += lost
-            self._in_pieces = 0  # the rows that are left have new serials
-            self.news.append(f"{lost} of the {base.meta['held']} transitions of the ring are lost with it")
+        self.restore(found.meta, found.rows, same_run=True)
+        self.lost_rows += found.lost
+        self.news += found.damage
         for kind, content in found.records:
             _replay(self, kind, content)
-        self._entries.clear()  # the journal has them already
-        self._delivered.clear()
+        for actor, epoch in self._epochs.items():
+            if epoch < launch:
+                self.dismiss(actor, epoch)
+        self.journal.forget()  # it has them already
         if self.news:
-            self._compact_journal()  # so that no damage is found twice
-
-    def _compact_journal(self) -> None:
-        """Replace the journal's log: rows that it added become a piece, and all else goes into a new base."""
-        ring, name = self.buffer, self.level.value
-        base = State(name, self._meta() | {"held": len(ring)}, ring.layout())
-        rows = ring.rows_since(self._in_pieces)
-        count = len(rows["actions"])
-        piece = []
-        for at in range(0, count, PART_ROWS):
-            part = {column: values[at : at + PART_ROWS] for column, values in rows.items()}
-            piece.append(codec.encode(State(name, {"first": ring.written - count + at}, part), packing=PLAIN))
-        self.journal.rebase(codec.encode(base), piece, end=ring.written, oldest=ring.written - len(ring))
-        self._in_pieces = ring.written
+            self.journal.compact(self._meta(), self.buffer)  # so that no damage is found twice
 
     def _meta(self) -> dict[str, Any]:
         """Return the first part of `state`."""

@@ -48,15 +48,17 @@ class Replay(Role):
         self._copying: _StateCopy | None = None
         for level, shape in shapes.items():
             level_replay = LevelReplay(level, shape, context.config, self.shard, context.epoch, folder / level)
-            level_replay.recover((restored.meta[level.value], restored.part(f"{level}/")) if restored else None)
+            saved = (restored.meta[level.value], restored.part(f"{level}/")) if restored else None
+            level_replay.recover(saved, context.launch)
             self.level_replays[level] = level_replay
         self._pushes = self.mailbox("push")
         self._requests = self.mailbox("sample")
         self._errors = self.mailbox("priority")
         self._orders = self.mailbox("orders")
         self._checkpoints = self.mailbox("checkpoint")
+        self._heard: set[str] = set()  # actors to whose pushes it has subscribed; `ANY`: to those of all
         for actor in sorted(self.shard.actors or (keys.ANY,)):
-            self.transport.subscribe(keys.push(run, keys.ANY, actor, keys.ANY), self._pushes)
+            self._hear(actor)
         for level in self.level_replays:
             self.transport.serve(keys.sample(run, level, self.shard.index), self._requests)
             if context.config.replay.prioritised:
@@ -95,8 +97,8 @@ class Replay(Role):
         self._report_damage(now)
         wake_s = now + HEARTBEAT_S
         for level_replay in self.level_replays.values():
-            if level_replay.sync.acknowledges_at > now:
-                wake_s = min(wake_s, level_replay.sync.acknowledges_at)
+            if level_replay.journal.acknowledges_at > now:
+                wake_s = min(wake_s, level_replay.journal.acknowledges_at)
                 continue
             for ack in level_replay.inbox.acks(now, level_replay.credit):
                 self.transport.publish(keys.ack(self.context.run, ack.actor), codec.encode(ack))
@@ -175,6 +177,12 @@ class Replay(Role):
             self._copying = None
         return self._copying is not None or bool(self._asking)
 
+    def _hear(self, actor: str) -> None:
+        """Subscribe to the pushes of an actor, once."""
+        if actor not in self._heard and keys.ANY not in self._heard:
+            self._heard.add(actor)
+            self.transport.subscribe(keys.push(self.context.run, keys.ANY, actor, keys.ANY), self._pushes)
+
     def _follow(self, content: ReplayOrders) -> None:
         limits = self.config.replay
         if content.buffer_size > limits.size_max or content.batch_size > limits.batch_max:
@@ -182,8 +190,12 @@ class Replay(Role):
             return
         for actor, epoch in content.epochs.items():
             if self.shard.owns(actor):
+                self._hear(actor)
                 for level_replay in self.level_replays.values():
                     level_replay.issue(actor, epoch)
+        for actor, epoch in content.left.items():
+            for level_replay in self.level_replays.values():
+                level_replay.dismiss(actor, epoch)
         for level_replay in self.level_replays.values():
             level_replay.resize(content.buffer_size, content.batch_size)
         self.finished = content.stop

@@ -10,7 +10,7 @@ from fractions import Fraction
 from typing import Self
 
 from zsdist.config import Config
-from zsdist.roles.permissions import actor_name
+from zsdist.roles.permissions import actor_name, actor_number, is_actor_name
 
 ROLE = "replay"
 
@@ -21,22 +21,24 @@ class ReplayShard:
 
     Attributes:
         index: number of the shard, from 0.
-        actors: names of the actors that push to it; None: all of them.
+        actors: names of the run's own actors that push to it; None: all actors, also those that join later.
         share: part of all sizes that this shard has.
+        shards: number of all shards.
     """
 
     index: int
     actors: frozenset[str] | None
     share: Fraction
+    shards: int
 
     @classmethod
     def of(cls, config: Config, index: int) -> Self:
         """Return shard `index` of `replay.shards`; actors are dealt to the shards in turn."""
         shards, actors = config.replay.shards, config.run.actors
         if shards == 1:
-            return cls(index, None, Fraction(1))
+            return cls(index, None, Fraction(1), 1)
         mine = range(index, actors, shards)
-        return cls(index, frozenset(map(actor_name, mine)), Fraction(len(mine), actors))
+        return cls(index, frozenset(map(actor_name, mine)), Fraction(len(mine), actors), shards)
 
     @property
     def name(self) -> str:
@@ -44,8 +46,10 @@ class ReplayShard:
         return state_name(self.index)
 
     def owns(self, actor: str) -> bool:
-        """Return whether `actor` pushes to this shard."""
-        return self.actors is None or actor in self.actors
+        """Return whether `actor` pushes to this shard: actors that join later are dealt to the shards in turn too."""
+        if self.actors is None or actor in self.actors:
+            return True
+        return is_actor_name(actor) and actor_number(actor) % self.shards == self.index
 
     def part(self, total: int) -> int:
         """Return this shard's part of a size, at least 1."""

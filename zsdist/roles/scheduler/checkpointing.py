@@ -58,7 +58,7 @@ class CheckpointSchedule:
             finished: number of finished episodes.
             now: time, seconds.
         """
-        if self._made_s is None:
+        if self._made_s is None or self._made_s > now:  # the clock was set back
             self._made_s = now
         episodes, age_s = finished - self._episodes, now - self._made_s
         late = episodes >= self._settings.checkpoint_every_episodes or age_s >= self._settings.checkpoint_every_s
@@ -68,9 +68,19 @@ class CheckpointSchedule:
         """Make a checkpoint due."""
         self._demanded = True
 
-    def note_checkpoint(self, finished: int, now: float | None = None) -> None:
-        """Count from a checkpoint after `finished` episodes; `now` is None for that of an earlier start."""
-        self._episodes, self._made_s, self._demanded = finished, now, False
+    def note_checkpoint(self, finished: int, now: float | None = None, demanded: bool = False) -> None:
+        """Count from a checkpoint.
+
+        Args:
+            finished: number of finished episodes at the checkpoint.
+            now: its time, seconds; None for that of an earlier start.
+            demanded: whether another one has been demanded since.
+        """
+        self._episodes, self._made_s, self._demanded = finished, now, demanded
+
+    def state(self) -> tuple[int, float | None, bool]:
+        """Return the arguments for `note_checkpoint` that make a schedule like this one."""
+        return self._episodes, self._made_s, self._demanded
 
 
 class StateCollection:

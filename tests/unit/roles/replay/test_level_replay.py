@@ -135,3 +135,28 @@ def test_a_resumed_run_with_other_actors_goes_on(tmp_path):
 def test_an_option_is_no_longer_than_an_episode():
     config = parse({"agent": {"option_max_steps": 10**9}, "sim": {"max_steps": 500}, "run": {"cars_per_actor": 4}})
     assert credit_to_end_options(config) == 501 * 4
+
+
+@pytest.mark.parametrize("dies", [False, True])
+def test_an_actor_that_has_left_gives_its_credit_back_and_may_return(tmp_path, dies):
+    config = settings(actors=2, min_size=1)
+
+    def replay():
+        return LevelReplay(Level.LOW, SHAPES[Level.LOW], config, ReplayShard.of(config, 0), 1, tmp_path)
+
+    level_replay = replay()
+    level_replay.recover(None)
+    for actor in ("actor-0", "actor-7"):
+        level_replay.issue(actor, 1)
+    for _ in range(2):  # the orders come again and again
+        level_replay.dismiss("actor-7", 1)
+        level_replay.dismiss("actor-7", 0)
+    level_replay.write_journal(1.0)
+    if dies:
+        level_replay = replay()
+        level_replay.recover(None)
+        level_replay.dismiss("actor-7", 1)
+    assert level_replay.inbox.open_streams() == [("actor-0", 1)]
+    assert not level_replay.issue("actor-7", 1)
+    assert level_replay.issue("actor-7", 2) and ("actor-7", 2) in level_replay.inbox.open_streams()
+    assert set(level_replay.limiter.state()["streams"]) == {"actor-0/1", "actor-7/2"}

@@ -32,6 +32,13 @@ def test_the_only_shard_owns_actors_of_any_name():
     assert not ReplayShard.of(config(2, 2), 0).owns("anybody")
 
 
+def test_an_actor_that_joins_later_has_one_shard_too():
+    every = [ReplayShard.of(config(3, 7), index) for index in range(3)]
+    for name in ("actor-7", "actor-8", "actor-4095"):
+        assert [shard.owns(name) for shard in every].count(True) == 1
+    assert not any(shard.owns(name) for shard in every for name in ("actor-4096", "actor-x", "stranger"))
+
+
 def test_the_first_shard_is_named_as_if_it_were_the_only_one():
     assert shards.state_names(config(1, 3)) == ["replay"]
     assert shards.state_names(config(3, 3)) == ["replay", "replay-1", "replay-2"]
