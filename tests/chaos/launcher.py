@@ -32,7 +32,8 @@ def main() -> int:
             else:
                 resolved = config.load(None, (*small_run.LIGHT, *settings))
                 spec = opening.open_new(resolved, folder, print, held)
-            spec = dataclasses.replace(spec, make_parts=small_run.counted)
+            fields = {field.name: getattr(spec, field.name) for field in dataclasses.fields(spec)}
+            spec = small_run.DisturbedRunSpec(**fields | {"make_parts": small_run.counted})
             summary = training.train(spec, interruption, lambda transport, now: None)
             training.check_accounts(summary)
         except ZsdistError as error:

@@ -5,6 +5,7 @@ their actions, the journals as they were read while they grew, and the acknowled
 transitions are compared by content: each must be there as often as it was journaled, and no other may be there.
 """
 
+import hashlib
 import threading
 import time
 from collections import Counter
@@ -14,6 +15,7 @@ import numpy as np
 from small_run import Launcher, Witness, actions
 
 from zsdist.replay import journal
+from zsdist.roles.replay import shards
 from zsdist.roles.replay.level_replay import Entry
 from zsdist.run import directory
 from zsdist.types import Level
@@ -58,13 +60,13 @@ class Tail:
     Attributes:
         arrivals: time and epoch of each frame.
         totals: frames in order and transitions produced so far, of each stream.
-        rows: how often each transition was written, by level.
+        rows: digests of all transitions in the order in which they were written, by shard and level.
     """
 
     def __init__(self, folder: Path) -> None:
         self.arrivals: list[tuple[float, int]] = []
         self.totals: dict[Stream, tuple[int, int]] = {}
-        self.rows: dict[str, Counter] = {level.value: Counter() for level in Level}
+        self.rows: dict[tuple[str, str], list[bytes]] = {}
         self._early: dict[Stream, dict[int, Push]] = {}
         self._folder, self._logs = folder, {}
         self._stop, self._lock = threading.Event(), threading.Lock()
@@ -107,13 +109,16 @@ class Tail:
                     pushes = self._logs.setdefault(folder, Log(folder)).pushes()
                 except FileNotFoundError:  # compacted meanwhile; the next call finds the new one
                     continue
+                shard = shards.state_name(int(folder.parent.name.rpartition("-")[2]))
                 for push in pushes:
-                    self._take(push, time.time())
+                    self._take(push, shard, time.time())
 
-    def _take(self, push: Push, now: float) -> None:
+    def _take(self, push: Push, shard: str, now: float) -> None:
         self.arrivals.append((now, push.epoch))
         stream = (str(push.stream), push.actor, push.epoch)
-        self.rows[stream[0]].update(row for trajectory in push.trajectories for row in _rows_of(trajectory))
+        rows = self.rows.setdefault((shard, stream[0]), [])
+        for trajectory in push.trajectories:
+            rows += _digests_of(trajectory)
         early = self._early.setdefault(stream, {})
         early[push.sequence] = push
         frames, produced = self.totals.get(stream, (0, 0))
@@ -122,16 +127,16 @@ class Tail:
         self.totals[stream] = frames, produced
 
 
-def _rows_of(trajectory: object) -> list[bytes]:
-    states = np.asarray(trajectory.states, np.float16)[: len(trajectory)]
-    return _rows(states, trajectory.actions, trajectory.rewards, trajectory.discounts)
+def _digests_of(trajectory: object) -> list[bytes]:
+    states = trajectory.states[: len(trajectory)]
+    return _digests(states, trajectory.actions, trajectory.rewards, trajectory.discounts)
 
 
-def _rows(states: np.ndarray, actions: np.ndarray, rewards: np.ndarray, discounts: np.ndarray) -> list[bytes]:
-    """Return the content of each transition as bytes."""
+def _digests(states: np.ndarray, actions: np.ndarray, rewards: np.ndarray, discounts: np.ndarray) -> list[bytes]:
+    """Return a digest of the content of each transition."""
     parts = (states.astype(np.float16), actions, rewards.astype(np.float32), discounts.astype(np.float32))
     columns = [np.ascontiguousarray(part).view(np.uint8).reshape(len(states), -1) for part in parts]
-    return [row.tobytes() for row in np.concatenate(columns, axis=1)]
+    return [hashlib.blake2b(row.tobytes(), digest_size=12).digest() for row in np.concatenate(columns, axis=1)]
 
 
 def verdict(launcher: Launcher, tail: Tail, witness: Witness, summary: dict) -> dict:
@@ -147,17 +152,14 @@ def verdict(launcher: Launcher, tail: Tail, witness: Witness, summary: dict) -> 
         - `invented`: transitions of an incarnation beyond the actions that its cars have driven.
     """
     states = directory.read_checkpoint(directory.checkpoints(launcher.folder)[-1])
-    stored: dict[str, Counter] = {level.value: Counter() for level in Level}
-    for name, state in states.items():
-        if not name.startswith("replay"):
-            continue
-        for level, counter in stored.items():
-            ring = state.part(f"{level}/")
-            assert int(ring["written"]) <= int(ring["capacity"]), "the ring has overflowed: nothing can be compared"
-            counter.update(_rows(ring["states"], ring["actions"], ring["rewards"], ring["discounts"]))
     assert not any(counts["rejected"] for counts in summary["transitions"].values()), "transitions were rejected"
-    lost = {level: tail.rows[level] - rows for level, rows in stored.items()}
-    doubled = {level: rows - tail.rows[level] for level, rows in stored.items()}
+    lost = doubled = 0
+    for (shard, level), written in tail.rows.items():
+        ring = states[shard].part(f"{level}/")
+        stored = Counter(_digests(ring["states"], ring["actions"], ring["rewards"], ring["discounts"]))
+        expected = Counter(written[-int(ring["capacity"]) :])  # the newest, where the ring has turned over
+        lost += (expected - stored).total()
+        doubled += (stored - expected).total()
     unbalanced = 0
     for level, counts in summary["transitions"].items():
         written = sum(produced for stream, (_, produced) in tail.totals.items() if stream[0] == level)
@@ -167,8 +169,8 @@ def verdict(launcher: Launcher, tail: Tail, witness: Witness, summary: dict) -> 
     driven = {who: actions(launcher.root / "steps", pid) for who, pid in witness.pids.items()}
     delivered = {who: tail.totals.get(("low", *who), (0, 0))[1] for who in driven}
     return {
-        "lost": sum(counter.total() for counter in lost.values()),
-        "doubled": sum(counter.total() for counter in doubled.values()),
+        "lost": lost,
+        "doubled": doubled,
         "unbalanced": unbalanced,
         "unaccounted": sum(
             max(0, witness.acknowledged[stream] - tail.totals.get(stream, (0, 0))[0]) for stream in transitions

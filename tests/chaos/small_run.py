@@ -19,13 +19,15 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import psutil
+import tamper
 from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist.errors import DecodeError, TransportError
 from zsdist.run import directory
-from zsdist.run.program import ActorParts
+from zsdist.run.program import ActorParts, RunSpec
 from zsdist.run.scene_schedule import SceneSchedule
 from zsdist.transport.base import Mailbox
+from zsdist.transport.certificates import Identity
 from zsdist.transport.zenoh import ZenohTransport
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Ack, Orders, Priorities
@@ -55,7 +57,9 @@ LIGHT = (
     "replay.size_max=60000",
 )
 UNLIMITED = "ZSDIST_CHAOS_RESTARTS"  # variable: number of restarts that `launcher.py` allows
+_write = os.write  # `tamper` slows the disk for others
 STEPS = "ZSDIST_CHAOS_STEPS"  # variable: folder of the files in which cars count their actions
+PROXIES = "ZSDIST_CHAOS_PROXIES"  # variable: JSON, ports of the proxies through which kinds of roles connect
 END_WITHIN_S = 120.0
 
 
@@ -70,7 +74,7 @@ class CountedEnv(LatticeEnv):
         if self._file is None:
             self._path = Path(os.environ[STEPS]) / f"{os.getpid()}-{id(self)}"
             self._file = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-        os.write(self._file, b".")
+        _write(self._file, b".")
         time.sleep(ACTION_S)
         return super().step(action)
 
@@ -85,6 +89,21 @@ def counted(settings):
     return ActorParts(functools.partial(CountedEnv, settings), FakeVisualAct(), SceneSchedule(settings))
 
 
+class DisturbedRunSpec(RunSpec):
+    """Specification of a run whose roles connect to the hub through proxies, and whose clock and disk can change."""
+
+    def open_hub(self, endpoint=None):
+        """See `RunSpec.open_hub`."""
+        tamper.install()
+        return super().open_hub(endpoint)
+
+    def connect(self, role_spec, endpoint):
+        """See `RunSpec.connect`."""
+        tamper.install()
+        port = json.loads(os.environ.get(PROXIES, "{}")).get(role_spec.role)
+        return super().connect(role_spec, endpoint if port is None else f"tcp/127.0.0.1:{port}")
+
+
 def actions(folder: Path, pid: int) -> int:
     """Return the number of actions that the cars of a process have driven."""
     return sum(path.stat().st_size for path in folder.glob(f"{pid}-*"))
@@ -97,10 +116,9 @@ class Launcher:
         root: folder in which the run directory `run` lies, and beside it the files of the cars.
         settings: settings other than `LIGHT`.
         restarts: number of restarts of a role that are allowed; None: the usual one.
-        wrapper: command that runs the launcher.
     """
 
-    def __init__(self, root: Path, *settings: str, restarts: int | None = None, wrapper: tuple[str, ...] = ()) -> None:
+    def __init__(self, root: Path, *settings: str, restarts: int | None = None) -> None:
         self.root, self.folder = root, root / "run"
         (root / "steps").mkdir(parents=True, exist_ok=True)
         (self.folder / "endpoint").unlink(missing_ok=True)
@@ -109,7 +127,7 @@ class Launcher:
         if restarts is not None:
             environment[UNLIMITED] = str(restarts)
         self.log = root / "launcher.log"
-        command = [*wrapper, sys.executable, str(HERE / "launcher.py"), str(self.folder), *settings]
+        command = [sys.executable, str(HERE / "launcher.py"), str(self.folder), *settings]
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)
         self.known: dict[int, psutil.Process] = {}
@@ -173,6 +191,10 @@ class Launcher:
 class Witness:
     """Listener at the hub of a run.
 
+    Args:
+        launcher: start of the run.
+        identity: certificate with which it connects; None: the run has none.
+
     Attributes:
         statistics: newest statistics of each role by name.
         pids: process of each incarnation of an actor, by name and epoch.
@@ -182,13 +204,14 @@ class Witness:
         events: all events.
     """
 
-    def __init__(self, launcher: Launcher) -> None:
+    def __init__(self, launcher: Launcher, identity: Identity | None = None) -> None:
         self.statistics: dict[str, dict] = {}
         self.pids: dict[tuple[str, int], int] = {}
         self.acknowledged: dict[tuple[str, str, int], int] = {}
         self.orders = (-1, 0.0)
         self.updates: dict[str, tuple[int, float]] = {}
         self.events: list[dict] = []
+        self._identity = identity
         self._box: Mailbox | None = None
         self._transport: ZenohTransport | None = None
         self.attach(launcher)
@@ -230,7 +253,7 @@ class Witness:
         if not endpoint.exists() or not (address := endpoint.read_text()):
             return False
         try:
-            self._transport = ZenohTransport(address, connect_timeout_s=0.5)
+            self._transport = ZenohTransport(address, self._identity, connect_timeout_s=0.5)
         except TransportError:
             return False
         self._box = Mailbox(2**28)
