@@ -7,7 +7,7 @@
 | slow | each write takes 20 ms, then 200 ms | frames arrive, and all of them once the disk is fast again |
 | hung | each write takes 20 s | the roles that hang are replaced, and the run goes on once the disk works |
 | clock | it jumps an hour ahead and back, two hours in all, and each role is killed at each time | the run goes on |
-| full | the run directory is a file system of 48 MiB that fills up | one line, exit status 2, a whole checkpoint to resume |
+| full | the run directory is on a disk of 48 MiB that fills up | one line, exit status 2, a checkpoint to resume |
 
 Cases with a full disk need a file system of their own, in a user namespace (`unshare --map-root-user --mount`). At the
 end of each case, the counts of `tests/chaos/oracle.py` must show no fault. The figures are the last line of the output.
@@ -66,7 +66,7 @@ def disturbed(case: str) -> dict:
 
 
 def _with_disk(killing: Killing, tamper: Tamper, write_s: float) -> dict:
-    """Make the disk slow for a while; return the frames that arrived meanwhile, and the time of the first afterwards."""
+    """Make the disk slow for a while; return the frames that arrived meanwhile, and the time to the first afterwards."""
     before = killing.tail.read()
     tamper.set(write_s=write_s)
     until_s = time.time() + LASTS_S
