@@ -66,7 +66,7 @@ def disturbed(case: str) -> dict:
 
 
 def _with_disk(killing: Killing, tamper: Tamper, write_s: float) -> dict:
-    """Make the disk slow for a while; return the frames that arrived meanwhile, and the time to the first afterwards."""
+    """Make the disk slow for a while; return the frames that arrived, and the time until the first one afterwards."""
     before = killing.tail.read()
     tamper.set(write_s=write_s)
     until_s = time.time() + LASTS_S

@@ -7,8 +7,8 @@ resumed. The rings are small, so that they are full within minutes. The resident
 second. At the end the counts of `tests/chaos/oracle.py` must show no fault, the memory of each role must not have
 grown, and no process and no port may be left after 10 seconds.
 
-*Growth* of a role compares the second and the last quarter of the time after the rings were full: medians of all samples
-of processes that have lived for 5 seconds. The goal is 5% or 8 MiB.
+*Growth* of a role compares the second and the last quarter of the time after the rings were full: medians of all
+samples of processes that have lived for 5 seconds. The goal is 5% or 8 MiB.
 """
 
 import argparse
@@ -96,7 +96,8 @@ def soak(hours: float, seed: int) -> dict:
                     full_s = time.time()
                 for victim in _victims(killing):
                     killed[victim] += 1
-                killing.wait_for(lambda since_s=time.time(): killing.tail.last_s > since_s, "a frame after a kill")
+                killed_s = time.time()
+                killing.wait_for(lambda since_s=killed_s: killing.tail.last_s > since_s, "a frame after a kill")
             assert full_s is not None, "the rings were never full"
             growth = memory.growth(full_s)
             endpoint = (killing.launcher.folder / "endpoint").read_text()
