@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import psutil
 import tamper
 from fakes import FakeVisualAct, LatticeEnv
+from synthetic import SyntheticActor
 
 from zsdist.errors import DecodeError, TransportError
 from zsdist.run import directory
@@ -59,6 +60,7 @@ LIGHT = (
 UNLIMITED = "ZSDIST_CHAOS_RESTARTS"  # variable: number of restarts that `launcher.py` allows
 _write = os.write  # `tamper` slows the disk for others
 STEPS = "ZSDIST_CHAOS_STEPS"  # variable: folder of the files in which cars count their actions
+SYNTHETIC = "ZSDIST_CHAOS_SYNTHETIC"  # variable: if it is set, actors have no cars
 PROXIES = "ZSDIST_CHAOS_PROXIES"  # variable: JSON, ports of the proxies through which kinds of roles connect
 END_WITHIN_S = 120.0
 
@@ -102,6 +104,12 @@ class DisturbedRunSpec(RunSpec):
         tamper.install()
         port = json.loads(os.environ.get(PROXIES, "{}")).get(role_spec.role)
         return super().connect(role_spec, endpoint if port is None else f"tcp/127.0.0.1:{port}")
+
+    def build(self, role_spec, transport, wake, parts=None):
+        """See `RunSpec.build`."""
+        if role_spec.role == "actor" and SYNTHETIC in os.environ:
+            return SyntheticActor(self.context(role_spec, transport, wake))
+        return super().build(role_spec, transport, wake, parts)
 
 
 def actions(folder: Path, pid: int) -> int:
