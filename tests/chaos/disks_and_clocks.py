@@ -25,7 +25,7 @@ from pathlib import Path
 
 import oracle
 from kills import ROLES, Killing
-from small_run import Launcher
+from small_run import Launcher, end_cleanly
 from tamper import Tamper
 
 from zsdist.run import directory
@@ -121,6 +121,7 @@ def _in_own_namespace() -> dict:
 
 def main() -> None:
     """Run the cases, and print what happened."""
+    end_cleanly()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cases", nargs="*", choices=CASES, default=CASES)
     rows = [full_disk() if case == "full" else disturbed(case) for case in parser.parse_args().cases]

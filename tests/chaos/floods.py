@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import zenoh
-from small_run import Launcher, Witness, wait_for
+from small_run import Launcher, Witness, end_cleanly, wait_for
 
 from zsdist.roles import permissions
 from zsdist.roles.shapes import SHAPES
@@ -174,6 +174,7 @@ def flood(root: Path, mib: int) -> dict:
 
 def main() -> None:
     """Flood a run, and print the growth of its processes."""
+    end_cleanly()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--mib", type=int, default=1024, help="MiB that each client sends in each way")
     options = parser.parse_args()

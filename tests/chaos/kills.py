@@ -37,7 +37,7 @@ from pathlib import Path
 import oracle
 import psutil
 from oracle import Tail
-from small_run import Launcher, Witness, moments, wait_for
+from small_run import Launcher, Witness, end_cleanly, moments, wait_for
 
 from zsdist.run import restarts
 
@@ -45,6 +45,7 @@ ROLES = ("replay", "actor", "hub", "scheduler", "learner")
 CALM_S = 1.0  # least time with frames before a kill
 WATCH_S = 1.5  # least time after it in which pauses are looked for
 PATIENCE_S = 60.0
+START_WITHIN_S = 240.0  # on a busy machine
 SOON_S = 0.25
 STORM_PAUSE_S = (0.2, 2.5)  # between the kills of a storm
 STORM_CALM_EVERY = 10  # kills after which a storm waits until the run works
@@ -100,7 +101,7 @@ class Killing:
                 self.standby_kib = max(self.standby_kib, waiting)
             return now - since_s > calm_s
 
-        self.wait_for(calm, "a steady flow of frames")
+        self.wait_for(calm, "a steady flow of frames", START_WITHIN_S)
 
     def strike(self, role: str, number: int = signal.SIGKILL) -> tuple[str, int, int] | None:
         """Kill or stop a process of a role; return its name, epoch and process; None: none is known to live."""
@@ -186,7 +187,7 @@ class Killing:
         """Kill everything of the run at a random moment, or the launcher alone, and resume it."""
         lives_s = self.random.uniform(*LAUNCHER_LIVES_S)
         began = len(self.tail.arrivals)
-        self.wait_for(lambda: len(self.tail.arrivals) > began, "the first frame")
+        self.wait_for(lambda: len(self.tail.arrivals) > began, "the first frame", START_WITHIN_S)
         until_s = time.time() + lives_s
         self.wait_for(lambda: time.time() > until_s, "the kill")
         alone = self.random.random() < 0.5
@@ -199,7 +200,7 @@ class Killing:
         before = self.tail.read()
         self.launcher = self._start()
         self.witness.attach(self.launcher)
-        self.wait_for(lambda: len(self.tail.arrivals) > before, "the first frame after a resume")
+        self.wait_for(lambda: len(self.tail.arrivals) > before, "the first frame after a resume", START_WITHIN_S)
         self.row["resumed_s"].append(round(self.tail.arrivals[before][0] - killed_s, 3))
         self.row["pauses_s"].append(self.row["resumed_s"][-1])
         kind = "launcher alone" if alone else "everything"
@@ -269,6 +270,7 @@ def ride(role: str, kills: int, seed: int, *, stop: bool = False) -> dict:
 
 def main() -> None:
     """Add runs to the results until there are enough kills, and print the figures."""
+    end_cleanly()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--role", choices=(*ROLES, "launcher", "all"), required=True)
     parser.add_argument("--stop", action="store_true", help="SIGSTOP instead of SIGKILL")

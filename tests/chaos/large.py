@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 
 import psutil
-from small_run import SYNTHETIC, Launcher, Witness, wait_for
+from small_run import SYNTHETIC, Launcher, Witness, end_cleanly, wait_for
 
 from zsdist.run import directory
 
@@ -143,6 +143,7 @@ def ring(large: Large, rows: int) -> dict:
 
 def main() -> None:
     """Run the cases, and print their times."""
+    end_cleanly()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cases", nargs="*", choices=("networks", "ring"), default=("networks", "ring"))
     parser.add_argument("--rows", type=int, default=1_000_000)

@@ -22,7 +22,8 @@ from zsdist.types import Level
 from zsdist.wire import codec
 from zsdist.wire.messages import Push
 
-POLL_S = 0.002
+POLL_S = 0.004
+LOOK_EVERY_S = 0.1  # for journals of another start
 Stream = tuple[str, str, int]  # level, actor, epoch
 
 
@@ -68,7 +69,7 @@ class Tail:
         self.totals: dict[Stream, tuple[int, int]] = {}
         self.rows: dict[tuple[str, str], list[bytes]] = {}
         self._early: dict[Stream, dict[int, Push]] = {}
-        self._folder, self._logs = folder, {}
+        self._folder, self._logs, self._look_s = folder, {}, 0.0
         self._stop, self._lock = threading.Event(), threading.Lock()
         self._failure: Exception | None = None
         self._thread = threading.Thread(target=self._follow, daemon=True)
@@ -103,15 +104,19 @@ class Tail:
             time.sleep(POLL_S)
 
     def _read(self) -> None:
-        for level in Level:
-            for folder in sorted(self._folder.glob(f"journal/*/{level.value}")):
-                try:
-                    pushes = self._logs.setdefault(folder, Log(folder)).pushes()
-                except FileNotFoundError:  # compacted meanwhile; the next call finds the new one
-                    continue
-                shard = shards.state_name(int(folder.parent.name.rpartition("-")[2]))
-                for push in pushes:
-                    self._take(push, shard, time.time())
+        if time.monotonic() >= self._look_s:
+            self._look_s = time.monotonic() + LOOK_EVERY_S
+            for level in Level:
+                for folder in sorted(self._folder.glob(f"journal/*/{level.value}")):
+                    self._logs.setdefault(folder, Log(folder))
+        for folder, log in self._logs.items():
+            try:
+                pushes = log.pushes()
+            except FileNotFoundError:  # compacted meanwhile; the next call finds the new one
+                continue
+            shard = shards.state_name(int(folder.parent.name.rpartition("-")[2]))
+            for push in pushes:
+                self._take(push, shard, time.time())
 
     def _take(self, push: Push, shard: str, now: float) -> None:
         self.arrivals.append((now, push.epoch))

@@ -20,7 +20,7 @@ from pathlib import Path
 import oracle
 from kills import Killing
 from proxy import Proxy
-from small_run import PROXIES
+from small_run import PROXIES, end_cleanly
 
 PORT = 7801
 KINDS = ("actor", "replay", "learner", "scheduler", "supervisor")
@@ -123,6 +123,7 @@ def _fresh(killing: Killing) -> float:
 
 def main() -> None:
     """Run all, add the results to a file, and print them."""
+    end_cleanly()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--results", type=Path, default=Path("runs/partitions.jsonl"), help="appended to")
     parser.add_argument("--cases", nargs="*", default=[], help="only cases with one of these words; narrow is one too")

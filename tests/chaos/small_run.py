@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -62,6 +62,7 @@ _write = os.write  # `tamper` slows the disk for others
 STEPS = "ZSDIST_CHAOS_STEPS"  # variable: folder of the files in which cars count their actions
 SYNTHETIC = "ZSDIST_CHAOS_SYNTHETIC"  # variable: if it is set, actors have no cars
 PROXIES = "ZSDIST_CHAOS_PROXIES"  # variable: JSON, ports of the proxies through which kinds of roles connect
+LOOK_EVERY_S = 0.2
 END_WITHIN_S = 120.0
 
 
@@ -139,6 +140,7 @@ class Launcher:
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)
         self.known: dict[int, psutil.Process] = {}
+        self._look_s, self._standby_kib = 0.0, None
         self.note_family()
 
     def note_family(self) -> list[psutil.Process]:
@@ -187,7 +189,16 @@ class Launcher:
         return " | ".join(self.log.read_text(errors="replace").splitlines()[-4:])
 
     def standby_kib(self) -> int | None:
-        """Return the resident KiB of the process that waits to replace another one; None: there is none."""
+        """Return the resident KiB of the process that waits to replace another one; None: there is none.
+
+        The processes are looked at five times a second.
+        """
+        if time.monotonic() >= self._look_s:
+            self._look_s = time.monotonic() + LOOK_EVERY_S
+            self._standby_kib = self._find_standby()
+        return self._standby_kib
+
+    def _find_standby(self) -> int | None:
         with contextlib.suppress(psutil.Error):
             for process in psutil.Process(self.process.pid).children(recursive=True):
                 with contextlib.suppress(psutil.Error):
@@ -303,19 +314,13 @@ def wait_for(condition: Callable[[], bool], patience_s: float, what: str, poll: 
     while not condition():
         assert time.time() - start_s < patience_s, f"{what} did not happen within {patience_s:g} s"
         poll()
-        time.sleep(0.003)
+        time.sleep(0.005)
     return time.time() - start_s
 
 
-@contextlib.contextmanager
-def stopped(pid: int) -> Iterator[None]:
-    """Stop a process meanwhile by SIGSTOP."""
-    os.kill(pid, signal.SIGSTOP)
-    try:
-        yield
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGCONT)
+def end_cleanly() -> None:
+    """Let SIGTERM end this script like Ctrl-C, so that it leaves no process."""
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
 
 
 def moments(seed: int) -> random.Random:

@@ -25,6 +25,7 @@ from pathlib import Path
 import oracle
 import psutil
 from kills import MANY, ROLES, Killing
+from small_run import end_cleanly
 
 EVERY_S = 20.0
 SAMPLE_S = 1.0
@@ -131,6 +132,7 @@ def _left(killing: Killing, endpoint: str) -> list[str]:
 
 def main() -> None:
     """Soak, add the figures to a file, and print them."""
+    end_cleanly()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--hours", type=float, default=1.0)
     parser.add_argument("--seed", type=int, default=0)
