@@ -236,9 +236,21 @@ class Killing:
         return self.row | counts | {"restarts": restarted, "standby_kib": self.standby_kib, "left_s": round(left_s, 2)}
 
     def abandon(self) -> None:
-        """Kill all that is left of the run."""
+        """Kill all that is left of the run; where it has not ended as it should, print what is known of it."""
+        if self.launcher.process.poll() is None or sys.exc_info()[0] is not None:
+            print(self._report(), file=sys.stderr, flush=True)
         self.witness.close()
         self.launcher.kill(alone=False)
+
+    def _report(self) -> str:
+        logs = sorted((self.launcher.folder / "logs").glob("*.log"))
+        said = {log.stem: log.read_text(errors="replace").splitlines()[-1:] for log in logs}
+        heard = {name: round(time.time() - about["time_s"], 1) for name, about in self.witness.statistics.items()}
+        events = self.witness.events[-5:]
+        return (
+            f"launcher: {self.launcher.last_words()}\nframes: {len(self.tail.arrivals)}\nsilence in s: {heard}\n"
+            f"logs: {said}\nevents: {events}"
+        )
 
 
 def _longest_pause(tail: Tail, since_s: float) -> float:
