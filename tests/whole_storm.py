@@ -30,7 +30,7 @@ from zsdist.wire.messages import Orders, Push, WeightsMessage
 
 TICK_S = 0.02
 EPISODES, CARS = 240, 2
-PATIENCE_S = 900.0
+START_S, PATIENCE_S = 1e9, 900.0
 CLOCK_S = 3600.0
 MORTAL = ("scheduler", "learner", shards.ROLE, "actor")
 MOST_DEATHS = 4  # of each kind
@@ -168,11 +168,11 @@ class WholeStorm:
         self.config = CONFIGS[count]
         directory.create(self.folder, self.config)
         self.spec = RunSpec(self.config, "storm", self.folder, {}, SEEN)
-        self.broker, self.now, self._epoch = MemoryBroker(), 0.0, 0
+        self.broker, self.now, self._epoch = MemoryBroker(), START_S, 0
         self.observer = Observer(self.broker, self.spec.run)
         self.deaths: Counter = Counter(dict.fromkeys(MORTAL, 0))
         self._transports = 0
-        self._supervisor, self._next_orders_s = self._connect(), 0.0
+        self._supervisor, self._next_orders_s = self._connect(), START_S
         epochs = [self._next_epoch() for _ in range(program.role_count(self.config))]
         self.living: dict[str, Living] = {}
         for role_spec in program.roles(self.config, epochs):
@@ -181,7 +181,7 @@ class WholeStorm:
     def ride(self) -> None:
         """Run until the scheduler and all others have ended."""
         while any(living.due_s is not None for living in self.living.values()):
-            assert self.now < PATIENCE_S, f"seed {self.seed} does not end: {self._ages()}"
+            assert self.now < START_S + PATIENCE_S, f"seed {self.seed} does not end: {self._ages()}"
             self.now += TICK_S
             self._strike()
             if self.now >= self._next_orders_s:
