@@ -31,6 +31,7 @@ from zsdist.wire.messages import Orders, Push, WeightsMessage
 TICK_S = 0.02
 EPISODES, CARS = 240, 2
 START_S, PATIENCE_S = 1e9, 900.0
+LEAVE_WITHIN_S = 5.0
 CLOCK_S = 3600.0
 MORTAL = ("scheduler", "learner", shards.ROLE, "actor")
 MOST_DEATHS = 4  # of each kind
@@ -179,8 +180,11 @@ class WholeStorm:
             self._begin(role_spec)
 
     def ride(self) -> None:
-        """Run until the scheduler and all others have ended."""
-        while any(living.due_s is not None for living in self.living.values()):
+        """Run until the scheduler has ended, and the others as long as a supervisor leaves them."""
+        ended_s = None
+        while ended_s is None or self.now < ended_s + LEAVE_WITHIN_S:
+            if ended_s is None and self.living["scheduler-0"].due_s is None:
+                ended_s = self.now
             assert self.now < START_S + PATIENCE_S, f"seed {self.seed} does not end: {self._ages()}"
             self.now += TICK_S
             self._strike()

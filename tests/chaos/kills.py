@@ -195,7 +195,7 @@ class Killing:
         self.witness.poll()
         self.launcher.kill(alone=alone)
         self.row["kills"] += 1
-        gone_s = wait_for(lambda: not self.launcher.left(), PATIENCE_S, "the end of all processes", lambda: None)
+        gone_s = self._await_end()
         self.row.setdefault("gone_s", []).append(round(gone_s, 3))
         before = self.tail.read()
         self.launcher = self._start()
@@ -231,9 +231,17 @@ class Killing:
         self.witness.close()
         summary = json.loads((self.launcher.folder / "summary.json").read_text())
         counts = oracle.verdict(self.launcher, self.tail, self.witness, summary)
-        left_s = wait_for(lambda: not self.launcher.left(), 10.0, "the end of all processes", lambda: None)
+        left_s = self._await_end()
         restarted = summary["restarts"]
         return self.row | counts | {"restarts": restarted, "standby_kib": self.standby_kib, "left_s": round(left_s, 2)}
+
+    def _await_end(self) -> float:
+        """Wait until no process of the run is left; return the seconds that it took."""
+        began_s = time.time()
+        while left := self.launcher.left():
+            assert time.time() - began_s < PATIENCE_S, f"left are {left}"
+            time.sleep(0.05)
+        return time.time() - began_s
 
     def abandon(self) -> None:
         """Kill all that is left of the run; where it has not ended as it should, print what is known of it."""
