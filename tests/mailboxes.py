@@ -35,12 +35,15 @@ class NoRunLog:
 class Bench:
     """One role at a memory transport, with the other end for the test."""
 
-    def __init__(self, role, folder):
+    def __init__(self, role, folder, **settings):
         broker, self.now = MemoryBroker(), 0.0
         self.others, self.stats, self.answers = MemoryTransport(broker), Mailbox(2**20), Mailbox(2**26)
         self.others.subscribe(keys.stats(RUN, keys.ANY, keys.ANY), self.stats)
         kind, _, identifier = role.partition("-")
-        context = Context(CONFIG, RUN, kind, identifier, 9, MemoryTransport(broker), threading.Event())
+        config = CONFIG.model_copy(
+            update={name: getattr(parse({name: value}), name) for name, value in settings.items()}
+        )
+        context = Context(config, RUN, kind, identifier, 9, MemoryTransport(broker), threading.Event())
         match kind:
             case "replay":
                 self.role = Replay(context, SHAPES, folder)

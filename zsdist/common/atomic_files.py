@@ -4,16 +4,26 @@ import os
 from pathlib import Path
 
 
-def replace(path: Path, content: bytes) -> None:
-    """Replace a file in one step: a reader finds either the old content or the new one."""
+def replace(path: Path, content: bytes, *, sync: bool = True) -> None:
+    """Replace a file in one step: a reader finds either the old content or the new one.
+
+    Args:
+        path: file to replace or make.
+        content: its new content.
+        sync: whether to return only once it is on the disk; else it may be lost if the machine stops.
+    """
     partial = path.with_name(f".{path.name}.partial")
     try:
-        write(partial, content)
+        if sync:
+            write(partial, content)
+        else:
+            partial.write_bytes(content)
         partial.replace(path)
     except OSError:
         partial.unlink(missing_ok=True)  # it may be what fills the disk
         raise
-    sync_folder(path.parent)
+    if sync:
+        sync_folder(path.parent)
 
 
 def write(path: Path, content: bytes) -> None:

@@ -109,10 +109,10 @@ class Actor(Role):
     def _receive(self, now: float) -> None:
         for _, ack in self.messages(self._acks, Ack):
             self._outboxes.on_ack(ack, now)
-        for _, message in self.messages(self._news, WeightsMessage, Candidate):
+        for _, message in self.learner_news(self._news):
             if isinstance(message, WeightsMessage):
                 self._take_weights(message, now)
-            elif isinstance(message, Candidate) and self._fits(message.level, message.parameters):
+            elif self._fits(message.level, message.parameters):
                 self._take_candidate(message)
         for content in self.orders(self._orders, {Orders: ActorOrders, Jobs: DriveJobs}):
             if isinstance(content, DriveJobs):

@@ -17,8 +17,9 @@ from zsdist.protocol import inbox
 from zsdist.roles import schemas
 from zsdist.roles.schemas import Content, StateRequest
 from zsdist.transport.base import Mailbox, Message, Transport
+from zsdist.types import Level
 from zsdist.wire import addresses, codec, keys
-from zsdist.wire.messages import AnyMessage, Jobs, Orders, Records, State
+from zsdist.wire.messages import AnyMessage, Candidate, Jobs, Orders, Records, State, WeightsMessage
 
 Kind = TypeVar("Kind", bound=AnyMessage)
 OtherKind = TypeVar("OtherKind", bound=AnyMessage)
@@ -70,6 +71,7 @@ class Role(ABC):
         self._mailboxes: dict[str, Mailbox] = {}
         self._refused: Counter[str] = Counter()
         self._orders_epoch = -1  # epoch of the newest sender of orders; orders of older ones are stale
+        self._sender_epochs: dict[str, int] = {}  # newest known epoch of each other sender
         self._next_statistics_s = 0.0
         self.transport.declare_alive(keys.alive(context.run, context.role, context.id))
 
@@ -155,10 +157,34 @@ class Role(ABC):
                 self._orders_epoch = orders.sender_epoch
                 yield content
 
+    def is_stale(self, sender: str, epoch: int) -> bool:
+        """Return whether a newer incarnation of a message's sender is known; count a refusal if so."""
+        if epoch < self._sender_epochs.get(sender, -1):
+            self.refuse("stale")
+            return True
+        self._sender_epochs[sender] = epoch
+        return False
+
+    def learner_news(self, box: Mailbox) -> Iterator[tuple[Level, WeightsMessage | Candidate]]:
+        """Drain `box` of what learners publish, and yield all that comes from the newest learner of its level."""
+        for _, message in self.messages(box, WeightsMessage, Candidate):
+            level = message.level if isinstance(message, Candidate) else message.weights.level
+            if not self.is_stale(f"learner-{level}", message.sender_epoch):
+                yield level, message
+
+    def newest_epoch(self, sender: str) -> int:
+        """Return the newest epoch of a sender that `is_stale` was told of; 0 before."""
+        return self._sender_epochs.get(sender, 0)
+
     def answer_state_requests(self, box: Mailbox, state: Callable[[], State]) -> None:
         """Drain `box` of the scheduler's requests for this role's state, and answer each with what `state` returns."""
         for reply, request in self.requests(box, Orders):
-            if self.checked(schemas.read, StateRequest, request.content) is not None:
+            wanted = self.checked(schemas.read, StateRequest, request.content)
+            if wanted is None:
+                continue
+            if request.sender_epoch < self._orders_epoch or wanted.epoch > self.context.epoch:
+                self.refuse("stale")  # of a scheduler that was replaced, or meant for the successor of this role
+            else:
                 reply(codec.encode(state()))
 
     def checked(

@@ -11,6 +11,7 @@ from zsdist.dqn.base import BaseDqnLearner
 from zsdist.errors import RunError
 from zsdist.roles import divergence
 from zsdist.roles.base import Context, Role
+from zsdist.roles.kept_state import KeptState, MergeState
 from zsdist.roles.schemas import BEST, DISTILLED, RECENT, CandidateName, LearnerOrders, Phase
 from zsdist.types import Batch, Level, Parameters, Weights
 from zsdist.wire import codec, keys
@@ -42,6 +43,7 @@ class _ShardSource:
         self.asked_s: deque[float] = deque()  # times of the pending requests, for `BATCHES_AN_ANSWER` each
         self.held = 1  # transitions in the shard
         self.served = 0
+        self.learned = 0  # batches in the whole run whose updates are in the present networks
 
     @property
     def coming(self) -> int:
@@ -55,9 +57,24 @@ class _ShardSource:
 
 
 class Learner(Role):
-    """Learner of the online and target network of one level."""
+    """Learner of the online and target network of one level.
 
-    def __init__(self, context: Context, level: Level, dqn: BaseDqnLearner, restored: State | None = None) -> None:
+    Args:
+        context: identity of the role.
+        level: level that it learns.
+        dqn: networks and optimiser.
+        restored: state from which it goes on; None: `dqn` as it is.
+        kept: place where its state is kept for a successor; None: it has no successor.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        level: Level,
+        dqn: BaseDqnLearner,
+        restored: State | None = None,
+        kept: KeptState | None = None,
+    ) -> None:
         super().__init__(context)
         self.level = level
         self.dqn = dqn
@@ -80,6 +97,8 @@ class Learner(Role):
         self._published_s = -REPEAT_EVERY_S
         self._made_s = 0.0  # time at which the version last broadcast was made
         self._offered_s = 0.0
+        self._kept = kept
+        self._kept_updates = -1
         if restored is not None:
             self._restore(restored)
         run = context.run
@@ -95,6 +114,8 @@ class Learner(Role):
             self._follow(content, now)
         self._receive(now)
         learned = self._learn(now)
+        if self._kept is not None and self.updates != self._kept_updates and self._kept.is_due(now):
+            self._keep(now)
         self._publish(now)
         self.answer_state_requests(self._checkpoints, lambda: self._published_state(now))
         # After an update, work again at once: waiting begins when there is no batch then.
@@ -122,8 +143,20 @@ class Learner(Role):
             "updates": self.updates,
             "merge": self.merge,
             "sha256": network.sha256(self.dqn.parameters()),
+            "learned": [source.learned for source in self._sources],
         }
         return State(self.context.name, meta, arrays)
+
+    def continue_after(self, published: int) -> None:
+        """Publish only versions of weights beyond `published`, which predecessors have used up."""
+        self.version = max(self.version, published)
+
+    def _keep(self, now: float) -> None:
+        """Keep the state for a successor, with the candidates of a merge under way."""
+        if self._kept is not None:
+            merge = MergeState(self._offered, self._candidates, self._paused)
+            self._kept.keep(lambda: merge.added_to(self.state()), now)
+            self._kept_updates = self.updates
 
     def _published_state(self, now: float) -> State:
         """Return the state after its weights were published, so that a checkpoint's weights have their own version."""
@@ -135,7 +168,9 @@ class Learner(Role):
         self.dqn.restore(state.part("dqn/"))
         self._best = state.part("best/") or None
         self.version, self.updates, self.merge = (state.meta[name] for name in ("version", "updates", "merge"))
-        self._offered = self.merge
+        self._offered, self._candidates, self._paused = MergeState.of(state) or (self.merge, {}, False)
+        for source, learned in zip(self._sources, state.meta.get("learned", ()), strict=False):
+            source.learned = learned
 
     def _receive(self, now: float) -> None:
         lacked_s: float | None = None  # longest time for which a shard had no batch to give; None: none has answered
@@ -183,6 +218,7 @@ class Learner(Role):
             self._recent_batches.append(batch)
             self.dqn.update(batch)
             self.updates += 1
+            source.learned += 1
             self._require_range(now)
             if batch.serials is not None:
                 priorities = Priorities(self.context.epoch, self.level, batch.serials, self.dqn.errors())
@@ -208,7 +244,7 @@ class Learner(Role):
     def _ask(self, now: float) -> None:
         for index, source in enumerate(self._sources):
             while not self._paused and source.coming + BATCHES_AN_ANSWER <= PREFETCH:
-                request = codec.encode(SampleRequest(self.context.epoch, self.level, self.updates, BATCHES_AN_ANSWER))
+                request = codec.encode(SampleRequest(self.context.epoch, self.level, source.learned, BATCHES_AN_ANSWER))
                 key = keys.sample(self.context.run, self.level, index)
                 self.transport.request(key, request, self._batches, timeout_s=ANSWER_WITHIN_S)
                 source.asked_s.append(now)
@@ -223,6 +259,8 @@ class Learner(Role):
     def _publish_weights(self, now: float) -> None:
         if self.updates != self._published_updates:
             self.version, self._made_s = self.version + 1, now
+            if self._kept is not None:
+                self._kept.note_version(self.version)
         self._published_s, self._published_updates = now, self.updates
         parameters = self.dqn.parameters()
         self._require_finite("network", parameters)
@@ -232,16 +270,21 @@ class Learner(Role):
 
     def _follow(self, content: LearnerOrders, now: float) -> None:
         index, self._episodes = content.merge, content.finished
-        if content.phase == Phase.COLLECT and index > self._offered:
+        self._paused = not content.learning
+        if content.phase in (Phase.COLLECT, Phase.DRIVE, Phase.PROMOTE) and index > self._offered:
+            if content.phase != Phase.COLLECT:  # the kept state of a predecessor was damaged
+                self.event(now, "candidates_made_again", level=self.level.value, merge=index)
             self._offered = index
             if DISTILLED in content.candidates and not self._recent_batches:  # just resumed: no checkpoint has them
                 self.event(now, "distilled_is_recent", level=self.level.value, merge=index)
             self._candidates = self._make_candidates(content.candidates)
+            self._keep(now)  # first: no successor may offer others under the same names
             self._publish_candidates(now)
         if content.phase == Phase.PROMOTE and index > self.merge and content.chosen in self._candidates:
             self._promote(index, content.chosen, now)
-        self._paused = not content.learning
         self.finished = content.stop
+        if self.finished and self._kept is not None:
+            self._kept.discard()
 
     def _make_candidates(self, names: Sequence[CandidateName]) -> dict[str, Parameters]:
         makers: dict[CandidateName, Callable[[], Parameters]] = {
@@ -268,4 +311,5 @@ class Learner(Role):
         self.dqn.promote(self._best, reset_online=chosen != RECENT)
         self.merge, self._candidates = index, {}
         self._published_updates = -1  # the networks may have changed without an update
+        self._keep(now)  # first: the scheduler goes on once it has heard of it
         self._publish_weights(now)

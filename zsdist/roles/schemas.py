@@ -88,9 +88,10 @@ class Supervision(Content):
 
 
 class StateRequest(Content):
-    """Request to a role for its state."""
+    """Request to a role for its state; older incarnations of it than `epoch` do not answer."""
 
     ask: Literal["state"]
+    epoch: Count = 0
 
 
 class DriveJobs(Content):

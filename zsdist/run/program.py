@@ -191,8 +191,12 @@ class RunSpec:
             case "learner":
                 level = Level(role_spec.id)
                 from zsdist.roles.learner import Learner  # the only role that needs torch: two seconds and 150 MB
+                from zsdist.run import learners
 
-                return Learner(context, level, make_learner(config, level), self.states.get(role_spec.name))
+                dqn, restored = make_learner(config, level), self.states.get(role_spec.name)
+                if config.placement != "ray":  # in one process it has neither a predecessor nor a successor
+                    return Learner(context, level, dqn, restored)
+                return learners.resumed(context, level, dqn, restored, folder=self.folder, start=self.start)
             case "actor":
                 parts = parts or self.make_parts(config)
                 loaded = VisionIdentity.of(parts.visual_act, config.vision.network)

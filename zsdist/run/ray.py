@@ -1,13 +1,11 @@
 """Runner of each role in a Ray actor of its own, on this machine or on a cluster. No other file imports Ray."""
 
+import json
 import logging
 import os
 import re
 import secrets
-import sys
-import threading
 import time
-import traceback
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -15,112 +13,29 @@ import ray
 from ray.exceptions import RayActorError, RayError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-from zsdist.common import output_files, signals
+from zsdist.common import signals
 from zsdist.common.allowed_resources import allowed_cores
 from zsdist.config import Config
-from zsdist.errors import RunError, ZsdistError
-from zsdist.roles.base import HEARTBEAT_S, Role
+from zsdist.errors import RunError
+from zsdist.roles.base import HEARTBEAT_S, HOST
 from zsdist.roles.replay import shards
-from zsdist.run import cluster_address, local_ray, preflight, program
-from zsdist.run.allocator import keep_freed_memory
+from zsdist.run import cluster_address, local_ray, program
 from zsdist.run.directory import issue_epochs
-from zsdist.run.program import ActorParts, RoleSpec, RunSpec, Watch
-from zsdist.run.restarts import Restarts
-from zsdist.transport.base import Transport
-from zsdist.transport.zenoh import ZenohHub
+from zsdist.run.heartbeats import HUB, Heartbeats
+from zsdist.run.last_words import RoleLog
+from zsdist.run.processes import ProcessIdentity
+from zsdist.run.program import RoleSpec, RunSpec, Watch
+from zsdist.run.restarts import Restarts, StandbyPace
+from zsdist.run.role_host import RoleHost
+from zsdist.transport.base import Mailbox, Transport
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders
 
 OBJECT_STORE_BYTES = 256 * 2**20  # it carries settings and checkpoints at the start, and nothing afterwards
 LEAVE_WITHIN_S = 5.0  # time for the roles to end by themselves once the run is over
 STANDBY_AFTER_S = 1.0  # delay of the standby's start, which loads a core for seconds, after other starts
-HUB = "hub-0"
-
-
-class RoleHost:
-    """Content of a Ray actor, which builds one role and steps it until it has finished."""
-
-    def __init__(self, spec: RunSpec) -> None:
-        keep_freed_memory()
-        self.spec = spec
-        self.wake = threading.Event()
-        self._stop = False
-        self._hub: ZenohHub | None = None
-        self._parts: ActorParts | None = None
-
-    def warm_up(self) -> None:
-        """Make and use the parts of an actor, which take longest, so that any role can start here at once later."""
-        parts = self.spec.make_parts(self.spec.config)
-        preflight.try_out(parts, self.spec.config)
-        self._parts = parts
-
-    def open_hub(self, endpoint: str | None) -> str:
-        """Open the router in this process and return the endpoint at which it listens.
-
-        Args:
-            endpoint: endpoint of the hub's predecessor; None: this is the run's first hub.
-        """
-        self._hub = self.spec.open_hub(endpoint)
-        return self._hub.endpoint
-
-    def drive(self, role_spec: RoleSpec, endpoint: str) -> str:
-        """Build a role and step it to its end; return an empty string, or the reason of its failure in one line."""
-        transport = None
-        if role_spec.role == "learner":
-            import torch
-
-            torch.set_num_threads(1)
-        try:
-            self._redirect_output(role_spec)
-            if role_spec.name == HUB and self._hub is None:
-                self.open_hub(endpoint)
-            transport = self.spec.connect(role_spec, endpoint)
-            if self._hub is None:
-                role = self.spec.build(role_spec, transport, self.wake, self._parts)
-            else:
-                role = program.make_hub(self.spec, role_spec, transport, self.wake, endpoint)
-            self._step(role)
-        except ZsdistError as error:
-            return role_spec.reason(error)
-        except OSError as error:
-            if error.errno in output_files.OF_THE_SYSTEM:
-                return role_spec.reason(error)
-            traceback.print_exc()
-            raise
-        except Exception:
-            traceback.print_exc()  # into the role's log; the supervisor ends the run
-            raise
-        finally:
-            if transport is not None:
-                transport.close()
-            if self._hub is not None:
-                self._hub.close()
-        return ""
-
-    def stop(self) -> None:
-        """Make `drive` return after the current step; called from another thread of the Ray actor."""
-        self._stop = True
-        self.wake.set()
-
-    def _step(self, role: Role) -> None:
-        offset_s = time.time() - time.monotonic()  # unix time that never runs backwards
-        while not self._stop:
-            due_s = role.step(offset_s + time.monotonic())
-            if due_s is None:
-                return
-            self.wake.wait(max(0.0, due_s - offset_s - time.monotonic()))
-            self.wake.clear()
-
-    def _redirect_output(self, role_spec: RoleSpec) -> None:
-        """Redirect output to `logs/{role}.log` of the run directory, where that is on this machine."""
-        logs = self.spec.folder / "logs"
-        if not logs.is_dir():
-            return
-        log = os.open(logs / f"{role_spec.name}.log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-        for stream in (sys.stdout, sys.stderr):
-            stream.flush()
-            os.dup2(log, stream.fileno())
-        os.close(log)
+STARTS_TRIED = 3  # of Ray on this machine, whose own limit of 30 s a busy machine may exceed
+WORDS_BYTES = 2**22  # statistics that wait for the supervisor
 
 
 def run(
@@ -132,8 +47,8 @@ def run(
 ) -> None:
     """Run to the end, or until an interruption is noticed and everything is saved.
 
-    A dead actor is replaced by a new incarnation. So is a dead replay, which resumes from its journal, and a dead hub,
-    which listens at the endpoint of its predecessor. The death of any other role ends the run.
+    A role that dies or stops is replaced by a new incarnation, which goes on from what its predecessor has written:
+    a replay from its journal, a learner from its kept state. A new hub listens at the endpoint of its predecessor.
 
     Args:
         spec: specification of the run.
@@ -163,13 +78,19 @@ def connect(config: Config) -> None:
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # else roles that reserve no GPU cannot see one
     address = config.run.address
     what = "Ray cannot be started here" if address is None else f"Ray cluster {address!r} cannot be used"
-    try:
-        # Where Ray starts no process, a signal may end a long wait.
-        with signals.kept() if address is not None else signals.withheld():
-            _init(config)
-    except Exception as error:  # Ray raises errors of a dozen classes, also built-in ones
-        ray.shutdown()
-        raise RunError(f"{what}: {_summary(error)}") from error
+    for tries_left in reversed(range(STARTS_TRIED)):
+        try:
+            # Where Ray starts no process, a signal may end a long wait.
+            with signals.kept() if address is not None else signals.withheld():
+                _init(config)
+            break
+        except Exception as error:  # Ray raises errors of a dozen classes, also built-in ones
+            ray.shutdown()
+            slow = address is None and "timed out" in str(error)
+            if slow and tries_left:
+                continue
+            busy = f"this machine was too busy {STARTS_TRIED} times; try again later, or use --single-process: "
+            raise RunError(f"{what}: {busy if slow else ''}{_summary(error)}") from error
     if address is not None and (wanted := _cores(config)) > (free := ray.cluster_resources().get("CPU", 0.0)):
         ray.shutdown()
         raise RunError(
@@ -212,7 +133,7 @@ def _summary(error: Exception) -> str:
 
 
 class _Supervisor:
-    """Supervisor that starts the roles, replaces dead ones where it may, and reports both to the scheduler."""
+    """Supervisor that starts the roles, replaces those that die or stop, and reports to the scheduler."""
 
     def __init__(self, spec: RunSpec, epochs: Sequence[int]) -> None:
         self.spec = spec
@@ -224,8 +145,13 @@ class _Supervisor:
         self.role_specs = self.restarts.role_specs
         self.hosts: dict[str, ray.actor.ActorHandle] = {}
         self.work: dict[ray.ObjectRef, str] = {}  # result of each role's `drive` -> its name
+        self.logs: dict[str, RoleLog] = {}
         self.standby: ray.actor.ActorHandle | None = None
-        self.standby_due_s = 0.0
+        self.pace = StandbyPace()
+        self.places: dict[ray.actor.ActorHandle, ProcessIdentity | None] = {}  # None: it cannot be seen from here
+        self.asked: dict[ray.ObjectRef, ray.actor.ActorHandle] = {}  # questions for places
+        self.heartbeats = Heartbeats(time.monotonic())
+        self.words = Mailbox(WORDS_BYTES)
 
     def run(self, interrupted: Callable[[], bool], watch: Watch) -> None:
         """Run until the scheduler has finished."""
@@ -234,6 +160,7 @@ class _Supervisor:
         (self.spec.folder / "endpoint").write_text(self.endpoint, encoding="utf-8")
         self._drive(self.role_specs[HUB])
         transport = self.spec.connect(program.supervisor([self.epoch]), self.endpoint)
+        transport.subscribe(keys.stats(self.spec.run, keys.ANY, keys.ANY), self.words)
         try:
             for name, role_spec in self.role_specs.items():
                 if name != HUB:
@@ -257,55 +184,119 @@ class _Supervisor:
         transport.publish(keys.control(self.spec.run, "scheduler"), orders, retained=True)
         ended, _ = ray.wait(list(self.work), timeout=HEARTBEAT_S)
         for reference in ended:
-            self._account_for(self.work.pop(reference), reference)
-        if self.standby is None and self.spec.config.run.standby and time.monotonic() > self.standby_due_s:
-            self.standby = self._host(self.role_specs[HUB])
-            self.standby.warm_up.remote()
+            self._account_for(self.work.pop(reference), reference, transport)
+        self._listen()
+        for name in self.heartbeats.silent(time.monotonic()):
+            self._examine(name, transport)
+        self._keep_standby(time.monotonic())
 
-    def _account_for(self, name: str, reference: ray.ObjectRef) -> None:
+    def _account_for(self, name: str, reference: ray.ObjectRef, transport: Transport) -> None:
         """Handle the end of a role: it has finished, failed with a reason, or died with its process."""
         try:
             if reason := ray.get(reference):
                 raise RunError(reason)
-            return
+            self.heartbeats.forget(name)
         except RayActorError as error:  # its process is gone
-            reason = f"{name} died: {_last_line(error)}"
-            if self.restarts.may_replace(name):
-                self._replace(name, reason)
-                return
+            self._replace(name, _last_line(error), transport)
         except RayError as error:  # a defect, which a restart would only repeat
-            reason = f"{name} failed: {_last_line(error)}"
-        log = self.spec.folder / "logs" / f"{name}.log"
-        raise RunError(f"{reason}; its log is {log}" if log.exists() else reason)
+            raise RunError(self.logs[name].named_in(f"{_last_line(error)}; {name} failed")) from None
 
-    def _replace(self, name: str, reason: str) -> None:
-        role_spec = self.restarts.replace(name, reason)
+    def _listen(self) -> None:
+        """Note which roles have published statistics, and in which processes of this machine hosts live."""
+        now = time.monotonic()
+        for message in self.words.drain():
+            key = keys.parse(message.key)
+            name = f"{key.fields['role']}-{key.fields['id']}" if key else ""
+            if name in self.role_specs and self.heartbeats.hear(name, _epoch_in(message.payload), now):
+                self.restarts.note_sign(name)
+        for reference in ray.wait(list(self.asked), num_returns=len(self.asked), timeout=0)[0] if self.asked else []:
+            host = self.asked.pop(reference)
+            try:
+                machine, process = ray.get(reference)
+            except RayError:
+                continue  # `_account_for` or `_keep_standby` deals with its death
+            self.places[host] = process if machine == HOST and process.started else None
+
+    def _examine(self, name: str, transport: Transport) -> None:
+        """Replace a silent role that has stopped: kill it first, so that it never works beside its successor."""
+        host, now = self.hosts[name], time.monotonic()
+        place = self.places.get(host)
+        reason = self.heartbeats.verdict(name, None if place is None else place.pulse(), now)
+        if reason is None:
+            return
+        ray.kill(host)
+        if place is not None and not place.kill():
+            reason += ", and it cannot be killed yet"
+        self.work = {reference: other for reference, other in self.work.items() if other != name}
+        self._replace(name, reason, transport)
+
+    def _replace(self, name: str, reason: str, transport: Transport) -> None:
+        log = self.logs[name]
+        words = "; ".join(filter(None, (log.last_words(), f"{name} died: {reason}")))
+        if not self.restarts.may_replace(name):
+            raise RunError(log.named_in(words))
+        try:
+            role_spec = self.restarts.replace(name, words, time.monotonic())
+        except RunError as error:
+            raise RunError(log.named_in(str(error))) from None
+        self.places.pop(self.hosts[name], None)
         self.hosts[name] = self._stand_in(role_spec)
         self._drive(role_spec)
+        about = {"time_s": round(time.time(), 3), "role": "supervisor", "id": "0", "host": HOST, "pid": os.getpid()}
+        event = {**about, "event": "role_replaced", "name": name, "reason": reason[:200]}
+        transport.publish(keys.events(self.spec.run), json.dumps(event).encode(), json=True)
 
     def _drive(self, role_spec: RoleSpec) -> None:
-        self.work[self.hosts[role_spec.name].drive.remote(role_spec, self.endpoint)] = role_spec.name
-        self.standby_due_s = time.monotonic() + STANDBY_AFTER_S
+        name, now = role_spec.name, time.monotonic()
+        self.logs[name] = RoleLog(self.spec.folder / "logs" / f"{name}.log")
+        self.work[self.hosts[name].drive.remote(role_spec, self.endpoint)] = name
+        self.restarts.note_start(name, now)
+        self.heartbeats.expect(name, role_spec.epoch, now)
+        self.pace.delay(now + STANDBY_AFTER_S)
 
     def _stand_in(self, role_spec: RoleSpec) -> "ray.actor.ActorHandle":
         """Return the standby process; a new one where there is none or the role may live on another machine."""
-        config = self.spec.config
-        if self.standby is None or not (stays_here(role_spec, config) or config.run.address is None):
-            return self._host(role_spec)
-        host, self.standby = self.standby, None
+        config, host = self.spec.config, self.standby
+        here = stays_here(role_spec, config) or role_spec.role == "learner" or config.run.address is None
+        if host is None or not here or not self._stands(host):
+            return self._host(role_spec, here=here)
+        self.standby = None
+        self.pace.note_use()
         return host
 
-    def _host(self, role_spec: RoleSpec) -> "ray.actor.ActorHandle":
+    def _keep_standby(self, now: float) -> None:
+        """Start a standby process where one is due, and give up one that has died or was stopped."""
+        if self.standby is not None and not self._stands(self.standby):
+            ray.kill(self.standby)
+            if (place := self.places.pop(self.standby, None)) is not None:
+                place.kill()
+            self.standby = None
+            self.pace.note_death(now)
+        if self.standby is None and self.spec.config.run.standby and now > self.pace.due_s:
+            self.standby = self._host(self.role_specs[HUB])
+            self.standby.warm_up.remote()
+
+    def _stands(self, standby: "ray.actor.ActorHandle") -> bool:
+        """Return whether the standby process works, as far as is known."""
+        if standby not in self.places:
+            return standby in self.asked.values()
+        place = self.places[standby]
+        pulse = None if place is None else place.pulse()
+        return place is None or (pulse is not None and not pulse.stopped)
+
+    def _host(self, role_spec: RoleSpec, *, here: bool = False) -> "ray.actor.ActorHandle":
         options: dict[str, Any] = {
             "num_cpus": self.spec.config.run.cpus_per_role,
             "max_restarts": 0,
-            "max_concurrency": 2,
+            "max_concurrency": 3,  # `drive`, and `stop` or `place` meanwhile
         }
-        if stays_here(role_spec, self.spec.config):
-            here = ray.get_runtime_context().get_node_id()
-            options["scheduling_strategy"] = NodeAffinitySchedulingStrategy(here, soft=False)
+        if here or stays_here(role_spec, self.spec.config):
+            node = ray.get_runtime_context().get_node_id()
+            options["scheduling_strategy"] = NodeAffinitySchedulingStrategy(node, soft=False)
         host_class: Any = ray.remote(**options)(RoleHost)  # Ray's types cover classes only without options
-        return host_class.remote(self.spec)
+        host = host_class.remote(self.spec)
+        self.asked[host.place.remote()] = host
+        return host
 
     def _leave(self) -> None:
         """Wait a while for the other roles to end by themselves."""
@@ -319,6 +310,15 @@ class _Supervisor:
             return ray.get(reference)
         except RayError as error:
             raise RunError(f"{name} could not start: {_last_line(error)}") from error
+
+
+def _epoch_in(payload: bytes) -> int:
+    """Return the epoch of the sender of statistics; -1 where they name none."""
+    try:
+        epoch = json.loads(payload)["epoch"]
+    except (ValueError, RecursionError, KeyError, TypeError):
+        return -1
+    return epoch if isinstance(epoch, int) else -1
 
 
 def stays_here(role_spec: RoleSpec, config: Config) -> bool:

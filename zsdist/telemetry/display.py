@@ -110,12 +110,16 @@ class Display:
         """Print new events that nobody may miss."""
         for event in self.snapshot.events:
             told_s = event.get("time_s", 0.0)
-            new = not isinstance(told_s, str) and told_s > self._announced_s
-            if new and event.get("event") == "standstill":
+            if isinstance(told_s, str) or told_s <= self._announced_s:
+                continue
+            if event.get("event") == "standstill":
                 self._announced_s = float(told_s)
                 since_s, waits, in_flight = (event.get(name) for name in ("since_s", "waits", "in_flight"))
                 line = f"nothing has moved for {since_s} s: waiting are {waits}; {in_flight} messages are in flight"
                 self.console.say(line)
+            elif event.get("event") == "role_replaced":
+                self._announced_s = float(told_s)
+                self.console.say(f"{event.get('name')} is replaced: {event.get('reason')}")
 
     def figures(self) -> dict[str, str]:
         """Return the text under each heading."""

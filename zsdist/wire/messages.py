@@ -86,7 +86,7 @@ class SampleRequest:
     """Request of a learner for batches.
 
     Attributes:
-        updates: number of updates that the learner has made so far.
+        updates: number of updates of this shard's batches that the learner's networks have had in the whole run.
         batches: most batches that the learner accepts, 1 to `MAX_BATCHES`.
     """
 

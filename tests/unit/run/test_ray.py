@@ -110,6 +110,23 @@ def test_whatever_ray_raises_at_its_start_is_one_line(monkeypatch, error, settin
     assert "\n" not in text and "\x1b" not in text and not text.endswith(": ")
 
 
+@pytest.mark.parametrize(("failures", "starts"), [(1, True), (2, True), (3, False)])
+def test_a_start_of_ray_that_takes_too_long_is_tried_once_more(monkeypatch, failures, starts):
+    def init(**options):
+        tried.append(options)
+        if len(tried) <= failures:
+            raise Exception("The current node timed out during startup.")
+
+    tried = []
+    monkeypatch.setattr(ray, "init", init)
+    if starts:
+        connect(parse({}))
+    else:
+        with pytest.raises(RunError, match=r"this machine was too busy 3 times.*timed out during startup"):
+            connect(parse({}))
+    assert len(tried) == min(failures + 1, 3)
+
+
 def test_the_handler_that_ray_sets_does_not_stay(monkeypatch):
     def init(**options):
         signal.signal(signal.SIGTERM, signal.SIG_DFL)

@@ -101,6 +101,8 @@ class LevelReplay:
         self.rejected: dict[str, int] = {}
         self.sampled = 0
         self.waiting: deque[WaitingRequest] = deque()
+        self.learner_epoch = -1  # of the newest learner that has asked in this start of the run
+        self._learned_apart = 0  # updates that the limiter counts beyond those that the first learner knew of
         self._epochs: dict[str, int] = {}  # newest epoch of each actor, issued in this start of the run
         self._closed: set[tuple[str, int]] = set()
         self.journal = Journal(folder)
@@ -150,6 +152,26 @@ class LevelReplay:
     def _limited(self, actor: str, epoch: int) -> bool:
         """Return whether the limiter knows the epoch: it was issued in this start of the run and is not closed."""
         return self._epochs.get(actor) == epoch and (actor, epoch) not in self._closed
+
+    def follow_learner(self, epoch: int, updates: int) -> bool:
+        """Note the incarnation of the learner that asks for batches; return false where a newer one is known.
+
+        Batches that a learner took with it, and those whose updates its successor does not have, are given once more.
+        So the ratio of updates to inserts holds for the networks that live on.
+
+        Args:
+            epoch: epoch of the learner.
+            updates: number of updates of this shard's batches that its networks have had in the whole run.
+        """
+        if epoch < self.learner_epoch:
+            return False
+        if self.learner_epoch < 0:
+            self._learned_apart = self.limiter.updates - updates
+        elif epoch > self.learner_epoch:
+            self.limiter.resume_at(min(self.limiter.updates, max(0, self._learned_apart + updates)))
+            self.waiting.clear()  # its predecessor's
+        self.learner_epoch = epoch
+        return True
 
     def serve(self, now: float) -> None:
         """Answer waiting requests with as many batches as the limiter allows; with none after `HOLD_REQUEST_S`.
@@ -210,6 +232,8 @@ class LevelReplay:
             "sampled": self.sampled,
             "batch_size": self.batch_size,
             "capacity": self.buffer.capacity,
+            "learner_epoch": self.learner_epoch,
+            "learned_apart": self._learned_apart,
         }
 
     def restore_pace(self, pace: dict[str, int]) -> None:
@@ -218,6 +242,7 @@ class LevelReplay:
         self.sampled = pace["sampled"]
         self.batch_size = pace["batch_size"]
         self._set_capacity(pace["capacity"])
+        self.learner_epoch, self._learned_apart = pace.get("learner_epoch", -1), pace.get("learned_apart", 0)
 
     def state(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """Return all that a successor needs: sizes, limiter, inbox, counts and generator as JSON, and the ring."""
@@ -281,6 +306,7 @@ class LevelReplay:
             "sampled": self.sampled,
             "rng": json.dumps(self.rng.bit_generator.state),  # as text: its integers have 128 bits
             "books": self.counts(),
+            "learner": [self.learner_epoch, self._learned_apart],
             "epochs": self._epochs,
             "closed": [list(stream) for stream in sorted(self._closed)],
             "open": len(self.inbox.open_streams()),
@@ -302,6 +328,7 @@ class LevelReplay:
         self.buffer.restore(arrays)
         self.limiter.restore(meta["limiter"], same_run=same_run)
         if same_run:
+            self.learner_epoch, self._learned_apart = meta.get("learner", (-1, 0))
             self._epochs = dict(meta["epochs"])
             self._closed = {(actor, epoch) for actor, epoch in meta["closed"]}
         else:

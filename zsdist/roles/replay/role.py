@@ -71,10 +71,15 @@ class Replay(Role):
             self.level_replays[push.stream].receive(push, message.payload, now)
         for _, priorities in self.messages(self._errors, Priorities):
             level_replay = self.level_replays[priorities.level]
+            if priorities.sender_epoch < level_replay.learner_epoch:
+                self.refuse("stale")
+                continue
             level_replay.prioritised += level_replay.buffer.update_priorities(priorities.serials, priorities.errors)
         for reply, request in self.requests(self._requests, SampleRequest):
             waiting = self.level_replays[request.level].waiting
-            if len(waiting) < MAX_WAITING:
+            if not self.level_replays[request.level].follow_learner(request.sender_epoch, request.updates):
+                self.refuse("stale")
+            elif len(waiting) < MAX_WAITING:
                 waiting.append(WaitingRequest(now, reply, request.batches))
             else:
                 self.refuse("requests")

@@ -19,7 +19,7 @@ from zsdist.roles.schemas import BEST, DISTILLED, RECENT, Phase, Supervision
 from zsdist.telemetry.snapshot import Fields, Snapshot
 from zsdist.types import Level, Outcome
 from zsdist.wire import codec, keys
-from zsdist.wire.messages import EPISODES, EVALUATION, Candidate, Jobs, Orders, Records, State, WeightsMessage
+from zsdist.wire.messages import EPISODES, EVALUATION, Candidate, Jobs, Orders, Records, State
 
 
 class Stage(StrEnum):
@@ -157,11 +157,11 @@ class Scheduler(Role):
             self.merge.add_result(record["candidate"], record["scene_index"], Outcome(record["outcome"]))
 
     def _receive_offers(self) -> None:
-        for _, message in self.messages(self._learners, Candidate, WeightsMessage):
+        for level, message in self.learner_news(self._learners):
             if isinstance(message, Candidate):
-                self._offered[message.level][message.name] = message.merge
+                self._offered[level][message.name] = message.merge
             else:
-                self._merged[message.weights.level] = max(self._merged[message.weights.level], message.merge)
+                self._merged[level] = max(self._merged[level], message.merge)
 
     # -- decisions ----------------------------------------------------------------------------------------------
 
@@ -260,7 +260,7 @@ class Scheduler(Role):
             self._final_states = states
             return True
         for name in self._collection.due(now):
-            request = codec.encode(Orders(self.context.epoch, name, {"ask": "state"}))
+            request = codec.encode(Orders(self.context.epoch, name, {"ask": "state", "epoch": self.newest_epoch(name)}))
             where = keys.control(self.context.run, name)
             self.transport.request(where, request, self._answers, timeout_s=ANSWER_WITHIN_S)
         return False
