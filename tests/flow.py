@@ -226,7 +226,7 @@ class WholeRun:
         self._supervisor, self._watched = MemoryTransport(self.broker), Mailbox(2**24)
         self._supervisor.subscribe(keys.events(RUN), self._watched)
         self.events = Counter()
-        self.scheduler = Scheduler(self._context("scheduler", "0"), self.log)
+        self.scheduler = Scheduler(self._context("scheduler", "0"), self.log, folder / "ledger")
         shapes, actors = REAL_SHAPES, range(config.run.actors)
         self._roles = [self.scheduler, Replay(self._context("replay", "0"), shapes, folder / "journal")]
         for level, shape in shapes.items():

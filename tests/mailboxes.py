@@ -48,7 +48,7 @@ class Bench:
             case "replay":
                 self.role = Replay(context, SHAPES, folder)
             case "scheduler":
-                self.role = Scheduler(context, NoRunLog())
+                self.role = Scheduler(context, NoRunLog(), folder)
             case "learner":
                 self.role = Learner(context, Level.LOW, DqnLearner(LOW.state_size, LOW.actions, CONFIG.low, seed=0))
             case "actor":

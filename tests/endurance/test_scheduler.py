@@ -53,7 +53,7 @@ class FakeRun:
         self.others = MemoryTransport(self.broker)
         log = RunDirectory(self.folder, VISION)
         context = Context(self.settings, RUN, "scheduler", "0", self.starts, MemoryTransport(self.broker))
-        self.scheduler = Scheduler(context, log, restored)
+        self.scheduler = Scheduler(context, log, self.folder / "journal" / str(self.starts), restored)
         self.asked, self.orders, self.stats = Mailbox(2**24), Mailbox(2**28), {}
         for role in ROLES:
             self.others.serve(keys.control(RUN, role), self.asked)

@@ -21,6 +21,7 @@ from zsdist.errors import SimulationError, TransportError
 from zsdist.replay.journal import Journal
 from zsdist.run.board import Board
 from zsdist.run.directory import RunDirectory
+from zsdist.run.episodes_file import EpisodesFile
 from zsdist.run.figures_file import FiguresFile
 from zsdist.sim.bullet import Client, pybullet
 from zsdist.sim.camera import make_camera
@@ -75,6 +76,7 @@ OWNED = {  # copies and pickles are refused
     "Journal": journal,
     "MemoryTransport": lambda folder: MemoryTransport(MemoryBroker()),
     "Board": lambda folder: Board(folder / "board"),
+    "EpisodesFile": lambda folder: EpisodesFile(folder / "episodes.jsonl"),
     "FiguresFile": lambda folder: FiguresFile(folder / "figures.jsonl"),
     "RunDirectory": run_directory,
     "ZenohHub": lambda folder: ZenohHub(free_endpoint()),

@@ -33,6 +33,14 @@ def cut(path: Path, belongs: Callable[[dict[str, Any]], bool]) -> None:
     os.truncate(path, 0)
 
 
+def cut_unfinished(path: Path) -> None:
+    """Cut off a line at the end of a file that a killed process did not finish; a missing file is left alone."""
+    if path.is_file():
+        end = next((end for end, _ in backwards(path)), 0)
+        if end < path.stat().st_size:
+            os.truncate(path, end)
+
+
 def backwards(path: Path) -> Iterator[tuple[int, bytes]]:
     """Yield the whole lines of a file from the last to the first, each after the offset at which it ends."""
     with path.open("rb") as file:

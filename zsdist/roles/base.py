@@ -44,6 +44,7 @@ class Context:
         epoch: number of this incarnation, never used twice in a run directory; newer epochs overrule older ones.
         transport: transport of all messages of the role.
         wake: event that is set whenever a mailbox of this role receives something.
+        launch: epoch of the runner; all older epochs are of processes that are gone with another runner.
     """
 
     config: Config
@@ -53,6 +54,7 @@ class Context:
     epoch: int
     transport: Transport
     wake: threading.Event = field(default_factory=threading.Event)
+    launch: int = 0
 
     @property
     def name(self) -> str:

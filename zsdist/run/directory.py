@@ -20,6 +20,7 @@ from zsdist.common.ownership import Owned
 from zsdist.config import Config
 from zsdist.errors import ConfigError, DecodeError, RunError
 from zsdist.run import board, location
+from zsdist.run.episodes_file import EpisodesFile
 from zsdist.run.figures_file import FiguresFile, spacing
 from zsdist.telemetry.snapshot import Fields
 from zsdist.vision.fingerprint import VisionIdentity
@@ -273,32 +274,32 @@ class RunDirectory(Owned):
     A run directory that is dropped is closed, and its lines are written.
     """
 
-    def __init__(self, folder: Path, vision: VisionIdentity, earlier_s: float = 0.0) -> None:
+    def __init__(self, folder: Path, vision: VisionIdentity) -> None:
         """Open the files of `folder`.
 
         Args:
             folder: run directory.
             vision: vision model of the policy, which is written into checkpoints.
-            earlier_s: real seconds that earlier starts of this run took.
         """
         self.folder = folder
         self._vision = vision
-        self._earlier_s = earlier_s
         self._opened_s = time.monotonic()
         with _written(folder):
-            self._episodes = (folder / "episodes.jsonl").open("a", buffering=1, encoding="utf-8")
+            self._episodes = EpisodesFile(folder / "episodes.jsonl")
             self._figures = FiguresFile(folder / "metrics.jsonl")
             self._board = board.Board(folder / "tensorboard")
         self._close = weakref.finalize(self, _close, os.getpid(), self._episodes, self._figures, self._board)
         self._close.atexit = False
 
     def episode(self, record: dict[str, Any]) -> None:
-        """Append one line to `episodes.jsonl`; the later in the run, the fewer episodes are shown on TensorBoard."""
+        """Append one line to `episodes.jsonl`, unless it is there already.
+
+        The later in the run, the fewer episodes are shown on TensorBoard.
+        """
         self.check_process()
         number = record["finished_as"]
         with _written(self.folder):
-            self._episodes.write(json.dumps(record, allow_nan=False) + "\n")
-            if number % spacing(number, BOARD_DENSE) == 0:
+            if self._episodes.append(record) and number % spacing(number, BOARD_DENSE) == 0:
                 self._board.add(number, {f"episode/{name}": record[name] for name in ("return", "steps", "epsilon")})
 
     def metrics(self, row: Fields) -> None:
@@ -358,8 +359,8 @@ class RunDirectory(Owned):
             shutil.rmtree(old)
 
     def wall_s(self) -> float:
-        """Return the real seconds that the run has taken so far, earlier starts included."""
-        return round(self._earlier_s + time.monotonic() - self._opened_s, 3)
+        """Return the real seconds since the files were opened."""
+        return time.monotonic() - self._opened_s
 
     def summary(self, fields: Mapping[str, Any]) -> None:
         """Write `summary.json`, after all other files are on the disk."""
@@ -369,8 +370,7 @@ class RunDirectory(Owned):
 
     def _sync(self) -> None:
         """Return once all lines and events are on the disk."""
-        self._episodes.flush()
-        os.fsync(self._episodes.fileno())
+        self._episodes.sync()
         self._figures.sync()
         self._board.sync()
 

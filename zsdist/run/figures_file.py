@@ -34,7 +34,11 @@ class FiguresFile(Owned):
     """
 
     def __init__(self, path: Path) -> None:
-        """Open a file to append to, made if missing; rows continue the numbers that it has."""
+        """Open a file to append to, made if missing; rows continue the numbers that it has.
+
+        A row that a killed process did not finish is cut off.
+        """
+        json_lines.cut_unfinished(path)
         self._path = path
         self._file = self._opened()
         self._next = _next_number(path)

@@ -10,7 +10,7 @@ from typing import Any
 from zsdist import config
 from zsdist.common import commands, folders, locks
 from zsdist.errors import ConfigError, RunError
-from zsdist.run import directory, location
+from zsdist.run import directory, killed_start, location
 
 SIGNS = ("config.yaml", "epochs", "endpoint", "metrics.jsonl", "episodes.jsonl", "summary.json")
 ALIVE_WITHIN_S = 60.0  # where locks cannot be read, a run that wrote something within this time counts as running
@@ -70,7 +70,7 @@ class RunLife:
             f"run {self.title} was last seen at {clock(self.seen_s)} and has not ended: it was killed, or it cannot be "
             "reached from here"
         )
-        how = "resume it" if directory.checkpoints(self.folder) else "it has no checkpoint yet and begins anew"
+        how = "resume it" if directory.checkpoints(self.folder) or killed_start.has_ledger(self.folder) else "it has no checkpoint yet and begins anew"
         return f"{line}; if it was killed, {how} with {commands.module('zsdist.launch', '--resume', self.folder)}"
 
     def summary(self) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from zsdist.common import locks
 from zsdist.config import Config
 from zsdist.errors import RunError
-from zsdist.run import cluster_address, directory, local_ray, location, preflight
+from zsdist.run import cluster_address, directory, killed_start, local_ray, location, preflight
 from zsdist.run.program import RunSpec
 from zsdist.vision.fingerprint import VisionIdentity
 
@@ -35,7 +35,9 @@ def open_new(settings: Config, folder: Path | None, notify: Notify, held: ExitSt
 
 
 def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify, held: ExitStack) -> RunSpec:
-    """Lock the directory of an earlier run, and reset it to its newest checkpoint, or to its beginning without one.
+    """Lock the directory of an earlier run, and go on where it was killed, or reset it to its newest checkpoint.
+
+    Without a checkpoint it is reset to its beginning. A folder that names a checkpoint is reset to that in any case.
 
     Args:
         folder: run directory, or a path inside it.
@@ -54,7 +56,11 @@ def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify, held:
     if states:
         location.check_is_newest(given, directory.newest_checkpoint(folder))
     preflight.check_shards(settings, states)
+    resolved, killed = folder.resolve(), None
+    if settings.placement == "ray" and location.find_checkpoint(given) is None:
+        killed = killed_start.find(resolved, settings, notify)
     finished = len(states["scheduler"].meta["finished"]) if states else 0
+    finished = finished if killed is None else killed.finished
     # With all episodes finished, the last merge or the evaluation may still be missing: then the run may be resumed.
     complete = settings.run.episodes == finished and directory.ended(folder) == "complete"
     if settings.run.episodes < finished or complete:
@@ -64,13 +70,17 @@ def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify, held:
         )
     trained = directory.read_vision(directory.newest_checkpoint(folder)) if states else None
     vision = check_parts(settings, notify)
-    if trained is None:
+    if trained is None and killed is None:
         notify(f"the run in {folder} ended before its first checkpoint; it begins anew")
-    elif note := trained.check(str(folder), vision):
+    elif trained is not None and (note := trained.check(str(folder), vision)):
         notify(note)
-    resolved = folder.resolve()
+    name = directory.key_name(resolved)
+    if killed is not None:
+        notify(f"the run goes on where it was killed, after {finished} finished episodes")
+        directory.rewrite_config(resolved, settings)
+        return RunSpec(settings, name, resolved, states, vision, start=killed.word)
     directory.rewind(resolved, settings, states)
-    return RunSpec(settings, directory.key_name(resolved), resolved, states, vision)
+    return RunSpec(settings, name, resolved, states, vision)
 
 
 def check_parts(settings: Config, notify: Notify) -> VisionIdentity:

@@ -135,7 +135,9 @@ class RunSpec:
         states: states of the checkpoint from which the run resumes, by role name; empty for a new run.
         vision: vision model that every car uses.
         make_parts: factory of the parts of an actor; tests put a kinematic car in the place of the simulation.
-        start: unique word for this start of the run, part of the names of its replays' journals.
+        start: unique word for this start of the run, part of the names of its journals; a start that goes on with the
+            journals of one whose launcher was killed has the same.
+        launch: epoch of the runner; 0: none was issued yet.
     """
 
     config: Config
@@ -145,6 +147,7 @@ class RunSpec:
     vision: VisionIdentity
     make_parts: Callable[[Config], ActorParts] = simulation
     start: str = field(default_factory=lambda: uuid.uuid4().hex)
+    launch: int = 0
 
     def open_hub(self, endpoint: str | None = None) -> ZenohHub:
         """Open the router at `endpoint`; None: at the configured one, or the next free port above it."""
@@ -162,7 +165,8 @@ class RunSpec:
 
     def context(self, role_spec: RoleSpec, transport: Transport, wake: threading.Event) -> Context:
         """Return the context of one role."""
-        return Context(self.config, self.run, role_spec.role, role_spec.id, role_spec.epoch, transport, wake)
+        who = (self.run, role_spec.role, role_spec.id, role_spec.epoch)
+        return Context(self.config, *who, transport, wake, launch=self.launch)
 
     def build(
         self, role_spec: RoleSpec, transport: Transport, wake: threading.Event, parts: ActorParts | None = None
@@ -181,13 +185,12 @@ class RunSpec:
         context, config = self.context(role_spec, transport, wake), self.config
         match role_spec.role:
             case "scheduler":
-                restored = self.states.get("scheduler")
-                earlier_s = restored.meta["wall_s"] if restored else 0.0
-                return Scheduler(context, RunDirectory(self.folder, self.vision, earlier_s), restored)
+                log, ledger = RunDirectory(self.folder, self.vision), self._journal(role_spec.role)
+                return Scheduler(context, log, ledger, self.states.get(role_spec.role))
             case shards.ROLE:
-                # Each start of the run has journals of its own: an earlier start's are older than the checkpoint.
-                folder = self.folder / "journal" / f"{self.start}-{role_spec.id}"
-                return Replay(context, SHAPES, folder, self.states.get(shards.state_name(int(role_spec.id))))
+                return Replay(
+                    context, SHAPES, self._journal(role_spec.id), self.states.get(shards.state_name(int(role_spec.id)))
+                )
             case "learner":
                 level = Level(role_spec.id)
                 from zsdist.roles.learner import Learner  # the only role that needs torch: two seconds and 150 MB
@@ -207,6 +210,10 @@ class RunSpec:
                 cars = [ActorCar(parts.make_env(), config) for _ in range(config.run.cars_per_actor)]
                 return Actor(context, cars, self._perception(parts.visual_act), parts.schedule)
         raise ValueError(f"no role is called {role_spec.role!r}")
+
+    def _journal(self, name: str) -> Path:
+        """Return the folder of a journal; each start of the run has its own."""
+        return self.folder / "journal" / f"{self.start}-{name}"
 
     def _perception(self, visual_act: VisionModel) -> Perception:
         size = self.config.vision.cache_bytes

@@ -1,14 +1,16 @@
 """Training of an opened run, and the checks of its summary."""
 
 import json
+import shutil
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 from zsdist.common import commands, output_files
 from zsdist.config import Config
 from zsdist.errors import RunError, ZsdistError
 from zsdist.roles.replay import shards
-from zsdist.run import directory, local_ray, program
+from zsdist.run import directory, killed_start, local_ray, program
 from zsdist.run.program import RunSpec, Watch
 from zsdist.wire.messages import State
 
@@ -45,6 +47,7 @@ def train(spec: RunSpec, interrupted: Callable[[], bool], watch: Watch) -> Summa
         if discarded or not isinstance(error, ZsdistError):
             raise
         where = "resume from the last checkpoint" if directory.has_checkpoint(spec.folder) else "begin anew"
+        where = "go on" if spec.config.placement == "ray" and killed_start.has_ledger(spec.folder) else where
         raise RunError(f"{error}; {where} with {commands.quoted('--resume', spec.folder)}") from error
 
 
@@ -53,8 +56,10 @@ def _train(run: _Run, spec: RunSpec, interrupted: Callable[[], bool], watch: Wat
     with output_files.written(f"run directory {spec.folder}"):
         for of_an_earlier_start in ("summary.json", "endpoint"):
             (spec.folder / of_an_earlier_start).unlink(missing_ok=True)
-        run(spec, epochs, interrupted=interrupted, watch=watch)
-        return json.loads((spec.folder / "summary.json").read_text(encoding="utf-8"))
+        run(replace(spec, launch=epochs[0]), epochs, interrupted=interrupted, watch=watch)
+        summary = json.loads((spec.folder / "summary.json").read_text(encoding="utf-8"))
+        shutil.rmtree(spec.folder / "journal", ignore_errors=True)  # the last checkpoint holds everything
+        return summary
 
 
 def check_accounts(summary: Summary) -> None:

@@ -259,8 +259,13 @@ class LevelReplay:
         if self.journal.wants_base:
             self._compact_journal()
 
-    def recover(self, restored: tuple[dict[str, Any], dict[str, np.ndarray]] | None) -> None:
-        """Resume from the journal; where there is none, begin one, from a checkpoint's `state` or from nothing."""
+    def recover(self, restored: tuple[dict[str, Any], dict[str, np.ndarray]] | None, launch: int = 0) -> None:
+        """Resume from the journal; where there is none, begin one, from a checkpoint's `state` or from nothing.
+
+        Args:
+            restored: parts of the state in a checkpoint.
+            launch: epoch of the runner; actors with older epochs in the journal are gone.
+        """
         found = self.journal.recover()
         if found is None:
             if restored is not None:
@@ -284,6 +289,11 @@ class LevelReplay:
             else:
                 self.restore_pace(json.loads(content))
         self._entries.clear()  # the journal has them already
+        for actor, epoch in self._epochs.items():
+            if epoch < launch and self._limited(actor, epoch):
+                self.limiter.close(f"{actor}/{epoch}")
+                self.inbox.close(actor, epoch)
+                self._closed.add((actor, epoch))
 
     def _compact_journal(self) -> None:
         """Replace the journal's log: rows that it added become a piece, and all else goes into a new base."""

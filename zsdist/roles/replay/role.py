@@ -42,7 +42,8 @@ class Replay(Role):
         self._folder = folder
         for level, shape in shapes.items():
             level_replay = LevelReplay(level, shape, context.config, self.shard, context.epoch, folder / level)
-            level_replay.recover((restored.meta[level.value], restored.part(f"{level}/")) if restored else None)
+            saved = (restored.meta[level.value], restored.part(f"{level}/")) if restored else None
+            level_replay.recover(saved, context.launch)
             self.level_replays[level] = level_replay
         self._pushes = self.mailbox("push")
         self._requests = self.mailbox("sample")

@@ -28,7 +28,7 @@ class CheckpointSchedule:
             finished: number of finished episodes.
             now: time, seconds.
         """
-        if self._made_s is None:
+        if self._made_s is None or self._made_s > now:  # the clock was set back
             self._made_s = now
         episodes, age_s = finished - self._episodes, now - self._made_s
         return episodes >= self._settings.checkpoint_every_episodes or age_s >= self._settings.checkpoint_every_s
@@ -36,6 +36,10 @@ class CheckpointSchedule:
     def note_checkpoint(self, finished: int, now: float | None = None) -> None:
         """Count from a checkpoint after `finished` episodes; `now` is None for that of an earlier start."""
         self._episodes, self._made_s = finished, now
+
+    def state(self) -> tuple[int, float | None]:
+        """Return the arguments for `note_checkpoint` that make a schedule like this one."""
+        return self._episodes, self._made_s
 
 
 class StateCollection:

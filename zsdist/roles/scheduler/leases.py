@@ -2,6 +2,7 @@
 
 import heapq
 from collections.abc import Iterable
+from typing import Any
 
 
 class Leases:
@@ -29,13 +30,14 @@ class Leases:
         """All finished numbers."""
         return set(range(1, self._next)) - self.holders.keys() - set(self._free)
 
-    def grant(self, actor: str, capacity: int, barrier: int) -> None:
-        """Grant the lowest free numbers to `actor` until it holds `capacity` of them.
+    def grant(self, actor: str, capacity: int, barrier: int) -> bool:
+        """Grant the lowest free numbers to `actor` until it holds `capacity` of them; return whether any was granted.
 
         At most `barrier` numbers are finished or granted in all. Finished numbers are counted and not compared with the
         barrier, since after an interruption they need not be the lowest ones.
         """
         held = self._held.setdefault(actor, set())
+        before = len(held)
         while len(held) < capacity and self.finished_count + len(self.holders) < barrier:
             if self._free:
                 number = heapq.heappop(self._free)
@@ -43,6 +45,7 @@ class Leases:
                 number, self._next = self._next, self._next + 1
             self.holders[number] = actor
             held.add(number)
+        return len(held) > before
 
     def finish(self, number: int, actor: str) -> bool:
         """Mark `number` finished; return False, and change nothing, where `actor` does not hold it (any more)."""
@@ -64,3 +67,15 @@ class Leases:
     def held_by(self, actor: str) -> list[int]:
         """Return the numbers that `actor` holds, in order."""
         return sorted(self._held.get(actor, ()))
+
+    def state(self) -> dict[str, Any]:
+        """Return all leases as plain data, for `restore`; its size depends on the numbers that are not finished."""
+        held = {actor: sorted(numbers) for actor, numbers in self._held.items() if numbers}
+        return {"finished_count": self.finished_count, "next": self._next, "free": sorted(self._free), "held": held}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restore what `state` returned."""
+        self.finished_count, self._next = state["finished_count"], state["next"]
+        self._free = list(state["free"])  # sorted, which is a heap
+        self._held = {actor: set(numbers) for actor, numbers in state["held"].items()}
+        self.holders = {number: actor for actor, numbers in self._held.items() for number in numbers}

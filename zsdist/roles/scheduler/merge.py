@@ -7,7 +7,7 @@ comparison.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypedDict
+from typing import Any, Self, TypedDict
 
 from zsdist.roles.schemas import CandidateName, Phase
 from zsdist.types import Outcome
@@ -101,6 +101,32 @@ class Merge:
             "candidates": list(self.candidates),
             "chosen": self.chosen or "",
         }
+
+    def outline(self) -> dict[str, Any]:
+        """Return the merge without its results as plain data, for `restored`."""
+        return {
+            "index": self.index,
+            "episode": self.episode,
+            "candidates": list(self.candidates),
+            "scenes": self.scenes,
+            "drop_after": self.drop_after,
+            "phase": self.phase.value,
+        }
+
+    def state(self) -> dict[str, Any]:
+        """Return the whole merge as plain data, for `restored`."""
+        results = {name: [[scene, outcome.value] for scene, outcome in of.items()] for name, of in self.results.items()}
+        return self.outline() | {"results": results, "dropped": sorted(self.dropped), "chosen": self.chosen}
+
+    @classmethod
+    def restored(cls, state: dict[str, Any]) -> Self:
+        """Return the merge of a `state`, or of an `outline`, to which its results are added then."""
+        about = {name: state[name] for name in ("index", "episode", "scenes", "drop_after")}
+        merge = cls(**about, candidates=tuple(state["candidates"]), phase=Phase(state["phase"]))
+        for name, results in state.get("results", {}).items():
+            merge.results[name] = {scene: Outcome(outcome) for scene, outcome in results}
+        merge.dropped, merge.chosen = set(state.get("dropped", ())), state.get("chosen")
+        return merge
 
     def summary(self) -> MergeSummary:
         """Return the entry of this merge in `summary.json`."""

@@ -11,7 +11,7 @@ class RunLog(Protocol):
     """Files that the scheduler writes."""
 
     def episode(self, record: dict[str, Any]) -> None:
-        """Append one finished episode."""
+        """Append one finished episode, unless it is there already by its `finished_as`."""
 
     def metrics(self, row: Fields) -> None:
         """Append one line of figures."""
@@ -23,4 +23,4 @@ class RunLog(Protocol):
         """Write the summary of the finished run."""
 
     def wall_s(self) -> float:
-        """Return the real seconds that the run has taken so far, earlier starts included."""
+        """Return the real seconds since the files were opened."""

@@ -21,6 +21,8 @@ class RunTotals:
         averages: averages of return and reward.
         sizing: sizes of the replay and of its batches, which follow the averages.
         merges: entries of the finished merges.
+        restarts_before: restarts in earlier starts, by kind of role.
+        restarts_now: restarts in this start, by kind of role.
     """
 
     def __init__(self, config: Config) -> None:
@@ -30,8 +32,8 @@ class RunTotals:
         self.sizing = AdaptiveSizing(config.replay)
         self.merges: list[MergeSummary] = []
         self._recent: list[Outcome] = []
-        self._restarts_before: dict[str, int] = {}  # in earlier starts, by kind of role
-        self._restarts_now: dict[str, int] = {}
+        self.restarts_before: dict[str, int] = {}
+        self.restarts_now: dict[str, int] = {}
 
     def add_episode(self, record: dict[str, Any], finished: int) -> None:
         """Count one finished episode, and adapt the sizes of the replay to the returns.
@@ -49,16 +51,20 @@ class RunTotals:
 
     def set_restarts(self, restarts: dict[str, int]) -> bool:
         """Store the restarts in this start by kind of role; return whether they changed."""
-        if restarts == self._restarts_now:
+        if restarts == self.restarts_now:
             return False
-        self._restarts_now = restarts
+        self.restarts_now = restarts
         return True
+
+    def begin_start(self) -> None:
+        """Count the restarts so far among those of earlier starts."""
+        self.restarts_before, self.restarts_now = self.restarts(), {}
 
     def restarts(self) -> dict[str, int]:
         """Return the number of restarts in the whole run by kind of role; actors are included even with 0."""
         counts = Counter({"actor": 0})
-        counts.update(self._restarts_before)
-        counts.update(self._restarts_now)
+        counts.update(self.restarts_before)
+        counts.update(self.restarts_now)
         return dict(counts)
 
     def statistics(self) -> Fields:
@@ -96,4 +102,4 @@ class RunTotals:
         self.outcomes = {Outcome(name): count for name, count in meta["outcomes"].items()}
         self.env_steps = meta["env_steps"]
         self.merges = list(meta["merges"])
-        self._restarts_before = meta["restarts"]
+        self.restarts_before = meta["restarts"]

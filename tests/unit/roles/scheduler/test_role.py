@@ -1,3 +1,6 @@
+import tempfile
+from pathlib import Path
+
 import numpy as np
 
 from zsdist.config import parse
@@ -60,7 +63,8 @@ class Bench:
         broker = MemoryBroker()
         self.others, self.log, self.now = MemoryTransport(broker), MemoryLog(), 0.0
         context = Context(parse(settings), RUN, "scheduler", "0", 5, MemoryTransport(broker))
-        self.scheduler = Scheduler(context, self.log, restored)
+        self._folder = tempfile.TemporaryDirectory()
+        self.scheduler = Scheduler(context, self.log, Path(self._folder.name), restored)
         self.asked, self.published, self._frames = Mailbox(2**20), Mailbox(2**24), {}
         self.epochs = dict.fromkeys(actors, EPOCH)
         for role in ("replay", "learner-high", "learner-low"):
