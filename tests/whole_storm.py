@@ -1,6 +1,6 @@
 """All roles of a run over a bad network, on virtual clocks that jump; each of them dies from time to time.
 
-Roles are built as a runner builds them, with their files on the disk; only the cars are instant. The state of every
+Roles are built as for processes of their own, with their files on the disk; only the cars are instant. The state of every
 transition names its actor, the actor's epoch, and its place. An observer sees every message that is not lost. In the
 end, what it saw acknowledged is compared with what is stored, and everything that was counted with everything else.
 """
@@ -40,8 +40,6 @@ LEVEL = {"hidden": [4], "min_size": 8, "updates_per_insert": 0.1}
 CONFIGS = {
     count: parse(
         {
-            "placement": "inline",
-            "transport": "memory",
             "run": RUN,
             "low": LEVEL,
             "high": LEVEL,
