@@ -4,6 +4,8 @@
 # make dist     build wheel and sdist in dist/, install the wheel in a clean environment elsewhere, and use it there
 # make endurance  drive the scheduler and the run directory through 30 virtual days; DAYS=N makes it shorter
 # make lowest   install the lowest versions that pyproject.toml allows, and run tests with them
+# make chaos    kill, stop, cut off and slow down the processes of small runs; KILLS=N of each kind, RESULTS=DIR elsewhere
+# make soak     an hour of a small run in which something is killed every 20 seconds; HOURS=N
 # make proof    show whether this checkout behaves like another one, bit for bit: make proof OLD=/path/to/other/checkout
 # make resumption  stop a single-process run at 20 random actions, resume it, and compare all bits
 # make peers    environments for the systems that benchmarks/replay.py compares with; PEERS=DIR elsewhere
@@ -35,7 +37,11 @@ LOWEST ?= .lowest
 DAYS ?= 30
 RESUMPTION ?= .resumption
 
-.PHONY: install run test lint dist endurance lowest proof resumption clean peers
+KILLS ?= 20
+HOURS ?= 1
+RESULTS ?= runs/chaos
+
+.PHONY: install run test lint dist endurance lowest chaos soak proof resumption clean peers
 
 install: $(TOOLS)
 
@@ -99,6 +105,20 @@ lowest:
 		pytest pytest-timeout hypothesis markdown-it-py psutil
 	$(LOWEST)/bin/python -m pytest tests/unit/transport tests/unit/roles tests/unit/run tests/integration -q \
 		--ignore tests/integration/test_pretrain.py
+
+# Each script prints its figures last, and begins where it was when it is called again with the same RESULTS.
+chaos: install
+	@mkdir -p $(RESULTS)
+	for role in actor replay hub scheduler learner launcher all; do \
+		$(BIN)/python tests/chaos/kills.py --role $$role --kills $(KILLS) --results $(RESULTS)/kills.jsonl || exit 1; done
+	for role in actor replay hub scheduler learner launcher; do \
+		$(BIN)/python tests/chaos/kills.py --role $$role --stop --kills 3 --results $(RESULTS)/kills.jsonl || exit 1; done
+	$(BIN)/python tests/chaos/partitions.py --results $(RESULTS)/partitions.jsonl
+	$(BIN)/python tests/chaos/disks_and_clocks.py
+
+soak: install
+	@mkdir -p $(RESULTS)
+	$(BIN)/python tests/chaos/soak.py --hours $(HOURS) --results $(RESULTS)/soak.jsonl
 
 # Records of two checkouts: weights, trajectories and episodes of fixed seeds. It takes an hour; ARGS=--quick takes minutes.
 proof: install

@@ -189,6 +189,13 @@ def count_transitions(trajectories: Iterable[Trajectory]) -> int:
     return sum(map(len, trajectories))
 
 
+def count_bytes(trajectories: Iterable[Trajectory]) -> int:
+    """Return the bytes of the arrays of all trajectories."""
+    if isinstance(trajectories, Trajectories):
+        return sum(column.nbytes for column in trajectories.columns.values())
+    return sum(getattr(trajectory, name).nbytes for trajectory in trajectories for name in TRAJECTORY_COLUMNS)
+
+
 @dataclass(frozen=True)
 class _BatchColumns:
     """Columns of `B` transitions, one row each; the subclasses state the dtypes."""

@@ -1,16 +1,25 @@
-"""Measurement of losses and of the time until inserts resume when a process of a real run is killed repeatedly.
+"""Measurement of losses, and of the time until a run works again, when its processes are killed or stopped.
 
-`python tests/chaos/kills.py --role replay|actor|hub [--kills 100] [--per-run 20] [--results FILE]`
+`python tests/chaos/kills.py --role ROLE [--stop] [--kills 100] [--per-run 20] [--results FILE]`
 
-Processes, zenoh and journal are real, under the supervisor of `zsdist.launch`; only the cars are kinematic, so that
-many episodes pass between two kills. Each result is a line of JSON in FILE, and a second call resumes the first.
-`RESTARTS_ALLOWED` limits the kills in one run, so there are several runs.
+ROLE is replay, actor, hub, scheduler, learner, launcher (everything of the run dies, and it is resumed), or all: random
+ones of the first five, several at once, before the last is replaced. Processes, zenoh, journals and supervisor are
+real; only the cars are kinematic. Each run adds a line of JSON to FILE, and a second call goes on where the first was.
+The figures are the last line of the output.
 
-Stored frames are read from the journal of the replay as it grows. *Inserts resume* at the first frame in it after the
-kill: of the replaced actor (there is only one), by the replaced replay, or, if the hub died, after the longest pause
-that began within a quarter of a second, since messages on their way still arrive. *Lost* are transitions in frames that
-were acknowledged or in the journal and are not in the final counts, and the difference `produced - stored - rejected`:
-all must be 0. `abandoned_at_most` counts transitions that died with their actors before they were delivered.
+| role | works again with |
+|---|---|
+| replay | the first frame in a journal |
+| actor | the first frame of the new incarnation in a journal; there is one actor |
+| hub | the first frame after the longest pause that began within a quarter of a second; the last ones still arrive |
+| scheduler | the first orders of the new incarnation |
+| learner | the first update of the new incarnation |
+| launcher | the first frame after `--resume` |
+
+With `--stop` a process is stopped by SIGSTOP. If it is still there when the run works again, it is woken by SIGCONT,
+which must have no effect. A stopped launcher is woken after some seconds, and the run must go on.
+
+`tests/chaos/oracle.py` explains the counts; its faults must all be 0.
 """
 
 import argparse
@@ -22,289 +31,304 @@ import signal
 import statistics
 import sys
 import tempfile
-import threading
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-os.environ["PYTHONPATH"] = os.pathsep.join([*sys.path[:1], os.environ.get("PYTHONPATH", "")])
-
+import oracle
 import psutil
-from rehearsal import SEEN, kinematic
+from oracle import Tail
+from small_run import Launcher, Witness, end_cleanly, moments, wait_for
 
-from zsdist import config
-from zsdist.replay import records
-from zsdist.roles.replay.level_journal import Entry
-from zsdist.run import directory, program, ray, restarts
-from zsdist.run.program import RunSpec
-from zsdist.transport.base import Mailbox, Transport
-from zsdist.wire import codec, keys
-from zsdist.wire.messages import Ack, Push
+from zsdist.run import restarts
 
-LIGHT = (
-    "transport.endpoint=tcp/127.0.0.1:7700",
-    "run.actors=1",
-    "run.cars_per_actor=2",
-    "run.episodes=100000",
-    "run.checkpoint_every_episodes=100000",
-    "run.final_evaluation_episodes=0",
-    "sim.max_steps=40",
-    "merge.every_episodes=0",
-    "low.hidden=[16]",
-    "high.hidden=[16]",
-    "low.updates_per_insert=0.05",
-    "high.updates_per_insert=0.05",
-    "scenes.train=[singleton]",
-)
-CALM_S = 1.0  # least time with inserts before a kill
+ROLES = ("replay", "actor", "hub", "scheduler", "learner")
+CALM_S = 1.0  # least time with frames before a kill
+WATCH_S = 1.5  # least time after it in which pauses are looked for
 PATIENCE_S = 60.0
-POLL_S = 0.002
+START_WITHIN_S = 240.0  # on a busy machine
 SOON_S = 0.25
-TIMES = ("resumed_s", "pauses_s")  # until the first insert; longest time without one in the two seconds after the kill
+STORM_PAUSE_S = (0.2, 2.5)  # between the kills of a storm
+STORM_CALM_EVERY = 10  # kills after which a storm waits until the run works
+LAUNCHER_LIVES_S = (0.0, 4.0)  # from the first frame of a start to its kill
+LAUNCHER_SLEEPS_S = (3.0, 15.0)
+MANY = 10**6
+TIMES = ("resumed_s", "pauses_s")  # until the run works again; longest time without a frame after the kill
 
 
-class Log:
-    """Reader of the logs of one journal, which begins a new one at each compaction."""
+class Killing:
+    """Run whose processes are killed, with all that is known of it.
 
-    def __init__(self, folder: Path) -> None:
-        self._folder, self._base, self._file, self._rest = folder, None, None, b""
-
-    def pushes(self) -> list[Push]:
-        """Return the frames since the last call."""
-        bases = sorted(self._folder.glob("*.base"))  # a log counts once its base exists
-        found = [] if self._file is None else self._read()  # to its end: it was complete before the next base
-        if bases and bases[-1] != self._base:
-            assert not self._rest, "a log ends in the middle of a record"
-            self._base, self._file = bases[-1], bases[-1].with_suffix(".log").open("rb")
-            found += self._read()
-        return found
-
-    def _read(self) -> list[Push]:
-        self._rest += self._file.read()
-        found = records.read(self._rest, self._rest[: records.MARKER_BYTES], self._base)
-        self._rest = self._rest[found.end :]
-        return [codec.decode(content, expect=Push) for kind, content in found.records if kind == Entry.PUSH]
-
-
-class Tail:
-    """Reader of all journals of a run as they are written.
-
-    Attributes:
-        arrivals: time and epoch of each frame.
-        totals: frames in order and transitions produced so far, of each (stream, actor, epoch).
+    Args:
+        root: folder for the run.
+        seed: seed of moments and victims.
+        settings: settings of the run.
+        restarts_allowed: as `Launcher` has them.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.arrivals: list[tuple[float, int]] = []
-        self.totals: dict[tuple[str, str, int], tuple[int, int]] = {}
-        self._early: dict[tuple[str, str, int], dict[int, Push]] = {}
-        self._folder, self._logs = folder, {}
-        self._stop, self._lock = threading.Event(), threading.Lock()
-        self._thread = threading.Thread(target=self._follow, daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Read the rest and stop."""
-        self._stop.set()
-        self._thread.join()
-        self.read()
-
-    def read(self) -> int:
-        """Read what is written so far; return the total number of frames."""
-        with self._lock:
-            self._read()
-            return len(self.arrivals)
-
-    def _follow(self) -> None:
-        while not self._stop.is_set():
-            self.read()
-            time.sleep(POLL_S)
-
-    def _read(self) -> None:
-        for folder in sorted(self._folder.glob("journal/*/*")):
-            for push in self._logs.setdefault(folder, Log(folder)).pushes():
-                self._take(push, time.time())
-
-    def _take(self, push: Push, now: float) -> None:
-        self.arrivals.append((now, push.epoch))
-        stream = (str(push.stream), push.actor, push.epoch)
-        early = self._early.setdefault(stream, {})
-        early[push.sequence] = push
-        frames, produced = self.totals.get(stream, (0, 0))
-        while (frame := early.pop(frames, None)) is not None:
-            frames, produced = frames + 1, frame.produced
-        self.totals[stream] = frames, produced
-
-
-class Executioner:
-    """Observer of a run that kills the process of one role whenever inserts flow and a standby process waits."""
-
-    def __init__(self, role: str, kills: int, folder: Path) -> None:
-        self.role, self.kills = role, kills
-        self.tail = Tail(folder)
-        self.acknowledged: dict[tuple[str, str, int], int] = {}
-        self.resumed_s: list[float] = []
-        self.pauses_s: list[float] = []
-        self.done = False
-        self._folder = folder
-        self._statistics: dict[str, dict] = {}
-        self._box = Mailbox(2**26)
-        self._listening = False
-        self._killed_s: float | None = None
-        self._calm_s = time.time()
-        self._victims: set[int] = set()
+    def __init__(self, root: Path, seed: int, *settings: str, restarts_allowed: int | None = None) -> None:
+        self.root, self.settings, self.restarts_allowed = root, settings, restarts_allowed
+        self.random = moments(seed)
+        self.row: dict = {"kills": 0, "resumed_s": [], "pauses_s": [], "alive_after": 0}
         self.standby_kib = 0
+        self.launcher = self._start()
+        self.tail, self.witness = Tail(self.launcher.folder), Witness(self.launcher)
+        self._victims: dict[str, int] = {}  # newest epoch of each role that was killed
 
-    def interrupted(self) -> bool:
-        """Return whether all kills are done."""
-        return self.done
+    def _start(self) -> Launcher:
+        return Launcher(self.root, *self.settings, restarts=self.restarts_allowed)
 
-    def watch(self, transport: Transport, now: float) -> None:
-        """Read messages, and kill or measure; the runner calls it several times a second."""
-        if not self._listening:
-            self._listening = True
-            transport.subscribe(f"zsdist/{self._folder.name}/stats/**", self._box)
-            transport.subscribe(keys.ack(self._folder.name, keys.ANY), self._box)
-        for message in self._box.drain():
-            if "/stats/" in message.key:
-                statistics = json.loads(message.payload)
-                self._statistics[statistics["role"]] = statistics
-            elif isinstance(ack := codec.decode(message.payload), Ack) and ack.stream in ("high", "low"):
-                stream = (ack.stream, ack.actor, ack.epoch)
-                self.acknowledged[stream] = max(self.acknowledged.get(stream, 0), ack.received)
-        if len(self.resumed_s) == self.kills:
-            self.done = True
-        elif self._killed_s is None:
-            self._kill(now)
-        else:
-            self._await(now)
+    def poll(self) -> None:
+        """Take in what has happened; raise `AssertionError` where the run has ended."""
+        self.witness.poll()
+        self.launcher.require_running()
 
-    def _kill(self, now: float) -> None:
-        waiting = _standby()
-        victim = self._statistics.get(self.role, {}).get("pid")
-        flowing = [time_s for time_s, _ in self.tail.arrivals[-1:] if now - time_s < 0.5]
-        if not flowing or waiting is None or victim is None or victim in self._victims:
-            self._calm_s = now
-        elif now - self._calm_s > CALM_S:
-            self.standby_kib = waiting
-            self._victims.add(victim)
-            self._killed_s, self._epoch = time.time(), max(epoch for _, epoch in self.tail.arrivals)
-            os.kill(victim, signal.SIGKILL)
+    def wait_for(self, condition, what: str, patience_s: float = PATIENCE_S) -> None:
+        """Poll until a condition holds."""
+        wait_for(condition, patience_s, what, self.poll)
+
+    def await_calm(self, *, standby: bool) -> None:
+        """Wait until frames have been arriving for a while, and a process waits to replace another one."""
+        calm_s = CALM_S + self.random.random()
+        since_s = time.time()
+
+        def calm() -> bool:
+            nonlocal since_s
+            now = time.time()
+            waiting = self.launcher.standby_kib() if standby else 1
+            if now - self.tail.last_s > 0.5 or waiting is None:
+                since_s = now
+            elif standby:
+                self.standby_kib = max(self.standby_kib, waiting)
+            return now - since_s > calm_s
+
+        self.wait_for(calm, "a steady flow of frames", START_WITHIN_S)
+
+    def strike(self, role: str, number: int = signal.SIGKILL) -> tuple[str, int, int] | None:
+        """Kill or stop a process of a role; return its name, epoch and process; None: none is known to live."""
+        names = self.witness.name_of(role)
+        living = [name for name in names if self.witness.statistics[name]["epoch"] > self._victims.get(name, -1)]
+        if not living:
+            return None
+        name = self.random.choice(living)
+        epoch, pid = (self.witness.statistics[name][field] for field in ("epoch", "pid"))
+        self._victims[name] = epoch
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, number)
+        self.row["kills"] += 1
+        return name, epoch, pid
+
+    def kill_once(self, role: str, number: int) -> None:
+        """Wait for a calm moment, kill or stop a process, and measure the time until the run works again."""
+        self.await_calm(standby=True)
+        self.wait_for(lambda: any(self._newest(name) for name in self.witness.name_of(role)), f"statistics of a {role}")
+        killed_s, newest = time.time(), max(epoch for _, epoch in self.tail.arrivals)
+        name, epoch, pid = self.strike(role, number)
+        if number == signal.SIGKILL:
             with contextlib.suppress(psutil.NoSuchProcess):
-                while psutil.Process(victim).status() != psutil.STATUS_ZOMBIE:
+                while psutil.Process(pid).status() != psutil.STATUS_ZOMBIE:
                     time.sleep(0.0005)
-            self._before = self.tail.read()
+        before = self.tail.read()
 
-    def _await(self, now: float) -> None:
-        assert now - self._killed_s < PATIENCE_S, f"inserts have not resumed {PATIENCE_S} s after a {self.role} died"
-        new = self._statistics[self.role]["pid"] not in self._victims
-        if not new or now - self._killed_s < 2.0:
-            return
-        after = self.tail.arrivals[self._before :]
-        if not after or now - after[-1][0] > 0.5:
-            return
-        times = [self._killed_s, *(time_s for time_s, _ in after)]
-        pauses = [later - earlier for earlier, later in itertools.pairwise(times)]
-        match self.role:
-            case "replay":
-                first = 1
+        def works() -> bool:
+            now = time.time()
+            if self.witness.statistics[name]["epoch"] <= epoch or now - killed_s < WATCH_S:
+                return False
+            return now - self.tail.last_s < 0.5 and self._again(role, name, epoch, killed_s, newest, before) is not None
+
+        self.wait_for(works, f"recovery from the death of {name}")
+        after = [killed_s, *(time_s for time_s, _ in self.tail.arrivals[before:])]
+        self.row["resumed_s"].append(round(self._again(role, name, epoch, killed_s, newest, before) - killed_s, 4))
+        self.row["pauses_s"].append(round(max(later - earlier for earlier, later in itertools.pairwise(after)), 4))
+        with contextlib.suppress(ProcessLookupError):
+            if number == signal.SIGSTOP:
+                self.row["alive_after"] += psutil.pid_exists(pid)
+                os.kill(pid, signal.SIGCONT)
+        times = f"works after {self.row['resumed_s'][-1]:.3f} s, longest pause {self.row['pauses_s'][-1]:.3f} s"
+        print(f"{name} {len(self.row['resumed_s'])}: {times}", file=sys.stderr, flush=True)
+
+    def _newest(self, name: str) -> bool:
+        return self.witness.statistics[name]["epoch"] > self._victims.get(name, -1)
+
+    def _again(self, role: str, name: str, epoch: int, killed_s: float, newest: int, before: int) -> float | None:
+        """Return the time at which the run worked again; None: it does not yet."""
+        after = self.tail.arrivals[before:]
+        match role:
+            case "scheduler":
+                sender, time_s = self.witness.orders
+                return time_s if sender > epoch else None
+            case "learner":
+                sender, time_s = self.witness.updates.get(name.partition("-")[2], (-1, 0.0))
+                return time_s if sender > epoch else None
             case "actor":
-                first = 1 + next((index for index, (_, epoch) in enumerate(after) if epoch > self._epoch), len(after))
-            case _:
-                soon = [index for index, time_s in enumerate(times[:-1]) if time_s - self._killed_s < SOON_S]
-                first = 1 + max(soon, key=pauses.__getitem__)
-        if first < len(times):
-            self.resumed_s.append(times[first] - self._killed_s)
-            self.pauses_s.append(max(pauses))
-            self._killed_s, self._calm_s = None, now
-            print(
-                f"{self.role} {len(self.resumed_s)}: first insert after {self.resumed_s[-1]:.3f} s, "
-                f"longest pause {self.pauses_s[-1]:.3f} s",
-                file=sys.stderr,
-            )
+                return next((time_s for time_s, frame_epoch in after if frame_epoch > newest), None)
+            case "replay":
+                return after[0][0] if after else None
+        times = [killed_s, *(time_s for time_s, _ in after)]
+        pauses = [
+            (later - earlier, later) for earlier, later in itertools.pairwise(times) if earlier - killed_s < SOON_S
+        ]
+        return max(pauses)[1] if pauses else None
 
-    def lost(self, summary: dict) -> int:
-        """Return the number of transitions that were acknowledged or journaled and are missing in the final counts."""
-        lost = 0
-        for level, counts in summary["transitions"].items():
-            totals_of_level = {stream: totals for stream, totals in self.tail.totals.items() if stream[0] == level}
-            written = sum(produced for _, produced in totals_of_level.values())
-            lost += abs(written - counts["produced"]) + abs(counts["produced"] - counts["stored"] - counts["rejected"])
-            lost += sum(
-                max(0, received - self.tail.totals.get(stream, (0, 0))[0])
-                for stream, received in self.acknowledged.items()
-                if stream[0] == level
-            )
-        return lost
+    def storm(self, kills: int) -> None:
+        """Kill random roles, often several before the first of them is replaced."""
+        while self.row["kills"] < kills:
+            if self.row["kills"] % STORM_CALM_EVERY == 0:
+                self.await_calm(standby=False)
+            pause_s = self.random.uniform(*STORM_PAUSE_S)
+            until_s = time.time() + pause_s
+            self.wait_for(lambda until_s=until_s: time.time() > until_s, "the next kill")
+            for role in self.random.sample(ROLES, self.random.choice((1, 1, 2, 3))):
+                if struck := self.strike(role):
+                    self.row.setdefault("by_role", {}).setdefault(role, 0)
+                    self.row["by_role"][role] += 1
+                    print(f"storm {self.row['kills']}: {struck[0]}", file=sys.stderr, flush=True)
+
+    def kill_launcher(self) -> None:
+        """Kill everything of the run at a random moment, or the launcher alone, and resume it."""
+        lives_s = self.random.uniform(*LAUNCHER_LIVES_S)
+        began = len(self.tail.arrivals)
+        self.wait_for(lambda: len(self.tail.arrivals) > began, "the first frame", START_WITHIN_S)
+        until_s = time.time() + lives_s
+        self.wait_for(lambda: time.time() > until_s, "the kill")
+        alone = self.random.random() < 0.5
+        killed_s = time.time()
+        self.witness.poll()
+        self.launcher.kill(alone=alone)
+        self.row["kills"] += 1
+        gone_s = self._await_end()
+        self.row.setdefault("gone_s", []).append(round(gone_s, 3))
+        before = self.tail.read()
+        self.launcher = self._start()
+        self.witness.attach(self.launcher)
+        self.wait_for(lambda: len(self.tail.arrivals) > before, "the first frame after a resume", START_WITHIN_S)
+        self.row["resumed_s"].append(round(self.tail.arrivals[before][0] - killed_s, 3))
+        self.row["pauses_s"].append(self.row["resumed_s"][-1])
+        kind = "launcher alone" if alone else "everything"
+        print(f"{kind} {self.row['kills']}: works after {self.row['resumed_s'][-1]:.1f} s", file=sys.stderr, flush=True)
+
+    def stop_launcher(self) -> None:
+        """Stop the launcher for some seconds, and require that frames come while it sleeps and after it wakes."""
+        self.await_calm(standby=True)
+        os.kill(self.launcher.process.pid, signal.SIGSTOP)
+        stopped_s, sleeps_s = time.time(), self.random.uniform(*LAUNCHER_SLEEPS_S)
+        self.wait_for(lambda: time.time() > stopped_s + sleeps_s, "waking")
+        os.kill(self.launcher.process.pid, signal.SIGCONT)
+        woken_s = time.time()
+        self.wait_for(lambda: self.tail.last_s > woken_s, "a frame after waking")
+        self.row["kills"] += 1
+        self.row["resumed_s"].append(round(self.tail.last_s - woken_s, 3))
+        self.row["pauses_s"].append(round(_longest_pause(self.tail, stopped_s), 3))
+        print(
+            f"launcher {self.row['kills']}: longest pause {self.row['pauses_s'][-1]:.3f} s", file=sys.stderr, flush=True
+        )
+
+    def finish(self) -> dict:
+        """Interrupt the run, and return all counts."""
+        self.await_calm(standby=False)
+        status = self.launcher.stop()
+        assert status == 128 + signal.SIGINT, f"exit status {status}: {self.launcher.last_words()}"
+        self.tail.close()
+        self.witness.close()
+        summary = json.loads((self.launcher.folder / "summary.json").read_text())
+        counts = oracle.verdict(self.launcher, self.tail, self.witness, summary)
+        left_s = self._await_end()
+        restarted = summary["restarts"]
+        return self.row | counts | {"restarts": restarted, "standby_kib": self.standby_kib, "left_s": round(left_s, 2)}
+
+    def _await_end(self) -> float:
+        """Wait until no process of the run is left; return the seconds that it took."""
+        began_s = time.time()
+        while left := self.launcher.left():
+            assert time.time() - began_s < PATIENCE_S, f"left are {left}"
+            time.sleep(0.05)
+        return time.time() - began_s
+
+    def abandon(self) -> None:
+        """Kill all that is left of the run; where it has not ended as it should, print what is known of it."""
+        if self.launcher.process.poll() is None or sys.exc_info()[0] is not None:
+            print(self._report(), file=sys.stderr, flush=True)
+        self.witness.close()
+        self.launcher.kill(alone=False)
+
+    def _report(self) -> str:
+        logs = sorted((self.launcher.folder / "logs").glob("*.log"))
+        said = {log.stem: log.read_text(errors="replace").splitlines()[-1:] for log in logs}
+        heard = {name: round(time.time() - about["time_s"], 1) for name, about in self.witness.statistics.items()}
+        events = self.witness.events[-5:]
+        return (
+            f"launcher: {self.launcher.last_words()}\nframes: {len(self.tail.arrivals)}\nsilence in s: {heard}\n"
+            f"logs: {said}\nevents: {events}"
+        )
 
 
-def _standby() -> int | None:
-    """Return the resident KiB of the standby process; None: there is none yet."""
-    for process in psutil.Process().children(recursive=True):
-        with contextlib.suppress(psutil.Error):
-            if " ".join(process.cmdline()).strip() == "ray::RoleHost":
-                return process.memory_info().rss // 1024
-    return None
+def _longest_pause(tail: Tail, since_s: float) -> float:
+    times = [since_s, *(time_s for time_s, _ in tail.arrivals if time_s > since_s)]
+    return max((later - earlier for earlier, later in itertools.pairwise(times)), default=0.0)
 
 
-def ride(role: str, kills: int) -> dict:
-    """Run once, kill processes of a role, and return the results."""
-    with tempfile.TemporaryDirectory() as root:
-        folder = Path(root) / "kills"
-        settings = config.load(None, LIGHT)
-        directory.create(folder, settings)
-        spec = RunSpec(settings, directory.key_name(folder), folder, {}, SEEN, kinematic)
-        epochs = directory.issue_epochs(folder, program.epoch_count(settings))
-        executioner = Executioner(role, kills, folder)
-        ray.run(spec, epochs, interrupted=executioner.interrupted, watch=executioner.watch)
-        executioner.tail.close()
-        summary = json.loads((folder / "summary.json").read_text())
-        return {
-            "role": role,
-            "resumed_s": [round(value, 4) for value in executioner.resumed_s],
-            "pauses_s": [round(value, 4) for value in executioner.pauses_s],
-            "lost": executioner.lost(summary),
-            "abandoned_at_most": sum(counts["abandoned_at_most"] for counts in summary["transitions"].values()),
-            "produced": sum(counts["produced"] for counts in summary["transitions"].values()),
-            "restarts": summary["restarts"],
-            "standby_kib": executioner.standby_kib,
-        }
+def ride(role: str, kills: int, seed: int, *, stop: bool = False) -> dict:
+    """Run once with so many kills, and return the results."""
+    settings = ("run.actors=2", "replay.shards=2") if role == "all" else ()
+    allowed = MANY if role in ("all", "launcher") else None
+    with tempfile.TemporaryDirectory(prefix="kills-") as root:
+        killing = Killing(Path(root), seed, *settings, restarts_allowed=allowed)
+        try:
+            if role == "all":
+                killing.storm(kills)
+            else:
+                for _ in range(kills):
+                    if role != "launcher":
+                        killing.kill_once(role, signal.SIGSTOP if stop else signal.SIGKILL)
+                    elif stop:
+                        killing.stop_launcher()
+                    else:
+                        killing.kill_launcher()
+            return {"role": role, "stop": stop, "seed": seed} | killing.finish()
+        finally:
+            killing.abandon()
 
 
 def main() -> None:
-    """Add runs to the results until there are enough kills, and print a summary."""
+    """Add runs to the results until there are enough kills, and print the figures."""
+    end_cleanly()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--role", choices=restarts.RESTARTED, required=True)
+    parser.add_argument("--role", choices=(*ROLES, "launcher", "all"), required=True)
+    parser.add_argument("--stop", action="store_true", help="SIGSTOP instead of SIGKILL")
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--per-run", type=int, default=restarts.RESTARTS_ALLOWED)
     parser.add_argument("--results", type=Path, default=Path("runs/kills.jsonl"), help="appended to")
+    parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     options.results.parent.mkdir(parents=True, exist_ok=True)
-    while (left := options.kills - len(_of(options)["resumed_s"])) > 0:
-        row = ride(options.role, min(left, options.per_run))
+    while (left := options.kills - _of(options)["kills"]) > 0:
+        seed = options.seed + len(_rows(options))
+        row = ride(options.role, min(left, options.per_run), seed, stop=options.stop)
         with options.results.open("a") as file:
             file.write(json.dumps(row) + "\n")
-        print(f"{options.role}: {options.kills - left + len(row['resumed_s'])} kills of {options.kills}", flush=True)
+        print(f"{options.role}: {_of(options)['kills']} kills of {options.kills}", flush=True)
     found = _of(options)
-    print(f"{options.role}: {options.kills} kills, {found['produced']} transitions produced, {found['lost']} lost")
-    for name in TIMES:
-        times = found[name]
-        p99 = times[min(len(times) - 1, int(0.99 * len(times)))]
-        print(f"{name:12}median {statistics.median(times):.3f}  p99 {p99:.3f}  most {times[-1]:.3f}")
     print(json.dumps(found))
-    sys.exit(bool(found["lost"]))
+    sys.exit(any(found[name] for name in oracle.FAULTS))
+
+
+def _rows(options: argparse.Namespace) -> list[dict]:
+    lines = options.results.read_text().splitlines() if options.results.exists() else []
+    rows = map(json.loads, lines)
+    return [row for row in rows if (row["role"], row.get("stop", False)) == (options.role, options.stop)]
 
 
 def _of(options: argparse.Namespace) -> dict:
     """Return all results of the role together."""
-    lines = options.results.read_text().splitlines() if options.results.exists() else []
-    rows = [row for line in lines if (row := json.loads(line))["role"] == options.role]
-    return {
-        "role": options.role,
-        **{name: sorted(value for row in rows for value in row[name]) for name in TIMES},
-        **{name: sum(row[name] for row in rows) for name in ("lost", "produced", "abandoned_at_most")},
-        "standby_kib": max((row["standby_kib"] for row in rows), default=0),
-    }
+    rows = _rows(options)
+    found = {"role": options.role, "stop": options.stop, "runs": len(rows)}
+    found |= {name: sum(row[name] for row in rows) for name in ("kills", "alive_after", *oracle.COUNTS)}
+    for role in ROLES if options.role == "all" else ():
+        found[role] = sum(row["by_role"].get(role, 0) for row in rows)
+    for name in (*TIMES, "gone_s"):
+        if times := sorted(value for row in rows for value in row.get(name, ())):
+            p99 = times[min(len(times) - 1, int(0.99 * len(times)))]
+            found[name] = {"median": round(statistics.median(times), 3), "p99": p99, "most": times[-1], "n": len(times)}
+    return found | {"standby_kib": max((row["standby_kib"] for row in rows), default=0)}
 
 
 if __name__ == "__main__":

@@ -33,3 +33,7 @@ class Frame(Protocol):
     @property
     def count(self) -> int:
         """Number of transitions or records in the frame."""
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that the content takes in memory, roughly."""

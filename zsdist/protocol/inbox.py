@@ -14,6 +14,7 @@ from zsdist.types import MAX_REASON, Ack, Level
 
 HOLD_FRAMES = 256  # number of frames, from the next expected one on, that are held; later ones are refused
 MOST_LOST = 2**24  # most frames, and most transitions or records in them, that are skipped at once
+HOLD_BYTES = 8 * 2**20  # most bytes that these frames may take in memory; a usual frame has some ten thousand
 ACK_EVERY_FRAMES = 8
 ACK_AFTER_S = 0.02
 HEARTBEAT_S = 0.25
@@ -66,13 +67,21 @@ class Inbox(Generic[AnyFrame]):
             `abandoned_at_most` includes only the totals that their frames declared.
     """
 
-    def __init__(self, stream: Level | str, *, sender_epoch: int = 0, hold_frames: int = HOLD_FRAMES) -> None:
+    def __init__(
+        self,
+        stream: Level | str,
+        *,
+        sender_epoch: int = 0,
+        hold_frames: int = HOLD_FRAMES,
+        hold_bytes: int = HOLD_BYTES,
+    ) -> None:
         """Make an inbox that refuses all frames until an epoch is issued.
 
         Args:
             stream: `Level` or name of the stream.
             sender_epoch: incarnation of the receiving role.
             hold_frames: number of frames, from the next expected one on, that are held until those before them arrive.
+            hold_bytes: most bytes of these frames of one actor.
         """
         self.stream = stream
         self.sender_epoch = sender_epoch
@@ -80,7 +89,7 @@ class Inbox(Generic[AnyFrame]):
         self.refused: Counter[str] = Counter()
         self.abandoned_at_most = 0
         self.abandoned_unlimited = 0
-        self._hold_frames = hold_frames
+        self._hold_frames, self._hold_bytes = hold_frames, hold_bytes
         self._streams: dict[str, _Stream[AnyFrame]] = {}
         self._produced_before = 0  # in epochs no longer current
 
@@ -127,6 +136,8 @@ class Inbox(Generic[AnyFrame]):
             return self._refuse("after_close", stream)
         if frame.sequence >= stream.received + self._hold_frames:
             return self._refuse("beyond_window", stream)
+        if frame.sequence > stream.received and not self._has_room(stream, frame):
+            return self._refuse("no_room")  # it is sent again; the next one in order is always accepted
         stream.unacknowledged += 1
         stream.receipt_s = now if stream.receipt_s is None else stream.receipt_s
         if frame.sequence < stream.received or frame.sequence in stream.held:
@@ -167,6 +178,10 @@ class Inbox(Generic[AnyFrame]):
         """Return an actor's epoch, the frames delivered of it, its running total, and whether it is closed."""
         stream = self._streams[actor]
         return stream.epoch, stream.received, stream.produced, stream.state == "closed"
+
+    def _has_room(self, stream: _Stream[AnyFrame], frame: AnyFrame) -> bool:
+        """Return whether a frame that arrives early may be held: nobody can fill the memory with such frames."""
+        return sum(held.nbytes for held in stream.held.values()) + frame.nbytes <= self._hold_bytes
 
     def note_refusal(self, actor: str, epoch: int, reason: str) -> None:
         """Tell an actor, in its acknowledgements, why a frame of it was refused before it got here."""

@@ -46,7 +46,7 @@ def resumed(
 
 def _newest_in_checkpoints(folder: Path, name: str) -> State | None:
     """Return a role's newest sound state in the checkpoints of a run; the other roles' states are not read."""
-    for checkpoint in reversed(directory.checkpoints(folder)):
+    for checkpoint in reversed(checkpoint_files.checkpoints(folder)):
         try:
             payload = (checkpoint / f"{name}.state").read_bytes()
             wanted = json.loads((checkpoint / "manifest.json").read_text(encoding="utf-8"))["sha256"][name]

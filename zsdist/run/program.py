@@ -39,6 +39,7 @@ from zsdist.wire.messages import State
 if TYPE_CHECKING:
     from zsdist.dqn.base import BaseDqnLearner
 
+HUB_BACK_WITHIN_S = 20.0  # time for which a new role looks for the hub, which may be about to be replaced
 Watch = Callable[[Transport, float], None]  # called once a round with the runner's transport and the clock
 
 
@@ -161,7 +162,8 @@ class RunSpec:
 
     def connect(self, role_spec: RoleSpec, endpoint: str) -> ZenohTransport:
         """Return a role's connection to the hub, with its certificate where the run has certificates."""
-        return ZenohTransport(endpoint, self._identity(permissions.certificate_of(role_spec.role, role_spec.id)))
+        identity = self._identity(permissions.certificate_of(role_spec.role, role_spec.id))
+        return ZenohTransport(endpoint, identity, connect_timeout_s=HUB_BACK_WITHIN_S)
 
     def _identity(self, name: str) -> Identity | None:
         folder = self.config.transport.tls

@@ -7,13 +7,7 @@ from zsdist.errors import RunError
 from zsdist.roles.replay import shards
 from zsdist.run.program import RoleSpec
 
-RESTARTED = (
-    "actor",
-    shards.ROLE,
-    "hub",
-    "learner",
-    "scheduler",
-)  # kinds of roles whose successor finds all that counts
+RESTARTED = ("actor", shards.ROLE, "hub", "learner", "scheduler")  # their successors find all that counts
 RESTARTS_ALLOWED = 20  # restarts of one role within `WINDOW_S`
 WINDOW_S = 600.0
 EARLY_S = 3.0  # a role that dies sooner after its start, or before it has published anything, has done nothing

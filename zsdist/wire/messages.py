@@ -6,15 +6,17 @@ newest it has received, so a process that was replaced and wakes up again does n
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from zsdist.types import Ack, Level, Parameters, StoredBatch, Trajectory, Weights, count_transitions
+from zsdist.types import Ack, Level, Parameters, StoredBatch, Trajectory, Weights, count_bytes, count_transitions
 
 EPISODES = "episodes"  # stream of records of finished episodes
 EVALUATION = "evaluation"  # stream of results of greedy drives
 MAX_BATCHES = 16  # most batches in a reply
+OBJECTS_PER_TEXT = 8  # bytes that records take in memory, per character of their text
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,11 @@ class Push:
         """Number of transitions in this frame."""
         return count_transitions(self.trajectories)
 
+    @cached_property
+    def nbytes(self) -> int:
+        """Bytes of the transitions in memory."""
+        return count_bytes(self.trajectories)
+
 
 @dataclass(frozen=True)
 class Records:
@@ -70,6 +77,11 @@ class Records:
     def count(self) -> int:
         """Number of records in this frame."""
         return len(self.records)
+
+    @cached_property
+    def nbytes(self) -> int:
+        """Bytes of the records in memory, roughly: objects of Python take several times those of their text."""
+        return OBJECTS_PER_TEXT * len(str(self.records))
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,21 @@ def test_only_frames_of_issued_epochs_are_accepted() -> None:
     assert inbox.produced == 0
 
 
+def test_early_frames_that_together_are_too_large_are_refused_and_accepted_when_their_turn_comes() -> None:
+    inbox = Inbox(EPISODES, hold_bytes=3 * frame(1).nbytes)
+    inbox.issue("a0", 1)
+    early = [number for number in range(1, 200) if inbox.receive(frame(number), 0.0)]
+    assert early == [] and inbox.refused["no_room"] == 199 - 3
+    assert sequences(inbox.receive(frame(0), 0.0)) == [0, 1, 2, 3]
+    delivered = [number for turn in range(4, 200) for number in sequences(inbox.receive(frame(turn), 0.0))]
+    assert delivered == list(range(4, 200)) and inbox.produced == 200
+
+
+def test_a_frame_takes_the_bytes_of_its_content() -> None:
+    small, large = (Records(EPISODES, "a0", 1, 0, 1, False, ({"path": [0.5] * count},)) for count in (10, 1000))
+    assert large.nbytes > 50 * small.nbytes
+
+
 def test_a_frame_too_far_ahead_is_refused_rather_than_held() -> None:
     inbox = Inbox(EPISODES, hold_frames=4)
     inbox.issue("a0", 1)
