@@ -28,7 +28,7 @@ from kills import ROLES, Killing
 from small_run import Launcher, end_cleanly
 from tamper import Tamper
 
-from zsdist.run import directory
+from zsdist.run import checkpoint_files
 
 CASES = ("slow", "hung", "clock", "full")
 SLOW_S = (0.02, 0.2)
@@ -99,7 +99,9 @@ def full_disk() -> dict:
         full_s = time.time()
         status = killing.launcher.wait(60.0)
         found = {"status": status, "ended_s": round(time.time() - full_s, 2), "message": killing.launcher.last_words()}
-        found["whole"] = [path.name for path in checkpoint_files.checkpoints(folder) if checkpoint_files.read_checkpoint(path)]
+        found["whole"] = [
+            path.name for path in checkpoint_files.checkpoints(folder) if checkpoint_files.read_checkpoint(path)
+        ]
         filler.unlink()
         killing.tail.read()
         killing.launcher = Launcher(root)

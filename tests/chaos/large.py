@@ -18,7 +18,7 @@ from pathlib import Path
 import psutil
 from small_run import SYNTHETIC, Launcher, Witness, end_cleanly, wait_for
 
-from zsdist.run import directory
+from zsdist.run import checkpoint_files
 
 WIDE = (
     "low.hidden=[2048,2048]",

@@ -17,7 +17,7 @@ from small_run import Launcher, Witness, actions
 from zsdist.replay import records
 from zsdist.roles.replay import shards
 from zsdist.roles.replay.level_journal import Entry
-from zsdist.run import directory
+from zsdist.run import checkpoint_files
 from zsdist.types import Level
 from zsdist.wire import codec
 from zsdist.wire.messages import Push

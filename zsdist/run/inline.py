@@ -166,7 +166,7 @@ class _Runner:
         """Number of training episodes that are finished or granted to an actor."""
         scheduler = self._hosted[0].role
         assert isinstance(scheduler, Scheduler), "the scheduler is the first role"
-        return scheduler.finished_episodes + len(scheduler.leases.holders)
+        return scheduler.finished_episodes + len(scheduler.progress.leases.holders)
 
     def run(
         self,
@@ -209,9 +209,13 @@ class _Runner:
             transport.close()
 
     def _supervise(self, interrupted: bool) -> None:
-        joined, left = (self._guests.epochs, self._guests.left) if self._guests is not None else (None, None)
-        orders_of = {"interrupted": interrupted, "until": self._until, "guests": joined, "left": left}
-        content = program.supervision(self._role_specs, **orders_of)
+        content = program.supervision(
+            self._role_specs,
+            interrupted=interrupted,
+            until=self._until,
+            guests=self._guests.epochs if self._guests else None,
+            left=self._guests.left if self._guests else None,
+        )
         orders = codec.encode(Orders(self._epoch, "scheduler", content))
         self._supervisor.publish(keys.control(self._run, "scheduler"), orders, retained=True)
 

@@ -10,7 +10,7 @@ from zsdist.errors import DecodeError
 from zsdist.roles.base import Context
 from zsdist.roles.kept_state import KeptState
 from zsdist.roles.learner import Learner
-from zsdist.run import directory
+from zsdist.run import checkpoint_files
 from zsdist.types import Level
 from zsdist.wire import codec
 from zsdist.wire.messages import State
