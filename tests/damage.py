@@ -20,7 +20,7 @@ import numpy as np
 from zsdist import config
 from zsdist.config import parse
 from zsdist.replay import journal, records
-from zsdist.roles.replay import level_replay
+from zsdist.roles.replay import level_journal
 from zsdist.roles.replay.level_journal import Entry
 from zsdist.roles.replay.level_replay import LevelReplay
 from zsdist.roles.replay.shards import ReplayShard
@@ -167,7 +167,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     rng, kinds, lost = random.Random(options.seed), Counter(), Counter()
-    journal.COMPACT_RECORDS, level_replay.PART_ROWS = COMPACT_RECORDS, PART_ROWS
+    journal.COMPACT_RECORDS, level_journal.PART_ROWS = COMPACT_RECORDS, PART_ROWS
     with tempfile.TemporaryDirectory() as scratch:
         before, begun_s = Path(scratch, "before"), time.monotonic()
         made, totals = filled(before, 40)

@@ -62,7 +62,7 @@ def run(
                 connect = partial(spec.connect, endpoint=hub.endpoint)
                 with closing(connect(program.supervisor(epochs))) as supervisor:
                     guests = Guests(spec, supervisor, lambda: directory.issue_epochs(spec.folder, 1)[0])
-                    runner = _Runner(spec, epochs, supervisor, connect, RunSpec.build, guests=guests)
+                    runner = Runner(spec, epochs, supervisor, connect, RunSpec.build, guests=guests)
                     with closing(runner):
                         runner.run(_RealClock(), interrupted, watch)
     finally:
@@ -82,10 +82,10 @@ def _run_in_sittings(spec: RunSpec, epochs: Sequence[int], interrupted: Callable
         while not sittings.is_complete(spec.config, states):
             start = uuid.uuid4().hex  # of journals: no role goes on with those of the sitting before
             sitting, until = replace(spec, states=dict(states), start=start), sittings.end(spec.config, states)
-            with closing(_Runner(sitting, epochs, supervisor, connect, belongings.build, until)) as runner:
+            with closing(Runner(sitting, epochs, supervisor, connect, belongings.build, until)) as runner:
                 # The first checkpoint is awaited, since an interrupted run has to have one.
                 stop = interrupted if states else lambda: False
-                ended = runner.run(_VirtualClock(sittings.time_s(states)), lambda: False, watch, stop)
+                ended = runner.run(VirtualClock(sittings.time_s(states)), lambda: False, watch, stop)
                 begun = runner.begun
             del runner, sitting  # before the roles of the next sitting take as much memory
             if not ended:
@@ -97,13 +97,14 @@ def _run_in_sittings(spec: RunSpec, epochs: Sequence[int], interrupted: Callable
     sittings.conclude(spec, states, begun)
 
 
-class _VirtualClock:
+class VirtualClock:
     """Clock that advances by a tick after each round of work, and to the next due time where no role has work."""
 
     def __init__(self, now: float) -> None:
         self.now = now
 
     def after(self, worked: bool, next_s: float, wake: threading.Event) -> None:
+        """Advance after a round of all roles; `next_s` is the time of the next work."""
         self.now = self.now + TICK_S if worked else max(self.now, next_s)
 
 
@@ -123,7 +124,7 @@ class _RealClock:
             wake.clear()
 
 
-class _Runner:
+class Runner:
     """All roles, with their transports, stepped in turn.
 
     Args:
@@ -170,7 +171,7 @@ class _Runner:
 
     def run(
         self,
-        clock: _VirtualClock | _RealClock,
+        clock: VirtualClock | _RealClock,
         interrupted: Callable[[], bool],
         watch: Watch,
         stop: Callable[[], bool] = lambda: False,

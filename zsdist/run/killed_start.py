@@ -70,10 +70,12 @@ def find(folder: Path, settings: Config, notify: Callable[[str], None]) -> Kille
 
 def _check_whole(folder: Path, word: str, settings: Config) -> None:
     """Raise `RunError` where the replay's journals are not complete, or do not fit the configuration."""
-    if config.load(folder / "config.yaml").replay != settings.replay:
+    written = config.load(folder / "config.yaml")
+    before, now = (tree.replay.model_copy(update={"fsync_ms": None}) for tree in (written, settings))
+    if before != now:
         raise RunError("settings of the replay have changed, with which its journals cannot be read")
     for index in range(settings.replay.shards):
         for level in Level:
             journal = folder / "journal" / f"{word}-{index}" / level
-            if not folders.visible(journal, "*.base"):
+            if not (folders.visible(journal, "*.base") or folders.visible(journal, "*.copy")):
                 raise RunError(f"the replay's journal {journal} is missing")

@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from zsdist.common import folders
 from zsdist.run.heartbeats import Pulse
 
 ROLE_THREAD = "zsdist-role"  # name of the thread of a role, at most 15 characters
@@ -80,10 +81,7 @@ def name_role_thread() -> None:
 
 
 def _tasks(pid: int) -> list[Path]:
-    try:
-        return list((_PROC / str(pid) / "task").iterdir())
-    except OSError:
-        return []
+    return folders.visible(_PROC / str(pid) / "task")
 
 
 def _stat(path: Path) -> list[bytes] | None:

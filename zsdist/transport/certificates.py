@@ -23,6 +23,7 @@ from cryptography.hazmat.primitives.asymmetric.types import (
 )
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from zsdist.common import folders
 from zsdist.errors import TransportError
 
 AUTHORITY = "ca"
@@ -127,7 +128,7 @@ def make(folder: Path, server: str, clients: Iterable[str], hosts: Sequence[str]
 
 def names(folder: str | Path) -> list[str]:
     """Return the common names that a folder has certificates of, in alphabetical order; the authority's is not one."""
-    return sorted(path.stem for path in Path(folder).glob("*.pem") if path.stem != AUTHORITY)
+    return sorted(path.stem for path in folders.visible(Path(folder), "*.pem") if path.stem != AUTHORITY)
 
 
 def common_name(certificate: x509.Certificate) -> str:

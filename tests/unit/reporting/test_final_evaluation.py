@@ -59,7 +59,9 @@ class Comparison:
     def __init__(self, folder, monkeypatch, note=None):
         self.folder, self.output, self.asked = folder, io.StringIO(), []
         (folder / "figures").mkdir(parents=True)
-        monkeypatch.setattr(final_evaluation, "load_policy", lambda path: make_policy(settings_of(), PARAMETERS, "x"))
+        monkeypatch.setattr(
+            final_evaluation, "load_policy", lambda path, *_: make_policy(settings_of(), PARAMETERS, "x")
+        )
         monkeypatch.setattr(final_evaluation, "check_vision", lambda policy: note)
         monkeypatch.setattr(final_evaluation, "evaluate", self.evaluate)
 

@@ -85,8 +85,8 @@ def test_a_checkpoint_that_names_no_vision_model_is_refused(folder, run_log, vis
     run_log.checkpoint(5, states())
     path = checkpoint_files.newest_checkpoint(folder) / "manifest.json"
     manifest = json.loads(path.read_text()) | {"vision": vision}
-    del manifest["manifest_sha256"]  # as earlier versions wrote it
-    path.write_text(json.dumps(manifest))
+    del manifest["manifest_sha256"]
+    path.write_bytes(checkpoint_files.manifest_bytes(manifest))
     with pytest.raises(RunError, match="does not name the vision model"):
         checkpoint_files.read_vision(path.parent)
     with pytest.raises(WeightsError, match="does not name the vision model"):

@@ -12,7 +12,9 @@ from rehearsal import Tap
 from zsdist.common import folders
 from zsdist.config import load
 from zsdist.run import directory, inline, killed_start, program
+from zsdist.run.program import RunSpec
 from zsdist.run.training import check_accounts
+from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.wire import codec
 from zsdist.wire.messages import Ack, Push
 
@@ -28,7 +30,7 @@ class Launch:
         self.spec, self.tap, self._fatal, self._rounds = spec, Tap(), fatal, 0
         epochs = directory.issue_epochs(spec.folder, program.epoch_count(spec.config))
         with contextlib.suppress(KilledError):
-            inline.run(replace(spec, launch=epochs[0]), epochs, watch=self._watch)
+            self._run(replace(spec, launch=epochs[0]), epochs)
         self.sent, self.acknowledged = defaultdict(dict), defaultdict(int)
         for message in (item for kind in ("push", "ack") for item in self.tap.by_kind()[kind]):
             if isinstance(message, Push):
@@ -36,6 +38,17 @@ class Launch:
             elif isinstance(message, Ack) and message.stream in ("high", "low"):
                 stream = (message.stream, message.actor, message.epoch)
                 self.acknowledged[stream] = max(self.acknowledged[stream], message.received)
+
+    def _run(self, spec, epochs):
+        """Run all roles as processes of their own would run, without sittings, on a virtual clock."""
+        broker = MemoryBroker()
+
+        def connect(role_spec):
+            return MemoryTransport(broker, role_spec.name)
+
+        supervisor = connect(program.supervisor(epochs))
+        with contextlib.closing(inline.Runner(spec, epochs, supervisor, connect, RunSpec.build)) as runner:
+            runner.run(inline.VirtualClock(0.0), lambda: False, self._watch)
 
     def _watch(self, transport, now):
         before = len(self.tap.messages)

@@ -25,7 +25,7 @@ COUNTED = {  # what is restored follows from them, so it is counted anew from th
 }
 READ_AT_THE_START = """
 placement run.name run.episodes run.actors run.cars_per_actor run.checkpoint_every_episodes run.cpus_per_role
-run.checkpoint_every_s run.standby run.address run.final_evaluation_episodes
+run.checkpoint_every_s run.checkpoints_kept run.standby run.address run.final_evaluation_episodes
 scenes.train scenes.train_scenes scenes.test
 sim.step_s sim.max_steps sim.success_radius_m
 camera.back_end camera.size_px camera.field_of_view_deg camera.range_m camera.height_m camera.forward_m
@@ -35,7 +35,8 @@ agent.epsilon_decay agent.epsilon_min agent.guide_share agent.option_max_steps a
 agent.repulsion agent.influence_m agent.trail agent.high_policy agent.low_policy agent.explored_share
 LEVEL.learning_rate LEVEL.discount LEVEL.reward_scale LEVEL.double LEVEL.huber LEVEL.target_tau
 LEVEL.max_gradient_norm LEVEL.guide_margin LEVEL.guide_margin_weight LEVEL.min_size
-replay.shards replay.n_step replay.prioritised replay.priority_exponent replay.importance_exponent replay.adaptive
+replay.shards replay.fsync_ms replay.n_step replay.prioritised replay.priority_exponent
+replay.importance_exponent replay.adaptive
 replay.size_min replay.size_max replay.batch_min replay.batch_max replay.grow_rate replay.grow_threshold
 replay.shrink_rate replay.shrink_threshold replay.average_episodes replay.target_return replay.max_bytes
 merge.every_episodes merge.validation_scenes merge.drive_steps merge.distil_updates merge.drop_after_scenes
@@ -49,7 +50,13 @@ TOGETHER = {  # settings that are changed with another one, without which they w
     "run.address": ("transport.tls=/made", "transport.endpoint=tls/h:1"),
     "transport.tls": ("transport.endpoint=tls/h:1",),
 }
-OTHER = {"run.address": "h:1", "transport.endpoint": "tcp/127.0.0.1:1", "scenes.train": "[iid]", "run.actors": "9"}
+OTHER = {
+    "replay.fsync_ms": "5",
+    "run.address": "h:1",
+    "transport.endpoint": "tcp/127.0.0.1:1",
+    "scenes.train": "[iid]",
+    "run.actors": "9",
+}
 
 
 def other_value(key):

@@ -16,7 +16,7 @@ from damage import CONFIG, check_checkpoint, check_journal, checkpoints, filled,
 from zsdist.config import parse
 from zsdist.replay import journal, records
 from zsdist.roles.base import Context
-from zsdist.roles.replay import level_replay
+from zsdist.roles.replay import level_journal
 from zsdist.roles.replay.role import Replay
 from zsdist.roles.shapes import Shape
 from zsdist.run import checkpoint_files
@@ -32,7 +32,7 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("made") / "journal"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(journal, "COMPACT_RECORDS", damage.COMPACT_RECORDS)
-        patch.setattr(level_replay, "PART_ROWS", damage.PART_ROWS)
+        patch.setattr(level_journal, "PART_ROWS", damage.PART_ROWS)
         replay, totals = filled(folder, 40)
         return folder, rows(replay), totals
 

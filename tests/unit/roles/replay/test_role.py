@@ -141,10 +141,10 @@ def test_an_early_frame_is_neither_acknowledged_early_nor_lost_later(bench, monk
 
 
 def test_nothing_is_acknowledged_that_the_journal_does_not_hold(bench, monkeypatch):
-    def full(records):
+    def full(*arguments):
         raise RunError("the disk is full")
 
-    monkeypatch.setattr(bench.replay.level_replays[Level.LOW].journal, "append", full)
+    monkeypatch.setattr(bench.replay.level_replays[Level.LOW].journal, "write", full)
     bench.push(2, 9, trajectory(40, 1))
     with pytest.raises(RunError, match="disk is full"):
         bench.step()

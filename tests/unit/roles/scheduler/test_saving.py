@@ -80,12 +80,12 @@ class Log:
 class Bench:
     """Scheduler with a slow background; the test plays all other roles."""
 
-    def __init__(self):
+    def __init__(self, folder):
         broker, self.now, self.log, self.thread = MemoryBroker(), 0.0, Log(), SlowThread()
         self.others = MemoryTransport(broker)
         settings = parse(SETTINGS | {"merge": {"every_episodes": 0}})
         context = Context(settings, RUN, "scheduler", "0", 5, MemoryTransport(broker), background=self.thread)
-        self.scheduler = Scheduler(context, self.log)
+        self.scheduler = Scheduler(context, self.log, folder)
         self.asked, self.orders, self.acks = Mailbox(2**20), Mailbox(2**24), Mailbox(2**20)
         for role in ("replay", "learner-high", "learner-low"):
             self.others.serve(keys.control(RUN, role), self.asked)
@@ -125,8 +125,8 @@ class Bench:
 
 
 @pytest.fixture
-def bench():
-    return Bench()
+def bench(tmp_path):
+    return Bench(tmp_path)
 
 
 def test_records_are_acknowledged_and_episodes_leased_while_answers_are_read_and_a_checkpoint_is_written(bench):
