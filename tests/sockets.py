@@ -3,6 +3,7 @@
 import socket
 import threading
 import time
+from collections.abc import Callable
 
 from zsdist.transport.base import Mailbox, Message
 
@@ -19,8 +20,12 @@ class Inbox(Mailbox):
 
     def wait(self, count: int = 1, timeout_s: float = PATIENCE_S) -> list[Message]:
         """Return all messages once there are `count`, or when the time is over."""
+        return self.wait_for(lambda seen: len(seen) >= count, timeout_s)
+
+    def wait_for(self, condition: Callable[[list[Message]], bool], timeout_s: float = PATIENCE_S) -> list[Message]:
+        """Return all messages once a condition holds for them, or when the time is over."""
         end = time.monotonic() + timeout_s
-        while len(self.seen) < count and self.woken.wait(max(0.0, end - time.monotonic())):
+        while not condition(self.seen) and self.woken.wait(max(0.0, end - time.monotonic())):
             self.woken.clear()
             self.seen += self.drain()
         return self.seen

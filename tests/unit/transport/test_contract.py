@@ -363,13 +363,17 @@ def test_clients_outlive_their_hub_and_retained_values_of_the_gap_arrive() -> No
     sender.declare_alive("zsdist/gap/alive/learner/low")
     sender.publish("zsdist/gap/weights/low", b"1", retained=True)
     assert [message.payload for message in box.wait(1)] == [b"1"]
+    assert [message.payload for message in alive.wait(1)] == [b"1"]
     hub.close()
-    assert [message.payload for message in alive.wait(2)] == [b"1", b"0"]
+    told = [
+        message.payload for message in alive.wait_for(lambda found: found[-1].payload == b"0")
+    ]  # some versions of zenoh say twice that a token is gone
+    assert told[0] == b"1" and set(told[1:]) == {b"0"}
     sender.publish("zsdist/gap/weights/low", b"2", retained=True)
     hub = ZenohHub(endpoint)
     assert hub.endpoint == endpoint
     assert box.wait(2)[-1].payload == b"2"
-    assert alive.wait(3)[-1].payload == b"1"
+    assert alive.wait_for(lambda found: found[-1].payload == b"1")[-1].payload == b"1"
     for opened in (sender, receiver, hub):
         opened.close()
 
