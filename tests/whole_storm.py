@@ -1,8 +1,8 @@
 """All roles of a run over a bad network, on virtual clocks that jump; each of them dies from time to time.
 
-Roles are built as for processes of their own, with their files on the disk; only the cars are instant. The state of every
-transition names its actor, the actor's epoch, and its place. An observer sees every message that is not lost. In the
-end, what it saw acknowledged is compared with what is stored, and everything that was counted with everything else.
+Roles are built as for processes of their own, with their files on the disk; only the cars are instant. The state of
+every transition names its actor, the actor's epoch, and its place. An observer sees every message that is not lost. In
+the end, what it saw acknowledged is compared with what is stored, and everything that was counted with everything else.
 """
 
 import json
