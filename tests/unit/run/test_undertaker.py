@@ -33,6 +33,15 @@ def launched():
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_family_is_buried_though_it_carries_no_word():
+    other = subprocess.Popen([sys.executable, "-c", "import sys; sys.stdin.read()"], stdin=subprocess.PIPE, env={})
+    family = undertaker.descendants(os.getpid())
+    assert other.pid in {pid for pid, _ in family}
+    undertaker.bury("a word", {identity for identity in family if identity[0] == other.pid})
+    assert other.wait(PATIENCE_S) == -signal.SIGKILL
+    other.stdin.close()
+
+
 def test_nothing_outlives_a_killed_launcher(launched, number):
     launcher, child = launched
     launcher.send_signal(number)
@@ -51,6 +60,6 @@ def test_other_processes_are_left_alone():
     with undertaker.employed():
         assert os.environ[undertaker.WORD]
     assert undertaker.WORD not in os.environ
-    undertaker.bury("a word that nobody carries")
+    undertaker.bury("a word that nobody carries", set())
     assert other.poll() is None
     other.communicate()
