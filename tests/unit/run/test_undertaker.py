@@ -32,7 +32,6 @@ def launched():
             child.kill()
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_a_family_is_buried_though_it_carries_no_word():
     other = subprocess.Popen([sys.executable, "-c", "import sys; sys.stdin.read()"], stdin=subprocess.PIPE, env={})
     family = undertaker.descendants(os.getpid())
@@ -42,6 +41,7 @@ def test_a_family_is_buried_though_it_carries_no_word():
     other.stdin.close()
 
 
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_nothing_outlives_a_killed_launcher(launched, number):
     launcher, child = launched
     launcher.send_signal(number)
