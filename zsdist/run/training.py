@@ -113,9 +113,9 @@ def _runner(settings: Config) -> _Run:
     if settings.placement == "ray":  # each takes a second or two to import, and a run needs only one of them
         if settings.run.address is None:
             local_ray.stay_on_loopback()
-        from zsdist.run import ray
+        from zsdist.run import ray, undertaker
 
-        return ray.run
+        return undertaker.employed()(ray.run) if settings.run.address is None else ray.run
     from zsdist.run import inline
 
     return inline.run
