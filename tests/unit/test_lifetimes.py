@@ -85,6 +85,9 @@ OWNED = {  # copies and pickles are refused
 TESTED_WITH_THEIR_OWNER = {
     "Client": "World and TinyCamera",
     "Perception": "its ReadingCache",
+    "LevelJournal": "its Journal",
+    "Belongings": "its RunDirectory",
+    "Runner": "the transports of its roles",
     "Link": "ZenohTransport",
     "Fetcher": "ZenohTransport",
 }
