@@ -71,7 +71,9 @@ def begin(folder: Path, count_file: Path, episodes: int, **stop: int) -> int:
 
 def content(folder: Path) -> dict:
     """Return everything in a run directory that must be equal."""
-    found = {name: (folder / name).read_text() for name in ("episodes.jsonl", "metrics.jsonl")}
+    found = {"episodes.jsonl": (folder / "episodes.jsonl").read_text()}
+    rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    found["metrics.jsonl"] = [{key: row[key] for key in row if key != "ledger_bytes"} for row in rows]  # it has epochs
     summary = json.loads((folder / "summary.json").read_text())
     found["summary.json"] = {name: value for name, value in summary.items() if name not in REAL_TIMES}
     for checkpoint in checkpoint_files.checkpoints(folder):
@@ -79,6 +81,7 @@ def content(folder: Path) -> dict:
             meta = {key: value for key, value in state.meta.items() if key not in REAL_TIMES}
             for level in ("high", "low") if name.startswith("replay") else ():
                 meta[level] = {key: value for key, value in meta[level].items() if key not in ("epochs", "closed")}
+                meta[level]["learner"] = meta[level]["learner"][1:]  # without its epoch
                 for stream in meta[level]["inbox"]["current"].values():
                     del stream["epoch"]
             arrays = {key: (array.dtype.str, array.shape, array.tobytes()) for key, array in state.arrays.items()}

@@ -29,9 +29,12 @@ def test_two_runs_with_one_seed_end_in_equal_weights(run, tmp_path):
 
 
 def driven(messages):
-    """Return the statistics of each actor at the end of each sitting in which it drove."""
-    last = {(one["id"], one["epoch"]): one for one in messages["stats"] if one["role"] == "actor"}
-    return {key: fields for key, fields in last.items() if fields["started_episodes"]}
+    """Return the last statistics of each actor in each sitting that was long enough for a second report."""
+    reports = defaultdict(list)
+    for one in messages["stats"]:
+        if one["role"] == "actor":
+            reports[one["id"], one["epoch"]].append(one)
+    return {key: found[-1] for key, found in reports.items() if len(found) > 1 and found[-1]["started_episodes"]}
 
 
 def test_the_size_of_the_cache_changes_how_often_the_model_runs_and_nothing_else(run, tmp_path, monkeypatch):
@@ -93,7 +96,8 @@ def test_the_replay_acknowledges_and_grants_credit_to_every_stream(run):
         assert next(iter(granted.values()))[0] is None  # unlimited until learning starts
         for credits in granted.values():
             limits = [credit for credit in credits if credit is not None]
-            assert limits == sorted(limits)
+            while_open = limits[: limits.index(max(limits)) + 1] if limits else []  # then it is what was produced
+            assert while_open == sorted(while_open)
         assert limits[-1] > 0
 
 

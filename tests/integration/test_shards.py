@@ -79,8 +79,10 @@ def test_a_run_with_priorities_n_steps_and_shards_balances_and_repeats(tmp_path)
     for level in Level:
         counts = one["transitions"][level]
         assert counts["produced"] == counts["stored"] + counts["rejected"] == one["env_steps"]
-        for replay in last(tap.by_kind(), "replay").values():
-            assert 0 < replay[f"{level}_prioritised"] <= replay[f"{level}_sampled"]
+        for replay in "01":
+            told = [one for one in tap.by_kind()["stats"] if (one["role"], one["id"]) == ("replay", replay)]
+            assert all(one[f"{level}_prioritised"] <= one[f"{level}_sampled"] for one in told)
+            assert any(one[f"{level}_prioritised"] for one in told)
 
 
 def test_a_run_can_be_resumed_with_more_shards_but_not_with_fewer(tmp_path):

@@ -96,7 +96,9 @@ class Stops:
 
 def bits(folder):
     """Everything in a run directory that does not depend on real time or on random epochs."""
-    found = {name: (folder / name).read_text() for name in ("episodes.jsonl", "metrics.jsonl")}
+    found = {"episodes.jsonl": (folder / "episodes.jsonl").read_text()}
+    rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    found["metrics.jsonl"] = [{key: row[key] for key in row if key != "ledger_bytes"} for row in rows]  # it has epochs
     summary = json.loads((folder / "summary.json").read_text())
     found["summary"] = {name: value for name, value in summary.items() if name not in ("wall_s", "rates")}
     for checkpoint in checkpoint_files.checkpoints(folder):
@@ -105,6 +107,7 @@ def bits(folder):
             for level in ("high", "low") if name.startswith("replay") else ():
                 streams = meta[level]["inbox"]["current"].values()
                 meta[level] = {key: value for key, value in meta[level].items() if key not in ("epochs", "closed")}
+                meta[level]["learner"] = meta[level]["learner"][1:]  # without its epoch
                 assert all(stream.pop("epoch") for stream in streams)
             arrays = {key: (array.dtype.str, array.shape, array.tobytes()) for key, array in state.arrays.items()}
             found[checkpoint.name, name] = (meta, arrays)
