@@ -33,4 +33,5 @@ def test_no_other_module_lists_a_folder():
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in LISTING
         and not (isinstance(node.func.value, ast.Name) and node.func.value.id in ("ast", "walker"))
     ]  # fmt: skip
-    assert [place for place in found if not place.startswith("common/folders.py")] == []
+    # The undertaker is one file that runs without the package, and lists processes.
+    assert [place for place in found if not place.startswith(("common/folders.py", "run/undertaker.py"))] == []

@@ -228,12 +228,7 @@ class LevelReplay:
             reply(codec.encode(SampleReply(self.level, batch, held, now - since_s, max(1, batches))))
 
     def resize(self, buffer_size: int, batch_size: int) -> None:
-        """Apply the sizes that the scheduler derives from the returns (`zsdist.replay.sizing`).
-
-        Args:
-            buffer_size: transitions in all shards together.
-            batch_size: transitions in a batch, which comes from one shard.
-        """
+        """Apply the scheduler's sizes: transitions in all shards together, and in a batch, which is from one shard."""
         self.batch_size = batch_size
         self._set_capacity(self._shard.part(buffer_size))
 
