@@ -1,6 +1,6 @@
 """Slow, hung and full disks, and clocks that jump, under a run of real processes.
 
-`python tests/chaos/disks_and_clocks.py [slow] [hung] [clock] [full]`
+`python tests/chaos/disks_and_clocks.py [--cases slow hung clock full]`
 
 | case | what happens | what must be |
 |---|---|---|
@@ -113,7 +113,7 @@ def full_disk() -> dict:
 
 def _in_own_namespace() -> dict:
     with tempfile.TemporaryDirectory(prefix="full-") as root:
-        command = ["unshare", "--map-root-user", "--mount", sys.executable, __file__, "full"]
+        command = ["unshare", "--map-root-user", "--mount", sys.executable, __file__, "--cases", "full"]
         result = subprocess.run(command, env=os.environ | {OWN_DISK: root}, stdout=subprocess.PIPE, text=True)
         lines = result.stdout.splitlines()
         if not lines:
@@ -125,7 +125,7 @@ def main() -> None:
     """Run the cases, and print what happened."""
     end_cleanly()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("cases", nargs="*", choices=CASES, default=CASES)
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=CASES)
     rows = [full_disk() if case == "full" else disturbed(case) for case in parser.parse_args().cases]
     print(json.dumps({name: value for row in rows for name, value in row.items() if name in (*CASES, *oracle.COUNTS)}))
     sys.exit(any(row[name] for row in rows for name in oracle.FAULTS))

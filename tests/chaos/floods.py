@@ -36,6 +36,8 @@ STRANGER, ACTOR = "stranger", "actor-1"
 WATCHED = ("hub-0", "replay-0", "scheduler-0")
 MIB = 2**20
 SIZES = {"large": 64 * MIB, "largest": MAX_WHOLE_BYTES, "small": 16 * 1024}
+START_WITHIN_S = 240.0
+DRIVEN = 500  # actions before the first flood
 SETTLE_S = 3.0
 ALLOWED_MIB = 64.0
 
@@ -142,8 +144,10 @@ def flood(root: Path, mib: int) -> dict:
     found: dict[str, dict] = {}
     try:
         names = (*WATCHED, "actor-0", ACTOR)
-        wait_for(lambda: set(names) <= set(witness.statistics), 60.0, "statistics of all roles", witness.poll)
-        wait_for(lambda: witness.statistics["actor-0"].get("env_steps", 0) > 500, 60.0, "driving", witness.poll)
+        wait_for(lambda: set(names) <= set(witness.statistics), START_WITHIN_S, "statistics of all roles", witness.poll)
+        wait_for(
+            lambda: witness.statistics["actor-0"].get("env_steps", 0) > DRIVEN, START_WITHIN_S, "driving", witness.poll
+        )
         run = launcher.folder.name
         endpoint = (launcher.folder / "endpoint").read_text()
         epoch = witness.statistics[ACTOR]["epoch"]

@@ -49,7 +49,9 @@ START_WITHIN_S = 240.0  # on a busy machine
 SOON_S = 0.25
 STORM_PAUSE_S = (0.2, 2.5)  # between the kills of a storm
 STORM_CALM_EVERY = 10  # kills after which a storm waits until the run works
-LAUNCHER_LIVES_S = (0.0, 4.0)  # from the first frame of a start to its kill
+EARLY_SHARE = 0.5  # of a launcher's kills, unless the one before it was early
+LAUNCHER_STARTS_S = (0.5, 8.0)  # from the beginning of a start to an early kill
+LAUNCHER_LIVES_S = (0.0, 3.0)  # from the first frame of a start to its kill
 LAUNCHER_SLEEPS_S = (3.0, 15.0)
 MANY = 10**6
 TIMES = ("resumed_s", "pauses_s")  # until the run works again; longest time without a frame after the kill
@@ -73,6 +75,8 @@ class Killing:
         self.launcher = self._start()
         self.tail, self.witness = Tail(self.launcher.folder), Witness(self.launcher)
         self._victims: dict[str, int] = {}  # newest epoch of each role that was killed
+        self._killed_s: float | None = None  # time of the last kill of the launcher
+        self._early = False  # whether that was before the start had produced anything
 
     def _start(self) -> Launcher:
         return Launcher(self.root, *self.settings, restarts=self.restarts_allowed)
@@ -184,27 +188,39 @@ class Killing:
                     print(f"storm {self.row['kills']}: {struck[0]}", file=sys.stderr, flush=True)
 
     def kill_launcher(self) -> None:
-        """Kill everything of the run at a random moment, or the launcher alone, and resume it."""
-        lives_s = self.random.uniform(*LAUNCHER_LIVES_S)
-        began = len(self.tail.arrivals)
-        self.wait_for(lambda: len(self.tail.arrivals) > began, "the first frame", START_WITHIN_S)
-        until_s = time.time() + lives_s
-        self.wait_for(lambda: time.time() > until_s, "the kill")
-        alone = self.random.random() < 0.5
-        killed_s = time.time()
+        """Kill everything of the run, or the launcher alone, at a random moment, and resume it.
+
+        Half of the moments lie after the first frame of a start, the others soon after its beginning, while processes
+        start and journals are read. A start that has produced no frame is followed by one that may.
+        """
+        before = len(self.tail.arrivals)
+        early = not self._early and self.random.random() < EARLY_SHARE
+        if early:
+            until_s = time.time() + self.random.uniform(*LAUNCHER_STARTS_S)
+        else:
+            self.wait_for(lambda: len(self.tail.arrivals) > before, "the first frame", START_WITHIN_S)
+            if self._killed_s is not None:
+                self._note_resume(self.tail.arrivals[before][0] - self._killed_s)
+            until_s = time.time() + self.random.uniform(*LAUNCHER_LIVES_S)
+        self.wait_for(lambda: time.time() > until_s, "the kill", START_WITHIN_S)
+        alone, self._early = self.random.random() < 0.5, early
         self.witness.poll()
+        if not early:
+            self._killed_s = time.time()
         self.launcher.kill(alone=alone)
         self.row["kills"] += 1
-        gone_s = self._await_end()
-        self.row.setdefault("gone_s", []).append(round(gone_s, 3))
-        before = self.tail.read()
+        self.row.setdefault("gone_s", []).append(round(self._await_end(), 3))
+        self.tail.read()
         self.launcher = self._start()
         self.witness.attach(self.launcher)
-        self.wait_for(lambda: len(self.tail.arrivals) > before, "the first frame after a resume", START_WITHIN_S)
-        self.row["resumed_s"].append(round(self.tail.arrivals[before][0] - killed_s, 3))
-        self.row["pauses_s"].append(self.row["resumed_s"][-1])
-        kind = "launcher alone" if alone else "everything"
-        print(f"{kind} {self.row['kills']}: works after {self.row['resumed_s'][-1]:.1f} s", file=sys.stderr, flush=True)
+        what = f"{'launcher alone' if alone else 'everything'}, {'early' if early else 'later'}"
+        print(f"{what}, {self.row['kills']}: resumed after {self.row['resumed_s'][-1:]} s", file=sys.stderr, flush=True)
+
+    def _note_resume(self, seconds: float) -> None:
+        """Note the time from a kill to the next frame, unless the start after it was killed too."""
+        if not self._early:
+            self.row["resumed_s"].append(round(seconds, 3))
+            self.row["pauses_s"].append(round(seconds, 3))
 
     def stop_launcher(self) -> None:
         """Stop the launcher for some seconds, and require that frames come while it sleeps and after it wakes."""

@@ -1,6 +1,6 @@
 """Large runs: networks of [2048,2048], and a ring of a million rows; each is killed as a whole and resumed.
 
-`python tests/chaos/large.py [networks] [ring] [--rows 1000000]`
+`python tests/chaos/large.py [--cases networks ring] [--rows 1000000]`
 
 Cars are kinematic. The ring is filled by actors without cars. The times are the last line of the output.
 """
@@ -145,7 +145,7 @@ def main() -> None:
     """Run the cases, and print their times."""
     end_cleanly()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("cases", nargs="*", choices=("networks", "ring"), default=("networks", "ring"))
+    parser.add_argument("--cases", nargs="+", choices=("networks", "ring"), default=("networks", "ring"))
     parser.add_argument("--rows", type=int, default=1_000_000)
     options = parser.parse_args()
     found = {}
