@@ -24,6 +24,7 @@ from zsdist.run.directory import issue_epochs
 from zsdist.run.guests import Guests
 from zsdist.run.heartbeats import HUB, Heartbeats
 from zsdist.run.last_words import RoleLog
+from zsdist.run.presence import Presence
 from zsdist.run.processes import ProcessIdentity
 from zsdist.run.program import RoleSpec, RunSpec, Watch
 from zsdist.run.restarts import Restarts, StandbyPace
@@ -37,6 +38,7 @@ LEAVE_WITHIN_S = 5.0  # time for the roles to end by themselves once the run is 
 STANDBY_AFTER_S = 1.0  # delay of the standby's start, which loads a core for seconds, after other starts
 STARTS_TRIED = 3  # of Ray on this machine, whose own limit of 30 s a busy machine may exceed
 WORDS_BYTES = 2**22  # statistics that wait for the supervisor
+WAITS = "its process has not started yet; it waits for free cores of Ray, or for a machine that starts processes"
 
 
 def run(
@@ -153,6 +155,7 @@ class _Supervisor:
         self.places: dict[ray.actor.ActorHandle, ProcessIdentity | None] = {}  # None: it cannot be seen from here
         self.asked: dict[ray.ObjectRef, ray.actor.ActorHandle] = {}  # questions for places
         self.heartbeats = Heartbeats(time.monotonic())
+        self.presence = Presence()
         self.words = Mailbox(WORDS_BYTES)
         self.guests: Guests  # from the connection to the hub on
 
@@ -182,12 +185,14 @@ class _Supervisor:
 
     def _supervise(self, transport: Transport, interrupted: bool) -> None:
         self.guests.step(time.time())
+        for name in self.presence.update(self.role_specs.values(), self._is_there, time.monotonic()):
+            self._report(transport, "role_waits", name, WAITS)
         content = program.supervision(
-            list(self.role_specs.values()),
+            self.presence.actors,
             restarts=self.restarts.by_kind(),
             interrupted=interrupted,
             guests=self.guests.epochs,
-            left=self.guests.left,
+            left=self.guests.left | self.presence.left,
         )
         orders = codec.encode(Orders(self.epoch, "scheduler", content))
         transport.publish(keys.control(self.spec.run, "scheduler"), orders, retained=True)
@@ -225,9 +230,13 @@ class _Supervisor:
             except RayError:
                 continue  # `_account_for` or `_keep_standby` deals with its death
             self.places[host] = process if machine == HOST and process.started else None
+            for name in (name for name, other in self.hosts.items() if other == host):
+                self.heartbeats.note_process(name, now)
 
     def _examine(self, name: str, transport: Transport) -> None:
         """Replace a silent role that has stopped: kill it first, so that it never works beside its successor."""
+        if not self._is_there(name):
+            return  # its process waits until a machine has room for it
         host, now = self.hosts[name], time.monotonic()
         place = self.places.get(host)
         reason = self.heartbeats.verdict(name, None if place is None else place.pulse(), now)
@@ -251,9 +260,16 @@ class _Supervisor:
         self.places.pop(self.hosts[name], None)
         self.hosts[name] = self._stand_in(role_spec)
         self._drive(role_spec)
+        self._report(transport, "role_replaced", name, reason)
+
+    def _report(self, transport: Transport, event: str, name: str, reason: str) -> None:
         about = {"time_s": round(time.time(), 3), "role": "supervisor", "id": "0", "host": HOST, "pid": os.getpid()}
-        event = {**about, "event": "role_replaced", "name": name, "reason": reason[:200]}
-        transport.publish(keys.events(self.spec.run), json.dumps(event).encode(), json=True)
+        content = {**about, "event": event, "name": name, "reason": reason[:200]}
+        transport.publish(keys.events(self.spec.run), json.dumps(content).encode(), json=True)
+
+    def _is_there(self, name: str) -> bool:
+        """Return whether the process of a role has answered."""
+        return self.hosts.get(name) in self.places
 
     def _drive(self, role_spec: RoleSpec) -> None:
         name, now = role_spec.name, time.monotonic()
@@ -309,7 +325,7 @@ class _Supervisor:
 
     def _leave(self) -> None:
         """Wait a while for the other roles to end by themselves."""
-        others = [reference for reference, name in self.work.items() if name != HUB]
+        others = [reference for reference, name in self.work.items() if name != HUB and self._is_there(name)]
         if others:
             ray.wait(others, num_returns=len(others), timeout=LEAVE_WITHIN_S)
         ray.wait([self.hosts[HUB].stop.remote()], timeout=LEAVE_WITHIN_S)
