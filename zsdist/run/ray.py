@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import ray
-from ray.exceptions import RayActorError, RayError
+from ray.exceptions import GetTimeoutError, RayActorError, RayError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from zsdist.common import signals
@@ -34,6 +34,8 @@ from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders
 
 OBJECT_STORE_BYTES = 256 * 2**20  # it carries settings and checkpoints at the start, and nothing afterwards
+START_WITHIN_S = 120.0  # longest wait for the process of the hub
+FIRST_WITHIN_S = 30.0  # on a cluster, for those that live on this machine, before others may take their room
 LEAVE_WITHIN_S = 5.0  # time for the roles to end by themselves once the run is over
 STANDBY_AFTER_S = 1.0  # delay of the standby's start, which loads a core for seconds, after other starts
 STARTS_TRIED = 3  # of Ray on this machine, whose own limit of 30 s a busy machine may exceed
@@ -100,6 +102,12 @@ def connect(config: Config) -> None:
         raise RunError(
             f"the run asks for {wanted:g} cores of Ray, the cluster has {free:g}; lower run.cpus_per_role or run.actors"
         )
+    if address is not None and (wanted := cores_here(config)) > (free := _cores_of_this_node()):
+        ray.shutdown()
+        raise RunError(
+            f"the roles that live on this machine ask for {wanted:g} cores of Ray, it has {free:g} of them; lower "
+            "run.cpus_per_role, or give it more (ray start --num-cpus)"
+        )
 
 
 def try_start() -> None:
@@ -129,6 +137,21 @@ def _init(config: Config) -> None:
 def _cores(config: Config) -> float:
     """Return the number of Ray's cores that a run asks for."""
     return config.run.cpus_per_role * (program.role_count(config) + 1 + config.run.standby)
+
+
+def cores_here(config: Config) -> float:
+    """Return how many of Ray's cores those processes ask for that must live on this machine."""
+    staying = [role_spec for role_spec in _all_roles(config) if stays_here(role_spec, config)]
+    return config.run.cpus_per_role * (len(staying) + config.run.standby)
+
+
+def _all_roles(config: Config) -> list[RoleSpec]:
+    return [RoleSpec("hub", "0", 0), *program.roles(config, range(program.role_count(config)))]
+
+
+def _cores_of_this_node() -> float:
+    here = ray.get_runtime_context().get_node_id()
+    return sum(node["Resources"].get("CPU", 0.0) for node in ray.nodes() if node["NodeID"] == here)
 
 
 def _summary(error: Exception) -> str:
@@ -169,10 +192,7 @@ class _Supervisor:
         transport.subscribe(keys.stats(self.spec.run, keys.ANY, keys.ANY), self.words)
         try:
             self.guests = Guests(self.spec, transport, lambda: issue_epochs(self.spec.folder, 1)[0])
-            for name, role_spec in self.role_specs.items():
-                if name != HUB:
-                    self.hosts[name] = self._host(role_spec)
-                    self._drive(role_spec)
+            self._start()
             while "scheduler-0" in self.work.values():
                 self._supervise(transport, interrupted())
                 watch(transport, time.time())
@@ -182,6 +202,17 @@ class _Supervisor:
             transport.close()
             for host in [*self.hosts.values(), *([self.standby] if self.standby else [])]:
                 ray.kill(host)
+
+    def _start(self) -> None:
+        """Start all roles but the hub, first those that live on this machine: on a cluster others may fill it."""
+        first = [role_spec for role_spec in self.role_specs.values() if stays_here(role_spec, self.spec.config)]
+        then = [role_spec for role_spec in self.role_specs.values() if role_spec not in first]
+        for role_spec in (*first, *then):
+            if then and role_spec is then[0] and self.spec.config.run.address is not None:
+                ray.wait(list(self.asked), num_returns=len(self.asked), timeout=FIRST_WITHIN_S)
+            if role_spec.name != HUB:
+                self.hosts[role_spec.name] = self._host(role_spec)
+                self._drive(role_spec)
 
     def _supervise(self, transport: Transport, interrupted: bool) -> None:
         self.guests.step(time.time())
@@ -332,7 +363,10 @@ class _Supervisor:
 
     def _ask(self, reference: ray.ObjectRef, name: str) -> str:
         try:
-            return ray.get(reference)
+            return ray.get(reference, timeout=START_WITHIN_S)
+        except GetTimeoutError:
+            about = f"Ray has not started its process within {START_WITHIN_S:.0f} s"
+            raise RunError(f"{name} could not start: {about}; see whether Ray has free cores on this machine") from None
         except RayError as error:
             raise RunError(f"{name} could not start: {_last_line(error)}") from error
 
