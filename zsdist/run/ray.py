@@ -151,7 +151,7 @@ def _all_roles(config: Config) -> list[RoleSpec]:
 
 def _cores_of_this_node() -> float:
     here = ray.get_runtime_context().get_node_id()
-    return sum(node["Resources"].get("CPU", 0.0) for node in ray.nodes() if node["NodeID"] == here)
+    return float(sum(node["Resources"].get("CPU", 0.0) for node in ray.nodes() if node["NodeID"] == here))
 
 
 def _summary(error: Exception) -> str:
