@@ -220,15 +220,21 @@ class NoFiles:
 
 
 class WholeRun:
-    """All roles of a run around instant cars, stepped in turn on a virtual clock as `zsdist.run.inline` does."""
+    """All roles of a run around instant cars, stepped in turn on a virtual clock as `zsdist.run.inline` does.
 
-    def __init__(self, config, folder):
+    Args:
+        config: configuration of the run.
+        folder: folder of journals and ledger.
+        there: numbers of its own actors that are there; None: all.
+    """
+
+    def __init__(self, config, folder, there=None):
         self.config, self.now, self.broker, self.log = config, 0.0, MemoryBroker(), NoFiles()
         self._supervisor, self._watched = MemoryTransport(self.broker), Mailbox(2**24)
         self._supervisor.subscribe(keys.events(RUN), self._watched)
         self.events = Counter()
         self.scheduler = Scheduler(self._context("scheduler", "0"), self.log, folder / "ledger")
-        shapes, actors = REAL_SHAPES, range(config.run.actors)
+        shapes, actors = REAL_SHAPES, range(config.run.actors) if there is None else there
         self._roles = [self.scheduler, Replay(self._context("replay", "0"), shapes, folder / "journal")]
         for level, shape in shapes.items():
             dqn = FusedDqnLearner(shape.state_size, shape.actions, config.low, seed=0)
@@ -241,9 +247,9 @@ class WholeRun:
         orders = codec.encode(Orders(1, "scheduler", content))
         self._supervisor.publish(keys.control(RUN, "scheduler"), orders, retained=True)
 
-    def _context(self, role, identifier):
+    def _context(self, role, identifier, epoch=1):
         transport = MemoryTransport(self.broker, role)
-        return Context(self.config, RUN, role, str(identifier), 1, transport, threading.Event())
+        return Context(self.config, RUN, role, str(identifier), epoch, transport, threading.Event())
 
     @property
     def merges(self):

@@ -57,7 +57,7 @@ class SlowCar(InstantCar):
 class GuestRun(WholeRun):
     """Run with a runner that admits guests; `own` is the only actor of its own."""
 
-    def __init__(self, folder: Path, **settings):
+    def __init__(self, folder: Path, there=None, **settings):
         defaults = {
             "run": {"actors": 1, "cars_per_actor": 2, "episodes": 60, "checkpoint_every_episodes": 1000},
             "merge": {"every_episodes": 0},
@@ -65,7 +65,7 @@ class GuestRun(WholeRun):
             "high": {"min_size": 8, "updates_per_insert": 0.02},
         }
         merged = {name: {**defaults.get(name, {}), **settings.get(name, {})} for name in defaults | settings}
-        super().__init__(parse(merged), folder)
+        super().__init__(parse(merged), folder, there)
         self.log = self.scheduler.run_log = Pages()
         self.interrupted = False
         self.asked = MemoryTransport(self.broker)
@@ -105,6 +105,10 @@ class GuestRun(WholeRun):
         self.add(self.actors[name])
         return self.actors[name]
 
+    def own(self):
+        """Return the run's own actors that are there, and the last epochs of those that were."""
+        return [RoleSpec("actor", "0", 1)], {}
+
     def leave(self, actor, process="first"):
         """Let an actor deliver everything and say goodbye, as its process does."""
         actor.leave()
@@ -116,9 +120,9 @@ class GuestRun(WholeRun):
         if self.now >= self._next_orders_s:
             self._next_orders_s = self.now + HEARTBEAT_S
             self.guests.step(self.now)
-            own = [RoleSpec("actor", "0", 1)]
+            own, left = self.own()
             content = program.supervision(
-                own, interrupted=self.interrupted, guests=self.guests.epochs, left=self.guests.left
+                own, interrupted=self.interrupted, guests=self.guests.epochs, left=self.guests.left | left
             )
             orders = codec.encode(Orders(1, "scheduler", content))
             self._runner.publish(keys.control(RUN, "scheduler"), orders, retained=True)

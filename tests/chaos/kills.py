@@ -40,6 +40,7 @@ from oracle import Tail
 from small_run import Launcher, Witness, end_cleanly, moments, wait_for
 
 from zsdist.run import restarts
+from zsdist.transport.certificates import Identity
 
 ROLES = ("replay", "actor", "hub", "scheduler", "learner")
 CALM_S = 1.0  # least time with frames before a kill
@@ -65,15 +66,23 @@ class Killing:
         seed: seed of moments and victims.
         settings: settings of the run.
         restarts_allowed: as `Launcher` has them.
+        identity: as `Witness` has it.
     """
 
-    def __init__(self, root: Path, seed: int, *settings: str, restarts_allowed: int | None = None) -> None:
+    def __init__(
+        self,
+        root: Path,
+        seed: int,
+        *settings: str,
+        restarts_allowed: int | None = None,
+        identity: Identity | None = None,
+    ) -> None:
         self.root, self.settings, self.restarts_allowed = root, settings, restarts_allowed
         self.random = moments(seed)
         self.row: dict = {"kills": 0, "resumed_s": [], "pauses_s": [], "alive_after": 0}
         self.standby_kib = 0
         self.launcher = self._start()
-        self.tail, self.witness = Tail(self.launcher.folder), Witness(self.launcher)
+        self.tail, self.witness = Tail(self.launcher.folder), Witness(self.launcher, identity)
         self._victims: dict[str, int] = {}  # newest epoch of each role that was killed
         self._killed_s: float | None = None  # time of the last kill of the launcher
         self._early = False  # whether that was before the start had produced anything

@@ -24,7 +24,8 @@ from fakes import FakeVisualAct, LatticeEnv
 from synthetic import SyntheticActor
 
 from zsdist.errors import DecodeError, TransportError
-from zsdist.run import directory
+from zsdist.roles import base
+from zsdist.run import directory, role_host
 from zsdist.run.program import ActorParts, RunSpec
 from zsdist.run.scene_schedule import SceneSchedule
 from zsdist.transport.base import Mailbox
@@ -61,9 +62,14 @@ UNLIMITED = "ZSDIST_CHAOS_RESTARTS"  # variable: number of restarts that `launch
 _write = os.write  # `tamper` slows the disk for others
 STEPS = "ZSDIST_CHAOS_STEPS"  # variable: folder of the files in which cars count their actions
 SYNTHETIC = "ZSDIST_CHAOS_SYNTHETIC"  # variable: if it is set, actors have no cars
+MACHINE = "ZSDIST_CHAOS_MACHINE"  # variable: name of the machine that processes believe to be on
 PROXIES = "ZSDIST_CHAOS_PROXIES"  # variable: JSON, ports of the proxies through which kinds of roles connect
 LOOK_EVERY_S = 0.2
 END_WITHIN_S = 120.0
+
+
+if MACHINE in os.environ:
+    base.HOST = role_host.HOST = os.environ[MACHINE]
 
 
 class CountedEnv(LatticeEnv):

@@ -86,7 +86,8 @@ class Supervision(Content):
 
     They name the epochs of the actors, the restarts by kind of role, whether to stop, and the number of finished
     episodes at which all roles close after a checkpoint; None: they close at the end of the run, after its summary.
-    An actor that is not named may be unknown to a runner that has just begun. Only one in `left` is gone for good.
+    An actor that is not named may be unknown to a runner that has just begun. One in `left` is gone: it has left, or
+    its process has died and no other one is there yet.
     """
 
     epochs: Epochs

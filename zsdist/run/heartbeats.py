@@ -12,6 +12,7 @@ STOPPED_S = 3.0  # silence after which a process that is stopped by a signal is 
 HUNG_S = 6.0  # time without any movement after which a silent role is replaced: a hung disk, a deadlock
 HUNG_START_S = 60.0  # the same before its first word: a start reads libraries, perhaps from a slow disk
 UNSEEN_S = {"actor": 15.0, "learner": 120.0}  # silence of a role on another machine; a distillation takes long
+UNSEEN_START_S = 300.0  # the same before its first word, from the first answer of its process on
 PAUSE_S = STOPPED_S  # time between two looks after which the watcher itself was stopped, and nobody else is blamed
 HUB = "hub-0"  # name of the role through which all others are heard
 
@@ -69,6 +70,11 @@ class Heartbeats:
         if name == HUB:
             self._calm_others(now)  # nobody can be heard before it listens
 
+    def note_process(self, name: str, now: float) -> None:
+        """Note that the process of a role has answered; until then it may have waited for room."""
+        if name in self._roles:
+            self._roles[name].calm(now)
+
     def forget(self, name: str) -> None:
         """Watch a role no longer: it has finished."""
         self._roles.pop(name, None)
@@ -100,7 +106,7 @@ class Heartbeats:
         """Return why a silent role has to be replaced, in a few words; None: it has not.
 
         Args:
-            name: name of a role that `silent` returned.
+            name: name of a role that `silent` returned, whose process has answered.
             pulse: condition of its process; None: it is on another machine.
             now: time, seconds.
         """
@@ -108,7 +114,7 @@ class Heartbeats:
         silence_s = now - role.since_s
         if pulse is None:
             patience_s = UNSEEN_S.get(name.partition("-")[0])
-            lost = role.heard and patience_s is not None and silence_s >= patience_s
+            lost = patience_s is not None and silence_s >= (patience_s if role.heard else UNSEEN_START_S)
             return f"nothing was heard of it for {silence_s:.0f} s" if lost else None
         if pulse.stopped:
             return f"its process was stopped for {silence_s:.0f} s" if silence_s >= STOPPED_S else None

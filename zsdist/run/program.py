@@ -275,12 +275,12 @@ def supervision(
     """Return the content of the orders that a runner repeats to the scheduler (`schemas.Supervision`).
 
     Args:
-        role_specs: all roles; the orders name the actors' epochs.
+        role_specs: roles that are there; the orders name the actors' epochs.
         interrupted: whether to stop early.
         restarts: number of processes replaced so far in this start, by kind of role.
         until: number of finished episodes at which all roles close; None: the run's.
         guests: epochs of the actors that have joined from elsewhere.
-        left: last epochs of those that have left again.
+        left: last epochs of actors that were there and are not.
     """
     own = {role_spec.name: role_spec.epoch for role_spec in role_specs if role_spec.role == "actor"}
     return {

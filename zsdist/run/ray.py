@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import ray
-from ray.exceptions import RayActorError, RayError
+from ray.exceptions import GetTimeoutError, RayActorError, RayError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from zsdist.common import signals
@@ -24,6 +24,7 @@ from zsdist.run.directory import issue_epochs
 from zsdist.run.guests import Guests
 from zsdist.run.heartbeats import HUB, Heartbeats
 from zsdist.run.last_words import RoleLog
+from zsdist.run.presence import Presence
 from zsdist.run.processes import ProcessIdentity
 from zsdist.run.program import RoleSpec, RunSpec, Watch
 from zsdist.run.restarts import Restarts, StandbyPace
@@ -33,10 +34,13 @@ from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders
 
 OBJECT_STORE_BYTES = 256 * 2**20  # it carries settings and checkpoints at the start, and nothing afterwards
+START_WITHIN_S = 120.0  # longest wait for the process of the hub
+FIRST_WITHIN_S = 30.0  # on a cluster, for those that live on this machine, before others may take their room
 LEAVE_WITHIN_S = 5.0  # time for the roles to end by themselves once the run is over
 STANDBY_AFTER_S = 1.0  # delay of the standby's start, which loads a core for seconds, after other starts
 STARTS_TRIED = 3  # of Ray on this machine, whose own limit of 30 s a busy machine may exceed
 WORDS_BYTES = 2**22  # statistics that wait for the supervisor
+WAITS = "its process has not started yet; it waits for free cores of Ray, or for a machine that starts processes"
 
 
 def run(
@@ -98,6 +102,12 @@ def connect(config: Config) -> None:
         raise RunError(
             f"the run asks for {wanted:g} cores of Ray, the cluster has {free:g}; lower run.cpus_per_role or run.actors"
         )
+    if address is not None and (wanted := cores_here(config)) > (free := _cores_of_this_node()):
+        ray.shutdown()
+        raise RunError(
+            f"the roles that live on this machine ask for {wanted:g} cores of Ray, it has {free:g} of them; lower "
+            "run.cpus_per_role, or give it more (ray start --num-cpus)"
+        )
 
 
 def try_start() -> None:
@@ -129,6 +139,21 @@ def _cores(config: Config) -> float:
     return config.run.cpus_per_role * (program.role_count(config) + 1 + config.run.standby)
 
 
+def cores_here(config: Config) -> float:
+    """Return how many of Ray's cores those processes ask for that must live on this machine."""
+    staying = [role_spec for role_spec in _all_roles(config) if stays_here(role_spec, config)]
+    return config.run.cpus_per_role * (len(staying) + config.run.standby)
+
+
+def _all_roles(config: Config) -> list[RoleSpec]:
+    return [RoleSpec("hub", "0", 0), *program.roles(config, range(program.role_count(config)))]
+
+
+def _cores_of_this_node() -> float:
+    here = ray.get_runtime_context().get_node_id()
+    return float(sum(node["Resources"].get("CPU", 0.0) for node in ray.nodes() if node["NodeID"] == here))
+
+
 def _summary(error: Exception) -> str:
     """Return one of Ray's errors as one line without its colours."""
     return " ".join(re.sub(r"\x1b\[[0-9;]*m", "", str(error)).split()) or type(error).__name__
@@ -153,6 +178,7 @@ class _Supervisor:
         self.places: dict[ray.actor.ActorHandle, ProcessIdentity | None] = {}  # None: it cannot be seen from here
         self.asked: dict[ray.ObjectRef, ray.actor.ActorHandle] = {}  # questions for places
         self.heartbeats = Heartbeats(time.monotonic())
+        self.presence = Presence()
         self.words = Mailbox(WORDS_BYTES)
         self.guests: Guests  # from the connection to the hub on
 
@@ -166,10 +192,7 @@ class _Supervisor:
         transport.subscribe(keys.stats(self.spec.run, keys.ANY, keys.ANY), self.words)
         try:
             self.guests = Guests(self.spec, transport, lambda: issue_epochs(self.spec.folder, 1)[0])
-            for name, role_spec in self.role_specs.items():
-                if name != HUB:
-                    self.hosts[name] = self._host(role_spec)
-                    self._drive(role_spec)
+            self._start()
             while "scheduler-0" in self.work.values():
                 self._supervise(transport, interrupted())
                 watch(transport, time.time())
@@ -180,14 +203,27 @@ class _Supervisor:
             for host in [*self.hosts.values(), *([self.standby] if self.standby else [])]:
                 ray.kill(host)
 
+    def _start(self) -> None:
+        """Start all roles but the hub, first those that live on this machine: on a cluster others may fill it."""
+        first = [role_spec for role_spec in self.role_specs.values() if stays_here(role_spec, self.spec.config)]
+        then = [role_spec for role_spec in self.role_specs.values() if role_spec not in first]
+        for role_spec in (*first, *then):
+            if then and role_spec is then[0] and self.spec.config.run.address is not None:
+                ray.wait(list(self.asked), num_returns=len(self.asked), timeout=FIRST_WITHIN_S)
+            if role_spec.name != HUB:
+                self.hosts[role_spec.name] = self._host(role_spec)
+                self._drive(role_spec)
+
     def _supervise(self, transport: Transport, interrupted: bool) -> None:
         self.guests.step(time.time())
+        for name in self.presence.update(self.role_specs.values(), self._is_there, time.monotonic()):
+            self._report(transport, "role_waits", name, WAITS)
         content = program.supervision(
-            list(self.role_specs.values()),
+            self.presence.actors,
             restarts=self.restarts.by_kind(),
             interrupted=interrupted,
             guests=self.guests.epochs,
-            left=self.guests.left,
+            left=self.guests.left | self.presence.left,
         )
         orders = codec.encode(Orders(self.epoch, "scheduler", content))
         transport.publish(keys.control(self.spec.run, "scheduler"), orders, retained=True)
@@ -225,9 +261,13 @@ class _Supervisor:
             except RayError:
                 continue  # `_account_for` or `_keep_standby` deals with its death
             self.places[host] = process if machine == HOST and process.started else None
+            for name in (name for name, other in self.hosts.items() if other == host):
+                self.heartbeats.note_process(name, now)
 
     def _examine(self, name: str, transport: Transport) -> None:
         """Replace a silent role that has stopped: kill it first, so that it never works beside its successor."""
+        if not self._is_there(name):
+            return  # its process waits until a machine has room for it
         host, now = self.hosts[name], time.monotonic()
         place = self.places.get(host)
         reason = self.heartbeats.verdict(name, None if place is None else place.pulse(), now)
@@ -251,9 +291,16 @@ class _Supervisor:
         self.places.pop(self.hosts[name], None)
         self.hosts[name] = self._stand_in(role_spec)
         self._drive(role_spec)
+        self._report(transport, "role_replaced", name, reason)
+
+    def _report(self, transport: Transport, event: str, name: str, reason: str) -> None:
         about = {"time_s": round(time.time(), 3), "role": "supervisor", "id": "0", "host": HOST, "pid": os.getpid()}
-        event = {**about, "event": "role_replaced", "name": name, "reason": reason[:200]}
-        transport.publish(keys.events(self.spec.run), json.dumps(event).encode(), json=True)
+        content = {**about, "event": event, "name": name, "reason": reason[:200]}
+        transport.publish(keys.events(self.spec.run), json.dumps(content).encode(), json=True)
+
+    def _is_there(self, name: str) -> bool:
+        """Return whether the process of a role has answered."""
+        return self.hosts.get(name) in self.places
 
     def _drive(self, role_spec: RoleSpec) -> None:
         name, now = role_spec.name, time.monotonic()
@@ -309,14 +356,17 @@ class _Supervisor:
 
     def _leave(self) -> None:
         """Wait a while for the other roles to end by themselves."""
-        others = [reference for reference, name in self.work.items() if name != HUB]
+        others = [reference for reference, name in self.work.items() if name != HUB and self._is_there(name)]
         if others:
             ray.wait(others, num_returns=len(others), timeout=LEAVE_WITHIN_S)
         ray.wait([self.hosts[HUB].stop.remote()], timeout=LEAVE_WITHIN_S)
 
     def _ask(self, reference: ray.ObjectRef, name: str) -> str:
         try:
-            return ray.get(reference)
+            return ray.get(reference, timeout=START_WITHIN_S)
+        except GetTimeoutError:
+            about = f"Ray has not started its process within {START_WITHIN_S:.0f} s"
+            raise RunError(f"{name} could not start: {about}; see whether Ray has free cores on this machine") from None
         except RayError as error:
             raise RunError(f"{name} could not start: {_last_line(error)}") from error
 

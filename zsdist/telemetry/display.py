@@ -190,6 +190,8 @@ def _news(event: Fields) -> str:
             return f"{event.get('role')}-{event.get('id')}: {event.get('what')}"
         case "role_replaced":
             return f"{event.get('name')} is replaced: {event.get('reason')}"
+        case "role_waits":
+            return f"{event.get('name')} waits: {event.get('reason')}"
         case "actor_joined":
             return f"{event.get('actor')} has joined the run"
         case "actor_left":

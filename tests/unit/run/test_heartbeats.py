@@ -8,6 +8,7 @@ from zsdist.run.heartbeats import (
     SILENT_S,
     STOPPED_S,
     UNSEEN_S,
+    UNSEEN_START_S,
     Heartbeats,
     Pulse,
 )
@@ -128,6 +129,16 @@ def test_a_role_on_another_machine_is_given_up_after_a_long_silence_only(watch, 
     found, at_s, reason = watch.ride(600.0)
     assert found == name and patience_s <= at_s - silent_s <= patience_s + ROUND_S
     assert reason == f"nothing was heard of it for {patience_s:.0f} s"
+
+
+def test_a_role_on_another_machine_may_take_minutes_to_start_once_its_process_is_there(watch):
+    watch.silent, watch.pulses = {"actor-0"}, {"actor-0": None}
+    watch.heartbeats.expect("actor-0", 50, watch.now)
+    assert watch.ride(UNSEEN_START_S - 1.0) is None  # it may have waited for room
+    watch.heartbeats.note_process("actor-0", watch.now)
+    there_s = watch.now
+    found, at_s, _ = watch.ride(600.0)
+    assert found == "actor-0" and UNSEEN_START_S <= at_s - there_s <= UNSEEN_START_S + ROUND_S
 
 
 def test_a_role_that_has_finished_is_watched_no_longer(watch):

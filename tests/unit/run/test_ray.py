@@ -2,6 +2,7 @@
 
 import signal
 import threading
+from types import SimpleNamespace
 
 import pytest
 import ray
@@ -11,7 +12,7 @@ from zsdist.common import signals
 from zsdist.config import parse
 from zsdist.errors import RunError
 from zsdist.run.program import RoleSpec
-from zsdist.run.ray import RoleHost, connect, stays_here
+from zsdist.run.ray import RoleHost, connect, cores_here, stays_here
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 
 ROLES = ("hub", "scheduler", "replay", "learner", "actor")
@@ -146,3 +147,21 @@ def test_a_cluster_with_too_few_cores_is_refused(monkeypatch):
     monkeypatch.setattr(ray, "cluster_resources", lambda: {"CPU": 0.25})
     with pytest.raises(RunError, match=r"the cluster has 0\.25; lower run.cpus_per_role or run.actors"):
         connect(parse({**CLUSTER, "run": {"address": "head:6379", "cpus_per_role": 1.0}}))
+
+
+def test_a_machine_with_too_few_cores_for_the_roles_that_live_on_it_is_refused(monkeypatch):
+    monkeypatch.setattr(ray, "init", lambda **options: None)
+    monkeypatch.setattr(ray, "cluster_resources", lambda: {"CPU": 100.0})
+    monkeypatch.setattr(ray, "get_runtime_context", lambda: SimpleNamespace(get_node_id=lambda: "head"))
+    nodes = [{"NodeID": "head", "Resources": {"CPU": 5.0}}, {"NodeID": "other", "Resources": {"CPU": 95.0}}]
+    monkeypatch.setattr(ray, "nodes", lambda: nodes)
+    config = parse({**CLUSTER, "run": {"address": "head:6379", "cpus_per_role": 1.0}})
+    assert cores_here(config) == 6.0
+    with pytest.raises(RunError, match=r"on this machine ask for 6 cores of Ray, it has 5 of them; lower"):
+        connect(config)
+    nodes[0]["Resources"]["CPU"] = 6.0
+    connect(config)
+
+
+def test_on_a_cluster_a_learner_stays_beside_the_state_that_it_keeps():
+    assert {role for role in ROLES if not stays_here(RoleSpec(role, "0", 1), parse(CLUSTER))} == {"actor"}

@@ -25,10 +25,10 @@ class Members:
     """Changes of the actors of a run, which follow from the runner's orders.
 
     Args:
-        actors: number of the run's own actors, which are never in `left`.
+        actors: number of the run's own actors.
 
     Attributes:
-        left: last epoch of each actor that has left for good and has not come back.
+        left: last epoch of each actor that has left and has not come back.
     """
 
     def __init__(self, actors: int) -> None:
@@ -45,9 +45,10 @@ class Members:
         """
         for actor, epoch in orders.epochs.items():
             is_own, is_known = actor in self._own, actor in epochs
+            returns = is_known or (is_own and actor in self.left)  # a guest that comes back joins once more
             if epoch > epochs.get(actor, -1) and (admits or is_own or is_known):
-                yield Change("actor_replaced" if is_known else "" if is_own else "actor_joined", actor, epoch)
+                yield Change("actor_replaced" if returns else "" if is_own else "actor_joined", actor, epoch)
         for actor, epoch in orders.left.items():
-            if epochs.get(actor, -1) <= epoch and actor not in self._own and self.left.get(actor, -1) < epoch:
+            if epochs.get(actor, -1) <= epoch and self.left.get(actor, -1) < epoch:
                 yield Change("actor_left", actor, epoch)
         self.left = dict(orders.left)

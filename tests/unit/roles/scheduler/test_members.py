@@ -58,5 +58,12 @@ def test_a_run_that_ends_takes_back_its_own_actors_only(bench):
     assert bench.epochs == {OWN: 2}
 
 
+def test_an_actor_of_the_run_leaves_with_its_machine_and_is_replaced_later(bench):
+    bench.follow({OWN: 1})
+    assert bench.follow({}, {OWN: 1}) == [("actor_left", OWN, 1)] and bench.epochs == {}
+    assert bench.follow({}, {OWN: 1}) == [] and bench.members.left == {OWN: 1}
+    assert bench.follow({OWN: 2}) == [("actor_replaced", OWN, 2)] and bench.members.left == {}
+
+
 def test_a_successor_hears_of_those_that_left_before_it_began(bench):
     assert bench.follow({OWN: 1}, {GUEST: 2}) == [("", OWN, 1), ("actor_left", GUEST, 2)]
