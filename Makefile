@@ -115,7 +115,6 @@ chaos: install
 		$(BIN)/python tests/chaos/kills.py --role $$role --stop --kills 3 --results $(RESULTS)/kills.jsonl || exit 1; done
 	$(BIN)/python tests/chaos/partitions.py --results $(RESULTS)/partitions.jsonl
 	$(BIN)/python tests/chaos/disks_and_clocks.py
-	$(BIN)/python tests/chaos/nodes.py --results $(RESULTS)/nodes.jsonl
 
 soak: install
 	@mkdir -p $(RESULTS)

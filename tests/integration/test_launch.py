@@ -95,6 +95,7 @@ def summary_of(folder):
     return json.loads((folder / "summary.json").read_text())
 
 
+@pytest.mark.timeout(300)
 def test_another_client_sees_every_role_and_a_killed_actor_hub_and_replay_are_replaced(tmp_path):
     folder = tmp_path / "watched"
     process = begin(folder, "--episodes", "20")
@@ -148,7 +149,7 @@ def test_another_client_sees_every_role_and_a_killed_actor_hub_and_replay_are_re
     assert (folder / "figures" / "fig09-rewards.png").stat().st_size > 0
 
 
-@pytest.mark.timeout(300)  # it starts three runs
+@pytest.mark.timeout(300)
 def test_sigterm_to_the_whole_process_group_saves_and_names_the_command_that_resumes(tmp_path):
     folder = tmp_path / "interrupted"
     process = begin(folder, "--episodes", "500", "--set", "replay.shards=2")
