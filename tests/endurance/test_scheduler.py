@@ -162,7 +162,7 @@ def test_a_month_of_episodes_and_merges_neither_stops_nor_grows(tmp_path, span, 
     a_round_s = DAY_S * span.days / span.episodes * ACTORS * CARS
     rounds, seen, quarter = 0, None, 0
     while run.scheduler.stage is not Stage.DONE:
-        progress = run.scheduler.finished_episodes, len(run.scheduler.totals.merges), run.scheduler.stage
+        progress = run.scheduler.finished_episodes, len(run.scheduler.progress.totals.merges), run.scheduler.stage
         rounds = 0 if progress != seen else rounds + 1
         seen = progress
         assert rounds < STANDSTILL_ROUNDS, f"nothing happens after {progress}"
@@ -181,12 +181,12 @@ def test_a_month_of_episodes_and_merges_neither_stops_nor_grows(tmp_path, span, 
     report(
         days=run.now / DAY_S,
         episodes=run.scheduler.finished_episodes,
-        merges=len(run.scheduler.totals.merges),
+        merges=len(run.scheduler.progress.totals.merges),
         starts=run.starts,
         memory_mib_a_day=growth.mib_a_day,
         took_s=time.monotonic() - began_s,
     )
     assert run.scheduler.finished_episodes == len(lines) == span.episodes
-    assert len(run.scheduler.totals.merges) >= span.merges
+    assert len(run.scheduler.progress.totals.merges) >= span.merges
     assert not refused and not run.scheduler.snapshot.malformed
     assert growth.mib_a_day < 1
