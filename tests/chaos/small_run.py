@@ -26,6 +26,7 @@ from synthetic import SyntheticActor
 from zsdist.errors import DecodeError, TransportError
 from zsdist.roles import base
 from zsdist.run import directory, role_host
+from zsdist.run.processes import ROLE_THREAD
 from zsdist.run.program import ActorParts, RunSpec
 from zsdist.run.scene_schedule import SceneSchedule
 from zsdist.transport.base import Mailbox
@@ -65,6 +66,7 @@ SYNTHETIC = "ZSDIST_CHAOS_SYNTHETIC"  # variable: if it is set, actors have no c
 MACHINE = "ZSDIST_CHAOS_MACHINE"  # variable: name of the machine that processes believe to be on
 PROXIES = "ZSDIST_CHAOS_PROXIES"  # variable: JSON, ports of the proxies through which kinds of roles connect
 LOOK_EVERY_S = 0.2
+REST_S = 0.6  # time without much computing after which a process counts as waiting
 END_WITHIN_S = 120.0
 
 
@@ -147,6 +149,7 @@ class Launcher:
             self.process = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)
         self.known: dict[int, psutil.Process] = {}
         self._look_s, self._standby_kib = 0.0, None
+        self._looks: list[tuple[int, float, float]] = []  # at the standby: process, time, its processor time
         self.note_family()
 
     def note_family(self) -> list[psutil.Process]:
@@ -195,9 +198,9 @@ class Launcher:
         return " | ".join(self.log.read_text(errors="replace").splitlines()[-4:])
 
     def standby_kib(self) -> int | None:
-        """Return the resident KiB of the process that waits to replace another one; None: there is none.
+        """Return the resident KiB of the process that waits to replace another one; None: there is none yet.
 
-        The processes are looked at five times a second.
+        A process that still starts, so that it computes, does not wait. Processes are looked at five times a second.
         """
         if time.monotonic() >= self._look_s:
             self._look_s = time.monotonic() + LOOK_EVERY_S
@@ -207,10 +210,23 @@ class Launcher:
     def _find_standby(self) -> int | None:
         with contextlib.suppress(psutil.Error):
             for process in psutil.Process(self.process.pid).children(recursive=True):
-                with contextlib.suppress(psutil.Error):
-                    if " ".join(process.cmdline()).strip() == "ray::RoleHost":
-                        return process.memory_info().rss // 1024
+                with contextlib.suppress(psutil.Error, OSError):
+                    if " ".join(process.cmdline()).startswith("ray::RoleHost") and not _has_role(process.pid):
+                        return process.memory_info().rss // 1024 if self._rests(process) else None
         return None
+
+    def _rests(self, process: psutil.Process) -> bool:
+        """Return whether a process has computed for at most a tenth of the time for a while."""
+        now, times = time.monotonic(), process.cpu_times()
+        self._looks = [look for look in self._looks if look[0] == process.pid and look[1] >= now - 2 * REST_S]
+        self._looks.append((process.pid, now, times.user + times.system))
+        earlier = [used_s for _, time_s, used_s in self._looks if time_s <= now - REST_S]
+        return bool(earlier) and times.user + times.system - earlier[-1] <= 0.1 * REST_S
+
+
+def _has_role(pid: int) -> bool:
+    """Return whether a process has been given a role."""
+    return any((task / "comm").read_text().strip() == ROLE_THREAD for task in Path(f"/proc/{pid}/task").iterdir())
 
 
 class Witness:
