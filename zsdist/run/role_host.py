@@ -36,6 +36,7 @@ class RoleHost:
         """Make and use the parts of an actor, which take longest, so that any role can start here at once later."""
         parts = self.spec.make_parts(self.spec.config)
         preflight.try_out(parts, self.spec.config)
+        program.reading_fingerprint(self.spec.config, parts.visual_act)  # it reads all of the code, once in a process
         self._parts = parts
 
     def open_hub(self, endpoint: str | None) -> str:

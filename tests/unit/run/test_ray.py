@@ -6,14 +6,18 @@ from types import SimpleNamespace
 
 import pytest
 import ray
+from fakes import FakeVisualAct
 from ray.exceptions import RaySystemError
+from rehearsal import kinematic
 
-from zsdist.common import signals
+from zsdist.common import code_hash, signals
 from zsdist.config import parse
 from zsdist.errors import RunError
-from zsdist.run.program import RoleSpec
+from zsdist.run import program
+from zsdist.run.program import RoleSpec, RunSpec
 from zsdist.run.ray import RoleHost, connect, cores_here, stays_here
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
+from zsdist.vision.fingerprint import VisionIdentity
 
 ROLES = ("hub", "scheduler", "replay", "learner", "actor")
 SPEC = RoleSpec("actor", "0", 7)
@@ -165,3 +169,14 @@ def test_a_machine_with_too_few_cores_for_the_roles_that_live_on_it_is_refused(m
 
 def test_on_a_cluster_a_learner_stays_beside_the_state_that_it_keeps():
     assert {role for role in ROLES if not stays_here(RoleSpec(role, "0", 1), parse(CLUSTER))} == {"actor"}
+
+
+def test_a_standby_has_read_all_code_before_it_becomes_an_actor(tmp_path):
+    settings = parse({})
+    host = RoleHost(RunSpec(settings, "run", tmp_path, {}, VisionIdentity.of(FakeVisualAct(), "head"), kinematic))
+    code_hash.sha256.cache_clear()
+    host.warm_up()
+    read = code_hash.sha256.cache_info().misses
+    assert read == 1
+    program.reading_fingerprint(settings, FakeVisualAct())
+    assert code_hash.sha256.cache_info().misses == read
