@@ -6,6 +6,7 @@
 # make lowest   install the lowest versions that pyproject.toml allows, and run tests with them
 # make chaos    kill, stop, cut off and slow down the processes of small runs; KILLS=N of each kind, RESULTS=DIR elsewhere
 # make soak     an hour of a small run in which something is killed every 20 seconds; HOURS=N
+# make damage   flip a bit at 1,000 places of a journal and of a checkpoint, one at a time; FLIPS=N
 # make proof    show whether this checkout behaves like another one, bit for bit: make proof OLD=/path/to/other/checkout
 # make resumption  stop a single-process run at 20 random actions, resume it, and compare all bits
 # make peers    environments for the systems that benchmarks/replay.py compares with; PEERS=DIR elsewhere
@@ -39,9 +40,10 @@ RESUMPTION ?= .resumption
 
 KILLS ?= 20
 HOURS ?= 1
+FLIPS ?= 1000
 RESULTS ?= runs/chaos
 
-.PHONY: install run test lint dist endurance lowest chaos soak proof resumption clean peers
+.PHONY: install run test lint dist endurance lowest chaos soak damage proof resumption clean peers
 
 install: $(TOOLS)
 
@@ -115,10 +117,15 @@ chaos: install
 		$(BIN)/python tests/chaos/kills.py --role $$role --stop --kills 3 --results $(RESULTS)/kills.jsonl || exit 1; done
 	$(BIN)/python tests/chaos/partitions.py --results $(RESULTS)/partitions.jsonl
 	$(BIN)/python tests/chaos/disks_and_clocks.py
+	$(BIN)/python tests/chaos/floods.py
+	$(BIN)/python tests/chaos/large.py
 
 soak: install
 	@mkdir -p $(RESULTS)
 	$(BIN)/python tests/chaos/soak.py --hours $(HOURS) --results $(RESULTS)/soak.jsonl
+
+damage: install
+	$(BIN)/python tests/damage.py --flips $(FLIPS)
 
 # Records of two checkouts: weights, trajectories and episodes of fixed seeds. It takes an hour; ARGS=--quick takes minutes.
 proof: install
