@@ -203,7 +203,7 @@ class TransportConfig(Section):
     kind: Literal["memory", "zenoh"] = "zenoh"  # memory: within one process
     endpoint: str = "tcp/127.0.0.1:7447"  # endpoint of the hub; with `tls` tls/HOST:PORT, default tls/127.0.0.1:7447
     tls: Folder | None = None  # folder made by `python -m zsdist.certs`; None: reachable from this machine only
-    mailbox_bytes: Count = 64 * 2**20  # size of received messages that wait; others are dropped and sent again
+    mailbox_bytes: Count = 32 * 2**20  # of received messages that wait or are in process; others are sent again
     window_frames: ranges.Window = 64  # unacknowledged frames per stream
     resend_after_s: Positive = 0.25  # age at which an unacknowledged frame is sent again
     give_up_after_s: Positive = 60.0  # time without progress at a live receiver after which the run fails
