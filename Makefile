@@ -6,6 +6,7 @@
 # make lowest   install the lowest versions that pyproject.toml allows, and run tests with them
 # make chaos    kill, stop, cut off and slow down the processes of small runs; KILLS=N of each kind, RESULTS=DIR elsewhere
 # make soak     an hour of a small run in which something is killed every 20 seconds; HOURS=N
+# make chaos-learning  train `scattered` with a kill every 20 seconds and without, and compare; SEEDS=N; hours
 # make damage   flip a bit at 1,000 places of a journal and of a checkpoint, one at a time; FLIPS=N
 # make proof    show whether this checkout behaves like another one, bit for bit: make proof OLD=/path/to/other/checkout
 # make resumption  stop a single-process run at 20 random actions, resume it, and compare all bits
@@ -41,9 +42,10 @@ RESUMPTION ?= .resumption
 KILLS ?= 20
 HOURS ?= 1
 FLIPS ?= 1000
+SEEDS ?= 5
 RESULTS ?= runs/chaos
 
-.PHONY: install run test lint dist endurance lowest chaos soak damage proof resumption clean peers
+.PHONY: install run test lint dist endurance lowest chaos soak chaos-learning damage proof resumption clean peers
 
 install: $(TOOLS)
 
@@ -123,6 +125,10 @@ chaos: install
 soak: install
 	@mkdir -p $(RESULTS)
 	$(BIN)/python tests/chaos/soak.py --hours $(HOURS) --results $(RESULTS)/soak.jsonl
+
+chaos-learning: install
+	@mkdir -p $(RESULTS)
+	$(BIN)/python tests/chaos/learning.py --seeds $(SEEDS) --results $(RESULTS)/learning.jsonl
 
 damage: install
 	$(BIN)/python tests/damage.py --flips $(FLIPS)

@@ -17,7 +17,6 @@ import sys
 import time
 from pathlib import Path
 
-import oracle
 from kills import ROLES
 from small_run import Launcher, Witness, end_cleanly, moments, wait_for
 
@@ -96,7 +95,7 @@ def main() -> None:
 
 
 def _success(row: dict) -> float:
-    return round(100 * row["result"]["summary"]["success"], 2)
+    return round(100 * row["result"]["success"], 2)
 
 
 def _difference(success: dict[bool, list[float]]) -> dict:
