@@ -2,7 +2,7 @@
 # make test     the same set-up, then lint, unit tests and integration tests
 # make lint     ruff check, ruff format --check and mypy
 # make dist     build wheel and sdist in dist/, install the wheel in a clean environment elsewhere, and use it there
-# make endurance  drive the scheduler and the run directory through 30 virtual days; DAYS=N makes it shorter
+# make endurance  a month of a run without simulation, and 4,096 actors of one; DAYS=N makes the month shorter
 # make lowest   install the lowest versions that pyproject.toml allows, and run tests with them
 # make chaos    kill, stop, cut off and slow down the processes of small runs; KILLS=N of each kind, RESULTS=DIR elsewhere
 # make soak     an hour of a small run in which something is killed every 20 seconds; HOURS=N
@@ -74,7 +74,8 @@ lint: install
 
 test: lint
 	$(BIN)/python -m pytest tests/unit tests/chaos tests/endurance -q -n auto
-	$(BIN)/python -m pytest tests/integration -q
+	$(BIN)/python -m pytest tests/integration -q -n auto --dist loadfile -m "not alone"
+	$(BIN)/python -m pytest tests/integration -q -m alone
 
 # The wheel is built from the sdist, so both are checked. The program runs outside the checkout, with nothing else on
 # its path: files that are missing from the package show up here.

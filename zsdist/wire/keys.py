@@ -90,7 +90,7 @@ def candidate(run: str, level: Level | str, name: str) -> str:
 
 
 def evaluation(run: str, actor: str) -> str:
-    """Return the key of requests for greedy drives, scheduler to actor, and of their results, actor to scheduler."""
+    """Return the key of an actor's jobs, scheduler to actor, and of the results of its drives, actor to scheduler."""
     return _join(run, "evaluation", actor)
 
 

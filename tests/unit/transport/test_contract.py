@@ -408,7 +408,8 @@ def test_the_token_of_a_killed_process_disappears(hub: ZenohHub, root: str) -> N
     try:
         assert [message.payload for message in box.wait(1, 30.0)] == [b"1"]
         process.send_signal(signal.SIGKILL)
-        assert [message.payload for message in box.wait(2)] == [b"1", b"0"]
+        told = [message.payload for message in box.wait(2)]  # some versions of zenoh say twice that a token is gone
+        assert told[0] == b"1" and set(told[1:]) == {b"0"}
     finally:
         process.kill()
         process.wait()
