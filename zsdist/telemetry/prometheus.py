@@ -1,8 +1,8 @@
 """Statistics of a run for Prometheus: what any subscriber receives, as metrics over HTTP.
 
-A field `NAME` of the statistics of a role becomes the metric `zsdist_ROLE_NAME`, with the run, the host and the id of the
-role as labels. A name that begins with a level has the level as a label instead. Seconds end in `_seconds`, sizes in
-`_bytes`, and counters, which fall only where a role is replaced, in `_total`. A role that is silent for
+A field `NAME` of the statistics of a role becomes the metric `zsdist_ROLE_NAME`, with the run, the host and the id of
+the role as labels. A name that begins with a level has the level as a label instead. Seconds end in `_seconds`, sizes
+in `_bytes`, and counters, which fall only where a role is replaced, in `_total`. A role that is silent for
 `SILENT_AFTER_S` has no metrics any more.
 """
 
@@ -194,8 +194,8 @@ class Exporter:
             self._server, self._thread = start_http_server(where.port, where.host, registry)
         except OSError as error:
             raise RunError(
-                f"metrics cannot be served at {where.url(PAGE)}: {error.strerror}; allowed are a free port and an address "
-                "of this machine"
+                f"metrics cannot be served at {where.url(PAGE)}: {error.strerror}; allowed are a free port and an "
+                "address of this machine"
             ) from error
 
     def __enter__(self) -> "Exporter":
@@ -208,9 +208,7 @@ class Exporter:
         self._thread.join()
         self._server.server_close()
 
-    def serve(
-        self, find: Callable[[], tuple[str, Transport]], over: Callable[[], bool] = lambda: False
-    ) -> None:
+    def serve(self, find: Callable[[], tuple[str, Transport]], over: Callable[[], bool] = lambda: False) -> None:
         """Watch one run after the other, and wait where there is none.
 
         Args:
