@@ -14,6 +14,8 @@ from zsdist.transport.certificates import Identity
 LEASE_S = 5.0  # time after which a process that hangs counts as gone; a killed one is noticed at once
 MAX_WHOLE_BYTES = 4 * 2**20  # largest message that is sent whole
 MAX_MESSAGE_BYTES = MAX_WHOLE_BYTES + 64 * 1024  # limit of the connections: a message with its key and headers
+MAX_SESSIONS = 8192  # clients of a hub; zenoh's own limit of 1000 would refuse the others
+MAX_PENDING = 1000  # of them that connect at the same moment, as all actors of a large run do; zenoh's own is 100
 _RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
 
 
@@ -40,6 +42,8 @@ def session_config(
         "connect/retry": _RETRY,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
+        "transport/unicast/max_sessions": MAX_SESSIONS,
+        "transport/unicast/accept_pending": MAX_PENDING,
         "transport/link/tx/lease": int(1000 * LEASE_S),
         "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
         "transport/link/tx/queue/size/data": 16,  # batches of 64 KiB; zenoh allows no more
