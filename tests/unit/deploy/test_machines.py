@@ -2,7 +2,9 @@
 
 import configparser
 import copy
+import importlib
 import re
+import shlex
 import shutil
 import subprocess
 
@@ -129,7 +131,21 @@ def test_systemd_knows_every_line_of_the_service(tmp_path):
     assert about == []
 
 
-@pytest.mark.parametrize("page", ["deploy/README.md", "docs/cluster.md", "docs/kubernetes.md", "docs/slurm.md"])
+PAGES = ("deploy/README.md", "docs/cluster.md", "docs/kubernetes.md", "docs/slurm.md")
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_the_commands_of_a_page_are_ones_that_zsdist_understands(page):
+    text = re.sub(r"\\\n\s*", " ", (ROOT / page).read_text())
+    commands = re.findall(r"^ +python -m zsdist\.(\w+) (.*)$", text, re.MULTILINE)
+    assert commands
+    for name, words in commands:
+        words = re.sub(r"\$\(.*?\)|\$HUB", "tls/h:7447", words)
+        parser = importlib.import_module(f"zsdist.{name}").make_parser()
+        parser.parse_args(shlex.split(words, comments=True))
+
+
+@pytest.mark.parametrize("page", PAGES)
 def test_pages_name_only_files_and_roles_that_exist(page):
     text = (ROOT / page).read_text()
     for name in re.findall(r"(?<![\w/.])(?:deploy|configs)/[\w./-]*\w", text):
