@@ -70,7 +70,9 @@ def _launch(options: argparse.Namespace, console: PlainConsole, held: contextlib
     interruption = Interruption()
     try:
         summary = _train(spec, console, interruption, prefer_lines=options.plain)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
+        if reason := str(error):
+            streams.tell(f"{reason}; the run did not wait for it")
         if spec.folder.exists():  # it does not where nothing had begun
             streams.tell("stopped at once; what came after the last checkpoint is not saved. Resume with", resume)
         raise Interrupted(interruption.number or signal.SIGINT) from None  # Ray may have raised it anew
