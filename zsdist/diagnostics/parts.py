@@ -1,6 +1,7 @@
 """Checks that try out the parts of a run: camera, vision, zenoh and Ray."""
 
 import importlib.metadata
+import os
 import threading
 import time
 from typing import TYPE_CHECKING
@@ -83,17 +84,21 @@ def check_ray() -> CheckResult:
     """Start Ray on this machine as a run does, and end it."""
     from zsdist.run import cluster_address, local_ray
 
+    before = dict(os.environ)
     local_ray.stay_on_loopback()
-    from zsdist.run import ray
+    from zsdist.run import ray_cluster
 
     version = f"version {importlib.metadata.version('ray')}"
     began_s = time.perf_counter()
     try:
         cluster_address.check(Config())
-        ray.try_start()
+        ray_cluster.try_start()
     except RunError as error:
         advice = "Correct that, or train in one process: python -m zsdist.launch --single-process."
         return CheckResult("ray", CheckStatus.FAIL, f"{version}; {error}", advice)
+    finally:  # its address and token were for that Ray alone
+        os.environ.clear()
+        os.environ.update(before)
     return CheckResult("ray", CheckStatus.OK, f"{version}, started in {time.perf_counter() - began_s:.1f} s")
 
 

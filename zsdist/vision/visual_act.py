@@ -15,7 +15,7 @@ from zsdist.types import View
 from zsdist.vision import weights_folder
 from zsdist.vision.encoders import open_encoder
 from zsdist.vision.encoders.base import Encoder, check_images, resample
-from zsdist.vision.exported import cached_session, export
+from zsdist.vision.exported import CPU_DEVICE, cached_session, export
 from zsdist.vision.labels import expected_openness, progress, reward_label
 from zsdist.vision.models import STUDENT_PX
 from zsdist.vision.rays import BIN_CENTRES_M, BIN_EDGES_M, RAYS, quantile_m, ray_angles_rad
@@ -69,6 +69,7 @@ class VisualAct:
         weights: folder of weights; only the file of the network in use is read.
         encoder: encoder of the head; None: the student is used.
         ray_quantile: share of the quantile to which a distribution of the clearance is reduced.
+        device: setting `vision.device`, for readings of pictures.
 
     Attributes:
         encoder_name: name of the encoder.
@@ -77,9 +78,12 @@ class VisualAct:
 
     Raises:
         WeightsError: weights are missing, damaged, or of another network.
+        ConfigError: the device is a GPU, and none can be used.
     """
 
-    def __init__(self, weights: WeightsFolder, encoder: Encoder | None, ray_quantile: float) -> None:
+    def __init__(
+        self, weights: WeightsFolder, encoder: Encoder | None, ray_quantile: float, device: str = CPU_DEVICE
+    ) -> None:
         file = STUDENT_FILE if encoder is None else HEAD_FILE
         content = weights.content(file)
         self.weights_sha256 = weights.sha256(file)
@@ -92,6 +96,7 @@ class VisualAct:
         self._session = cached_session(
             f"{Path(file).stem}-{self.weights_sha256[:16]}-{_code()}",
             lambda out: _build(weights, content, encoder, out),
+            device,
         )
         self._attention_session: onnxruntime.InferenceSession | None = None
 
@@ -105,10 +110,10 @@ class VisualAct:
         weights = weights_folder.read(weights_folder.locate(config.weights))
         weights.check_camera(camera)
         if config.network == "student":
-            return cls(weights, None, config.ray_quantile)
+            return cls(weights, None, config.ray_quantile, config.device)
         encoder = open_encoder(config.encoder)
         weights.check_encoder(encoder)
-        return cls(weights, encoder, config.ray_quantile)
+        return cls(weights, encoder, config.ray_quantile, config.device)
 
     def __call__(self, images: np.ndarray, goal_bearing_rad: np.ndarray, goal_distance_m: np.ndarray) -> list[View]:
         """Return the view of each image.
