@@ -73,7 +73,7 @@ class VisionConfig(Section):
 
     weights: Weights = places.WEIGHTS  # the weights in the package, or a folder made by `zsdist.pretrain`
     encoder: Encoder = places.ENCODER  # or a folder with a CLIP model of open_clip or Hugging Face
-    network: Literal["head", "student"] = "head"  # head on the encoder's tokens, or small network without an encoder
+    network: Literal["head", "student", "compact"] = "head"  # head on the encoder's tokens; the others: no encoder
     rays: Literal["all", "three", "none"] = "all"  # rays the agent gets; three: one per direction; none: no vision
     ray_quantile: Annotated[float, Field(gt=0, lt=1)] = 0.1  # quantile of the prediction used as a ray's distance
     cache_bytes: Annotated[int, Field(ge=0)] = 64 * 2**20  # size of the cache of readings, per machine; 0: no cache

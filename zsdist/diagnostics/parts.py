@@ -36,9 +36,9 @@ def check_camera() -> CheckResult:
 
 
 def check_vision() -> CheckResult:
-    """Read every file of the shipped weights, and run the head, the student and the word comparison on one picture."""
+    """Read every file of the shipped weights, and run each of its networks and the word comparison on one picture."""
     from zsdist.vision import weights_folder
-    from zsdist.vision.visual_act import VisualAct
+    from zsdist.vision.visual_act import ALONE, VisualAct
 
     config = Config()
     image = np.zeros((1, config.camera.size_px, config.camera.size_px, 3), dtype=np.uint8)
@@ -49,9 +49,7 @@ def check_vision() -> CheckResult:
         missing = [file for file in optional if not weights.has(file)]
         for file in weights.metadata["files"]:
             weights.content(file)
-        for network in ("head", "student"):
-            if network == "student" and weights_folder.STUDENT_FILE in missing:
-                continue
+        for network in ("head", *(name for name, (file, _) in ALONE.items() if weights.has(file))):
             model = VisualAct.load(config.vision.model_copy(update={"network": network}), config.camera)
             model.read(image)
             began_s = time.perf_counter()
