@@ -139,13 +139,10 @@ class Scheduler(Role):
                 self._sits, self._last = True, min(content.until, self.target)
 
     def _receive_records(self, now: float) -> None:
-        lines, sizing = [], self.progress.totals.sizing
-        sizes = (sizing.size, sizing.batch_size)
+        lines = []
         for message, records in self.messages(self._reports, Records, own=Jobs):
             lines += self.progress.receive(records, message.payload, now)
         self._advanced |= bool(self.progress.entries)
-        if sizes != (sizing.size, sizing.batch_size):
-            self._next_orders_s = 0.0
         self.ledger.append(self.progress.take_entries())
         for line in lines:
             self.run_log.episode(line)
@@ -245,17 +242,18 @@ class Scheduler(Role):
     # -- output -------------------------------------------------------------------------------------------------
 
     def _publish(self, now: float) -> None:
-        """Publish the absolute state of all orders and jobs at each heartbeat, and jobs in between where they change.
+        """Publish the absolute state of all orders and jobs at each heartbeat, and what has changed in between.
 
-        An episode that ends concerns one actor: what is sent for it does not grow with the number of actors.
+        An episode that ends concerns one actor, learners and replay: what is sent for it does not grow with the number
+        of actors.
         """
         progress, run = self.progress, self.context.run
         changed, heartbeat = progress.leases.take_changed(), now >= self._next_orders_s
         if heartbeat:
             self._next_orders_s = now + HEARTBEAT_S
-            for role, orders in self._orders().items():
-                payload = codec.encode(Orders(self.context.epoch, role, orders))
-                self.transport.publish(keys.control(run, role), payload, retained=True)
+        for role, orders in self._orders(heartbeat).items() if heartbeat or self._advanced else ():
+            payload = codec.encode(Orders(self.context.epoch, role, orders))
+            self.transport.publish(keys.control(run, role), payload, retained=heartbeat)
         due = heartbeat or self._advanced or bool(changed)
         drives = progress.drives() if progress.merge is not None and due else {}
         actors = [*progress.epochs, *self._members.left] if heartbeat or drives else sorted(changed)
@@ -264,20 +262,23 @@ class Scheduler(Role):
             self.transport.publish(keys.evaluation(run, actor), payload, retained=True)
         self._advanced = False
 
-    def _orders(self) -> dict[str, dict[str, Any]]:
+    def _orders(self, whole: bool) -> dict[str, dict[str, Any]]:
+        """Return the orders by role; unless `whole`, without what only a heartbeat says: it is as it was."""
         progress, merge = self.progress, self.progress.merge
         done = self.stage is Stage.DONE
         ending = self.stage in (Stage.CLOSING, Stage.SAVING, Stage.DONE)
-        return {
+        to_actors = {
             "actor": {
                 "finished": self.finished_episodes,
                 "merge": merge.index if merge else progress.merge_index + 1,
                 "closing": ending,
                 "cut": ending and progress.interrupted,
-            },
+            }
+        }
+        return (to_actors if whole else {}) | {
             shards.ROLE: {
-                "epochs": progress.epochs,
-                "left": self._members.left,
+                "epochs": progress.epochs if whole else {},
+                "left": self._members.left if whole else {},
                 "buffer_size": progress.totals.sizing.size,
                 "batch_size": progress.totals.sizing.batch_size,
                 "stop": done,
