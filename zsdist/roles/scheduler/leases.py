@@ -8,9 +8,9 @@ from typing import Any
 class Leases:
     """Assignment of training episodes to actors.
 
-    Numbers are granted in order up to a `barrier` (the next merge), so that no episode is in flight when the barrier is
-    reached. The numbers of a dead actor are granted again. Memory and time depend on the numbers that are not finished,
-    not on those that are.
+    Numbers are granted in order up to a `barrier`, so that no episode is in flight when the barrier is reached. The
+    numbers of a dead actor are granted again. Memory and time depend on the numbers that are not finished, not on those
+    that are.
 
     Attributes:
         holders: actor that holds each number.
@@ -38,7 +38,7 @@ class Leases:
         """
         held = self._held.setdefault(actor, set())
         before = len(held)
-        while len(held) < capacity and self.finished_count + len(self.holders) < barrier:
+        while len(held) < capacity and self.has_free(barrier):
             if self._free:
                 number = heapq.heappop(self._free)
             else:
@@ -46,6 +46,10 @@ class Leases:
             self.holders[number] = actor
             held.add(number)
         return len(held) > before
+
+    def has_free(self, barrier: int) -> bool:
+        """Return whether `grant` could grant a number to somebody."""
+        return self.finished_count + len(self.holders) < barrier
 
     def finish(self, number: int, actor: str) -> bool:
         """Mark `number` finished; return False, and change nothing, where `actor` does not hold it (any more)."""
