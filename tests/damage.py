@@ -1,6 +1,6 @@
 """Damage of a journal and of a checkpoint, one flipped bit at a time, and what is left of them.
 
-    PYTHONPATH=.:tests python tests/damage.py --flips 1000
+    python tests/damage.py --flips 1000
 
 Every row of the ring names itself in its state, and is compared whole with the row that was written. So a row that is
 lost, doubled or changed is found. The last line is JSON.

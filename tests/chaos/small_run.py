@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -26,6 +26,7 @@ from synthetic import SyntheticActor
 from zsdist.errors import DecodeError, TransportError
 from zsdist.roles import base
 from zsdist.run import directory, role_host
+from zsdist.run.processes import ROLE_THREAD
 from zsdist.run.program import ActorParts, RunSpec
 from zsdist.run.scene_schedule import SceneSchedule
 from zsdist.transport.base import Mailbox
@@ -65,6 +66,7 @@ SYNTHETIC = "ZSDIST_CHAOS_SYNTHETIC"  # variable: if it is set, actors have no c
 MACHINE = "ZSDIST_CHAOS_MACHINE"  # variable: name of the machine that processes believe to be on
 PROXIES = "ZSDIST_CHAOS_PROXIES"  # variable: JSON, ports of the proxies through which kinds of roles connect
 LOOK_EVERY_S = 0.2
+REST_S = 0.6  # time without much computing after which a process counts as waiting
 END_WITHIN_S = 120.0
 
 
@@ -131,9 +133,12 @@ class Launcher:
         root: folder in which the run directory `run` lies, and beside it the files of the cars.
         settings: settings other than `LIGHT`.
         restarts: number of restarts of a role that are allowed; None: the usual one.
+        command: command of another run in the same place; None: `launcher.py` with the settings.
     """
 
-    def __init__(self, root: Path, *settings: str, restarts: int | None = None) -> None:
+    def __init__(
+        self, root: Path, *settings: str, restarts: int | None = None, command: Sequence[str] | None = None
+    ) -> None:
         self.root, self.folder = root, root / "run"
         (root / "steps").mkdir(parents=True, exist_ok=True)
         (self.folder / "endpoint").unlink(missing_ok=True)
@@ -142,11 +147,12 @@ class Launcher:
         if restarts is not None:
             environment[UNLIMITED] = str(restarts)
         self.log = root / "launcher.log"
-        command = [sys.executable, str(HERE / "launcher.py"), str(self.folder), *settings]
+        command = command or [sys.executable, str(HERE / "launcher.py"), str(self.folder), *settings]
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)
         self.known: dict[int, psutil.Process] = {}
         self._look_s, self._standby_kib = 0.0, None
+        self._looks: list[tuple[int, float, float]] = []  # at the standby: process, time, its processor time
         self.note_family()
 
     def note_family(self) -> list[psutil.Process]:
@@ -195,9 +201,9 @@ class Launcher:
         return " | ".join(self.log.read_text(errors="replace").splitlines()[-4:])
 
     def standby_kib(self) -> int | None:
-        """Return the resident KiB of the process that waits to replace another one; None: there is none.
+        """Return the resident KiB of the process that waits to replace another one; None: there is none yet.
 
-        The processes are looked at five times a second.
+        A process that still starts, so that it computes, does not wait. Processes are looked at five times a second.
         """
         if time.monotonic() >= self._look_s:
             self._look_s = time.monotonic() + LOOK_EVERY_S
@@ -207,10 +213,23 @@ class Launcher:
     def _find_standby(self) -> int | None:
         with contextlib.suppress(psutil.Error):
             for process in psutil.Process(self.process.pid).children(recursive=True):
-                with contextlib.suppress(psutil.Error):
-                    if " ".join(process.cmdline()).strip() == "ray::RoleHost":
-                        return process.memory_info().rss // 1024
+                with contextlib.suppress(psutil.Error, OSError):
+                    if " ".join(process.cmdline()).startswith("ray::RoleHost") and not _has_role(process.pid):
+                        return process.memory_info().rss // 1024 if self._rests(process) else None
         return None
+
+    def _rests(self, process: psutil.Process) -> bool:
+        """Return whether a process has computed for at most a tenth of the time for a while."""
+        now, times = time.monotonic(), process.cpu_times()
+        self._looks = [look for look in self._looks if look[0] == process.pid and look[1] >= now - 2 * REST_S]
+        self._looks.append((process.pid, now, times.user + times.system))
+        earlier = [used_s for _, time_s, used_s in self._looks if time_s <= now - REST_S]
+        return bool(earlier) and times.user + times.system - earlier[-1] <= 0.1 * REST_S
+
+
+def _has_role(pid: int) -> bool:
+    """Return whether a process has been given a role."""
+    return any((task / "comm").read_text().strip() == ROLE_THREAD for task in Path(f"/proc/{pid}/task").iterdir())
 
 
 class Witness:

@@ -301,7 +301,7 @@ class RingBuffer:
             ):
                 source.take(index, axis=0, out=self._columns[name][span], mode="clip")  # "raise" would copy twice
             if self._priorities is not None:
-                self._priorities.add(np.arange(span.start, span.stop))
+                self._priorities.add(span.start, span.stop)
             written += len(part)
             self._head = span.stop % self.capacity
         self._size = min(self._size + len(accepted), self.capacity)

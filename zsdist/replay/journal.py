@@ -26,9 +26,9 @@ from zsdist.errors import DamagedError, RunError
 from zsdist.replay import records as record_format
 from zsdist.replay.records import MARKER_BYTES, Damage, Record
 
-# A log of this length is merged into a new base; a log of so many records is read in a fraction of a second.
+# A log of this length is merged into a new base; a log of so many records is read in a tenth of a second.
 COMPACT_BYTES = 16 * 2**20
-COMPACT_RECORDS = 1024
+COMPACT_RECORDS = 256
 
 _BASES = ("base", "copy")
 _BASE_MARKER = b"zsdistJ1"  # of the one record of a base

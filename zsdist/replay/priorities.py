@@ -33,6 +33,15 @@ class SumTree:
             nodes = np.unique(nodes >> 1)
             self._sums[nodes] = self._sums[2 * nodes] + self._sums[2 * nodes + 1]
 
+    def fill(self, start: int, stop: int, value: float) -> None:
+        """Set the numbers from `start` to below `stop` to one value; neighbours share most of their sums."""
+        first, last = self._leaves + start, self._leaves + stop - 1
+        self._sums[first : last + 1] = value
+        while first > 1:
+            first, last = first >> 1, last >> 1
+            pairs = self._sums[2 * first : 2 * last + 2]
+            self._sums[first : last + 1] = pairs[::2] + pairs[1::2]
+
     def find(self, masses: np.ndarray) -> np.ndarray:
         """Return the index of the number into which each mass falls, with the numbers laid end to end, `(B,)` int64.
 
@@ -70,9 +79,9 @@ class RowPriorities:
         self._tree = SumTree(capacity)
         self.largest = 1.0
 
-    def add(self, rows: np.ndarray) -> None:
-        """Give these rows, which hold new transitions, the largest priority so far."""
-        self._tree[rows] = self.largest
+    def add(self, start: int, stop: int) -> None:
+        """Give the rows from `start` to below `stop`, which hold new transitions, the largest priority so far."""
+        self._tree.fill(start, stop, self.largest)
 
     def draw(self, rng: np.random.Generator, count: int, size: int) -> tuple[np.ndarray, np.ndarray]:
         """Draw one row from each of `count` equal parts of the total priority.

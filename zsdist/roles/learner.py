@@ -286,9 +286,13 @@ class Learner(Role):
                 self._kept.note_version(self.version)
         self._published_s, self._published_updates = now, self.updates
         parameters = self._sound("network", self.dqn.parameters, now)
-        weights = Weights(self.level, self.version, parameters)
-        message = WeightsMessage(self.context.epoch, self.merge, network.sha256(parameters), self._made_s, weights)
-        self.transport.publish(keys.weights(self.context.run, self.level), codec.encode(message), retained=True)
+        merge, made_s, weights = self.merge, self._made_s, Weights(self.level, self.version, parameters)
+
+        def publish() -> None:  # a wide network takes a tenth of a second to hash and encode
+            message = WeightsMessage(self.context.epoch, merge, network.sha256(parameters), made_s, weights)
+            self.transport.publish(keys.weights(self.context.run, self.level), codec.encode(message), retained=True)
+
+        self.in_background(publish)
 
     def _follow(self, content: LearnerOrders, now: float) -> None:
         index, self._episodes = content.merge, content.finished

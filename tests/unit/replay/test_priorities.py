@@ -33,6 +33,22 @@ def test_the_total_is_the_sum_and_a_mass_is_found_at_its_number(size, changes):
         assert np.array_equal(tree.find(middles[chosen]), chosen)
 
 
+@settings(max_examples=80, deadline=None)
+@given(size=st.integers(1, 40), data=st.data())
+def test_filling_a_span_sets_every_sum_as_setting_its_numbers_does(size, data):
+    filled, numbered = SumTree(size), SumTree(size)
+    for value in data.draw(st.lists(st.floats(0, 1e6), max_size=8)):
+        start = data.draw(st.integers(0, size - 1))
+        stop = data.draw(st.integers(start + 1, size))
+        filled.fill(start, stop, value)
+        numbered[np.arange(start, stop)] = value
+    nodes = np.arange(size)
+    assert filled.total == numbered.total and np.array_equal(filled[nodes], numbered[nodes])
+    if filled.total:
+        masses = np.linspace(0, filled.total, 50, endpoint=False)
+        assert np.array_equal(filled.find(masses), numbered.find(masses))
+
+
 def test_the_last_of_two_values_for_an_index_counts():
     tree = SumTree(5)
     tree[np.array([3, 1, 3])] = np.array([7.0, 2.0, 4.0])
@@ -50,7 +66,7 @@ def test_a_mass_at_the_very_end_is_not_found_at_a_number_of_0():
 def test_rows_are_drawn_in_proportion_to_their_priorities(exponent):
     rng, errors = np.random.default_rng(0), np.array([0.0, 0.5, 1.0, 2.0, 8.0], np.float32)
     priorities = RowPriorities(9, exponent, 0.4)
-    priorities.add(np.arange(5))
+    priorities.add(0, 5)
     priorities.update(np.arange(5), errors)
     drawn = np.concatenate([priorities.draw(rng, 4, 5)[0] for _ in range(10_000)])
     counts = np.bincount(drawn, minlength=9)
@@ -71,17 +87,17 @@ def test_importance_weights_correct_the_bias_of_the_priorities():
 
 def test_equal_priorities_have_equal_weights():
     priorities = RowPriorities(6, 0.6, 0.4)
-    priorities.add(np.arange(6))
+    priorities.add(0, 6)
     _, weights = priorities.draw(np.random.default_rng(0), 64, 6)
     assert (weights == 1.0).all()
 
 
 def test_new_rows_have_the_largest_priority_so_far():
     priorities = RowPriorities(4, 1.0, 0.4)
-    priorities.add(np.array([0]))
+    priorities.add(0, 1)
     priorities.update(np.array([0]), np.array([9.0], np.float32))
     priorities.update(np.array([0]), np.array([2.0], np.float32))
-    priorities.add(np.array([1]))
+    priorities.add(1, 2)
     assert priorities.get(np.arange(4)).tolist() == pytest.approx([2 + SMALLEST_ERROR, 9 + SMALLEST_ERROR, 0, 0])
 
 
@@ -98,7 +114,7 @@ def test_drawing_and_updating_touch_as_many_sums_as_rows_times_depth(size, monke
     unique = np.unique
     monkeypatch.setattr(np, "unique", lambda nodes: touched.append(len(nodes)) or unique(nodes))
     priorities = RowPriorities(size, 0.6, 0.4)
-    priorities.add(np.arange(size))
+    priorities.add(0, size)
     touched.clear()
     priorities.update(np.arange(0, size, size // 100)[:100], np.ones(100, np.float32))
     assert sum(touched) <= 100 * np.ceil(np.log2(size))

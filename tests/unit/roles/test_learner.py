@@ -1,10 +1,12 @@
 import dataclasses
 import json
 import threading
+from concurrent.futures import Future
 
 import numpy as np
 import pytest
 
+from zsdist.common.background import at_once
 from zsdist.config import LevelConfig, load, parse
 from zsdist.dqn.learner import DqnLearner
 from zsdist.errors import RunError
@@ -37,7 +39,7 @@ def batch(rng, rows=4):
 class Bench:
     """Learner at a memory transport; the test plays the replay and the scheduler."""
 
-    def __init__(self, shards=1, low=None, refused=None):
+    def __init__(self, shards=1, low=None, refused=None, background=at_once):
         self.rng, self.broker, self.now = np.random.default_rng(0), MemoryBroker(), 0.0
         self.others = MemoryTransport(self.broker)
         self.shards, self.weights = [Mailbox(2**20) for _ in range(shards)], Mailbox(2**24)
@@ -46,7 +48,8 @@ class Bench:
             self.others.serve(keys.sample(RUN, Level.LOW, index), box)
         self.others.subscribe(keys.weights(RUN, Level.LOW), self.weights)
         config = parse({"replay": {"shards": shards, "prioritised": True}, "low": low or {}, "run": {"actors": 2}})
-        context = Context(config, RUN, "learner", "low", 1, MemoryTransport(self.broker), threading.Event())
+        wake = threading.Event()
+        context = Context(config, RUN, "learner", "low", 1, MemoryTransport(self.broker), wake, background)
         dqn = DqnLearner(FEATURES, ACTIONS, LevelConfig(hidden=(8,)) if low is None else config.low, seed=0)
         self.learner = Learner(context, Level.LOW, dqn, refused=refused)
 
@@ -326,3 +329,19 @@ def test_a_captured_state_does_not_change_with_later_updates(bench):
     found = make()
     assert found.meta == before.meta
     assert all(np.array_equal(array, found.arrays[name]) for name, array in before.arrays.items())
+
+
+def test_weights_are_encoded_beside_the_steps_as_they_were_when_they_were_published():
+    waiting = []
+    bench = Bench(background=lambda function: waiting.append(function) or Future())
+    bench.step()
+    version, before = bench.learner.version, bench.learner.dqn.parameters()
+    assert waiting and not bench.weights.drain()
+    for _ in range(3):
+        bench.answer(bench.requests.drain())
+        bench.step()
+    assert bench.learner.updates and not bench.weights.drain()
+    waiting[0]()
+    (found,) = (codec.decode(message.payload, expect=WeightsMessage).weights for message in bench.weights.drain())
+    assert found.version == version
+    assert all(np.array_equal(array, found.parameters[name]) for name, array in before.items())

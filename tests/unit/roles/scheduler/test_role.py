@@ -66,7 +66,7 @@ class Bench:
         context = Context(parse(settings), RUN, "scheduler", "0", 5, MemoryTransport(broker))
         self._folder = tempfile.TemporaryDirectory()
         self.scheduler = Scheduler(context, self.log, Path(self._folder.name), restored)
-        self.asked, self.published, self._frames = Mailbox(2**20), Mailbox(2**24), {}
+        self.asked, self.published, self._frames, self.jobs = Mailbox(2**20), Mailbox(2**24), {}, {}
         self.epochs = dict.fromkeys(actors, EPOCH)
         for role in ("replay", "learner-high", "learner-low"):
             self.others.serve(keys.control(RUN, role), self.asked)
@@ -84,7 +84,7 @@ class Bench:
         self.scheduler.step(self.now)
 
     def orders(self):
-        """Return the newest orders by role and jobs by actor, after the next heartbeat."""
+        """Return the newest orders by role and drives by actor, after the next heartbeat."""
         self.now += HEARTBEAT_S
         self.step()
         newest = {}
@@ -94,7 +94,13 @@ class Bench:
                 newest[decoded.role] = decoded.content
             elif isinstance(decoded, Jobs):
                 newest[decoded.actor] = decoded.content["drives"]
+                self.jobs[decoded.actor] = decoded.content
         return newest
+
+    def leases(self):
+        """Return the leases of each actor, after the next heartbeat."""
+        self.orders()
+        return {actor: self.jobs[actor]["leases"] for actor in self.epochs}
 
     def finish(self, *episodes, actor=ACTOR):
         for episode in episodes:
@@ -186,16 +192,16 @@ def test_training_goes_on_beside_a_merge_and_not_past_the_next_one():
     assert bench.merging
     orders = bench.orders()
     assert orders["learner"]["learning"]
-    assert (orders["actor"]["leases"], orders["actor"]["leasing"]) == ({ACTOR: [5, 6]}, True)
+    assert (bench.leases(), orders["actor"]["leasing"]) == ({ACTOR: [5, 6]}, True)
     bench.finish(5, 6, 7, 8)
     orders = bench.orders()
-    assert (orders["actor"]["leases"], orders["actor"]["leasing"]) == ({ACTOR: []}, False)
+    assert (bench.leases(), orders["actor"]["leasing"]) == ({ACTOR: []}, False)
     assert (orders["learner"]["learning"], orders["learner"]["merge"]) == (True, 1)
     decide(bench)
     bench.promote()
     orders = bench.orders()
     assert orders["learner"]["merge"] == 2  # at once
-    assert (orders["actor"]["leases"], orders["actor"]["leasing"]) == ({ACTOR: [9, 10]}, True)
+    assert (bench.leases(), orders["actor"]["leasing"]) == ({ACTOR: [9, 10]}, True)
     assert [merge["episode"] for merge in bench.scheduler.progress.totals.merges] == [4]
 
 
@@ -228,7 +234,7 @@ def test_a_checkpoint_in_a_merge_knows_nothing_of_it_and_a_run_resumed_from_it_m
     resumed = Bench(restored=states["scheduler"])
     orders = resumed.orders()
     assert (orders["learner"]["merge"], orders["learner"]["candidates"]) == (2, ["recent", "distilled"])
-    assert orders["actor"]["leases"] == {ACTOR: [7, 8]}
+    assert resumed.leases() == {ACTOR: [7, 8]}
     decide(resumed, merge=2)
     resumed.promote(merge=2)
     assert [merge["episode"] for merge in resumed.scheduler.progress.totals.merges] == [4]
@@ -395,7 +401,7 @@ def test_a_resumed_run_leases_what_is_left_and_merges_at_the_next_multiple():
     bench.answer(bench.asked.drain(), merge=1)
     ((_, states),) = bench.log.checkpoints
     resumed = Bench(restored=states["scheduler"])
-    assert resumed.orders()["actor"]["leases"] == {ACTOR: [5, 6]}
+    assert resumed.leases() == {ACTOR: [5, 6]}
     resumed.finish(5, 6, 7, 8)
     assert resumed.merging
     assert resumed.orders()["learner"]["candidates"] == ["recent", "distilled", "best"]
@@ -404,7 +410,7 @@ def test_a_resumed_run_leases_what_is_left_and_merges_at_the_next_multiple():
 def test_a_scheduler_that_works_until_a_number_closes_there_and_saves_once_and_by_no_clock():
     bench = Bench(SETTINGS | {"run": SETTINGS["run"] | {"checkpoint_every_s": 60.0}}, until=3)
     bench.finish(1)
-    assert bench.orders()["actor"]["leases"] == {ACTOR: [2, 3]}
+    assert bench.leases() == {ACTOR: [2, 3]}
     bench.now += 61.0
     bench.finish(2, 3)
     assert not bench.asked
@@ -424,30 +430,29 @@ def test_a_scheduler_that_works_until_a_merge_saves_once_after_it_and_its_succes
     assert ended(bench) == []
     ((episodes, states),) = bench.log.checkpoints
     assert (episodes, states["scheduler"].meta["merges"][0]["chosen"]) == (4, "distilled")
-    assert Bench(restored=states["scheduler"], until=6).orders()["actor"]["leases"] == {ACTOR: [5, 6]}
+    assert Bench(restored=states["scheduler"], until=6).leases() == {ACTOR: [5, 6]}
 
 
 def test_few_episodes_until_a_number_are_dealt_out_to_all_actors():
     bench = Bench(actors=("actor-0", "actor-1", "actor-2"), until=4)
-    leases = bench.orders()["actor"]["leases"]
+    leases = bench.leases()
     assert [len(leases[f"actor-{number}"]) for number in range(3)] == [2, 1, 1]
 
 
 def test_a_scheduler_with_nothing_to_do_saves_at_once():
     bench = Bench(until=0)
-    assert bench.orders()["actor"]["leases"] == {ACTOR: []}
+    assert bench.leases() == {ACTOR: []}
     assert ended(bench) == []
     assert [episodes for episodes, _ in bench.log.checkpoints] == [0]
 
 
 def test_the_episodes_of_a_replaced_actor_are_leased_to_its_successor():
     bench = Bench(NO_MERGES)
-    assert bench.orders()["actor"]["leases"] == {ACTOR: [1, 2]}
+    assert bench.leases() == {ACTOR: [1, 2]}
     bench.finish(1)
     bench.epochs[ACTOR] = EPOCH + 1
     bench.supervise()
-    orders = bench.orders()["actor"]
-    assert orders["epochs"] == {ACTOR: EPOCH + 1} and orders["leases"] == {ACTOR: [2, 3]}
+    assert bench.leases() == {ACTOR: [2, 3]} and bench.jobs[ACTOR]["epoch"] == EPOCH + 1
 
 
 def test_an_actor_is_told_why_its_record_is_refused():
