@@ -20,7 +20,7 @@ from zsdist.evaluation.metrics import spl, summarise_scenes
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.evaluation.selection import select
 from zsdist.evaluation.statistics import runs_95
-from zsdist.evaluation.workers import Drive, drive_all, drive_each
+from zsdist.evaluation.workers import EvaluationDrive, drive_all, drive_each
 from zsdist.sim.scenes.families import FAMILIES
 from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Outcome
@@ -133,7 +133,7 @@ def evaluate_all(trials: Sequence[Trial], *, seed: int, workers: int) -> list[Re
     """
     scenes = [select(trial.scenes, trial.contender.config, trial.episodes, seed) for trial in trials]
     order = sorted(range(len(trials)), key=lambda number: not trials[number].lasts)
-    drives = [Drive(number, index, scene) for number in order for index, scene in enumerate(scenes[number])]
+    drives = [EvaluationDrive(number, index, scene) for number in order for index, scene in enumerate(scenes[number])]
     records: list[dict[int, EpisodeRecord]] = [{} for _ in trials]
     contenders = [trial.contender for trial in trials]
     with (

@@ -52,7 +52,7 @@ def drive_all(
         RunError: a worker died.
     """
     records = dict(known)
-    drives = [Drive(0, index, scene) for index, scene in enumerate(scenes) if index not in known]
+    drives = [EvaluationDrive(0, index, scene) for index, scene in enumerate(scenes) if index not in known]
     with contextlib.closing(drive_each([contender], drives, seed, workers)) as driven:
         for drive, record in driven:
             records[drive.number] = record
@@ -60,7 +60,7 @@ def drive_all(
     return [records[index] for index in range(len(scenes))]
 
 
-class Drive(NamedTuple):
+class EvaluationDrive(NamedTuple):
     """Drive of an evaluation.
 
     Attributes:
@@ -75,8 +75,8 @@ class Drive(NamedTuple):
 
 
 def drive_each(
-    contenders: Sequence[Contender], drives: Sequence[Drive], seed: int, workers: int
-) -> Generator[tuple[Drive, EpisodeRecord], None, None]:
+    contenders: Sequence[Contender], drives: Sequence[EvaluationDrive], seed: int, workers: int
+) -> Generator[tuple[EvaluationDrive, EpisodeRecord], None, None]:
     """Yield each drive with its record as it ends; the drives begin in their order, in the same processes.
 
     A record depends neither on the number of workers nor on the other drives. Close the generator if it may not be
@@ -135,7 +135,7 @@ def _begin(contenders: Sequence[Contender], seed: int) -> None:
     _Worker.contenders, _Worker.seed, _Worker.runner, _Worker.vision = contenders, seed, None, {}
 
 
-def _drive(drive: Drive) -> tuple[Drive, EpisodeRecord]:
+def _drive(drive: EvaluationDrive) -> tuple[EvaluationDrive, EpisodeRecord]:
     if _Worker.runner is None or _Worker.runner[0] != drive.contender:
         _Worker.runner = None  # before the next one takes as much memory
         simulation = Simulation(load_vision=_load_once)

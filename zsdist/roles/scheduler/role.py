@@ -264,8 +264,7 @@ class Scheduler(Role):
 
     def _orders(self, whole: bool) -> dict[str, dict[str, Any]]:
         """Return the orders by role; unless `whole`, without what only a heartbeat says: it is as it was."""
-        progress, merge = self.progress, self.progress.merge
-        done = self.stage is Stage.DONE
+        progress, merge, done = self.progress, self.progress.merge, self.stage is Stage.DONE
         ending = self.stage in (Stage.CLOSING, Stage.SAVING, Stage.DONE)
         to_actors = {
             "actor": {
