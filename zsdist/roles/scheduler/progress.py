@@ -16,7 +16,7 @@ from zsdist.roles.scheduler.drive_deal import DriveDeal
 from zsdist.roles.scheduler.lease_queue import LeaseQueue
 from zsdist.roles.scheduler.leases import Leases
 from zsdist.roles.scheduler.ledger import LedgerContent, LedgerEntry
-from zsdist.roles.scheduler.merge import Drive, Merge, next_merge_at
+from zsdist.roles.scheduler.merge import Drive, Merge
 from zsdist.roles.scheduler.records_inbox import RecordsInbox
 from zsdist.roles.scheduler.totals import RunTotals
 from zsdist.roles.schemas import BEST, DISTILLED, RECENT
@@ -88,27 +88,6 @@ class RunProgress:
     def promotes(self) -> bool:
         """True while the learners are taking over the winner of a merge."""
         return self.merge is not None and self.merge.chosen is not None
-
-    @property
-    def next_merge(self) -> int:
-        """Count of finished episodes at which the next merge is due, apart from one under way."""
-        merges = self.totals.merges
-        last = self.merge.episode if self.merge is not None else merges[-1]["episode"] if merges else 0
-        due = self._merge_after(last)
-        while (following := self._merge_after(due)) <= self.finished:  # as where merges have been switched on since
-            due = following
-        return due
-
-    @property
-    def training_ends(self) -> int:
-        """Number of episodes that may be finished or granted before the merge under way, or the next one, has ended.
-
-        Training goes on beside a merge, but not past the merge that follows it.
-        """
-        return self.next_merge if self.merge is not None else self._merge_after(self.next_merge)
-
-    def _merge_after(self, last: int) -> int:
-        return next_merge_at(last, self._config.merge.every_episodes, self._config.run.episodes)
 
     # -- changes ------------------------------------------------------------------------------------------------
 
@@ -311,10 +290,7 @@ class RunProgress:
     # -- checkpoints --------------------------------------------------------------------------------------------
 
     def state(self) -> dict[str, Any]:
-        """Return all that the next start of the run needs to resume, for `restore`.
-
-        A merge under way is not among it: it is due, and begins anew at once.
-        """
+        """Return all that the next start needs to resume, for `restore`; a merge under way begins anew there."""
         return {
             "finished": sorted(self.leases.finished),
             **self.totals.state(),

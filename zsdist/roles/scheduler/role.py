@@ -9,7 +9,8 @@ from zsdist.roles.replay import shards
 from zsdist.roles.scheduler.job_book import JobBook
 from zsdist.roles.scheduler.ledger import Ledger
 from zsdist.roles.scheduler.members import Members
-from zsdist.roles.scheduler.merge import NO_MERGE, Merge
+from zsdist.roles.scheduler.merge import NO_MERGE, Drive, Merge
+from zsdist.roles.scheduler.merge_plan import MergePlan
 from zsdist.roles.scheduler.progress import RunProgress, Stage
 from zsdist.roles.scheduler.run_log import RunLog
 from zsdist.roles.scheduler.saving import Saving
@@ -38,9 +39,11 @@ class Scheduler(Role):
         self.snapshot = Snapshot()
         self.progress = RunProgress(context.config, context.epoch, self.refuse)
         self.ledger = Ledger(folder, context.epoch)
+        self._plan = MergePlan(context.config, self.progress)
         self._members = Members(context.config.run.actors)
         self._jobs = JobBook(context.epoch, self.progress)
-        self._advanced = False  # whether records have been accepted since the jobs were last published
+        self._drives: dict[str, list[Drive]] = {}  # of each actor, as they were last dealt
+        self._advanced = False  # whether drives have ended since then
         self._merged = dict.fromkeys(Level, 0)  # index of the last merge that each learner has taken over
         self._sits, self._last = False, self.target  # whether all roles close before the run's end; episodes until then
         self._saving = Saving(self)
@@ -137,11 +140,11 @@ class Scheduler(Role):
                 self._sits, self._last = True, min(content.until, self.target)
 
     def _receive_records(self, now: float) -> None:
-        lines, sizing = [], self.progress.totals.sizing
+        lines, sizing, driven = [], self.progress.totals.sizing, self._plan.driven
         before = (sizing.size, sizing.batch_size, self.progress.promotes)
         for message, records in self.messages(self._reports, Records, own=Jobs):
             lines += self.progress.receive(records, message.payload, now)
-        self._advanced |= bool(self.progress.entries)
+        self._advanced |= driven != self._plan.driven
         if before != (sizing.size, sizing.batch_size, self.progress.promotes):
             self._next_orders_s = 0.0
         self.ledger.append(self.progress.take_entries())
@@ -174,8 +177,8 @@ class Scheduler(Role):
                 progress.merge = None
                 self._enter(Stage.CLOSING)
             return
-        if progress.merge is None and progress.next_merge <= finished:
-            progress.begin_merge(progress.next_merge, now)
+        if progress.merge is None and (due := self._plan.next_merge) <= finished:
+            progress.begin_merge(due, now)
             self._next_orders_s = 0.0
         if progress.merge is None and finished >= self._last:
             self._enter(Stage.CLOSING)
@@ -187,7 +190,7 @@ class Scheduler(Role):
     @property
     def _barrier(self) -> int:
         """Number of episodes that are finished or granted in all, at most."""
-        return min(self.progress.training_ends, self._last)
+        return min(self._plan.training_ends, self._last)
 
     def _conduct_merge(self, merge: Merge, now: float) -> None:
         """End a merge once both learners have taken over its winner.
@@ -254,10 +257,11 @@ class Scheduler(Role):
         for role, orders in self._orders(heartbeat).items() if heartbeat or self._advanced else ():
             payload = codec.encode(Orders(self.context.epoch, role, orders))
             self.transport.publish(keys.control(run, role), payload, retained=heartbeat)
-        due = heartbeat or self._advanced or bool(changed)
-        drives = progress.drives() if progress.merge is not None and due else {}
-        actors = [*progress.epochs, *self._members.left] if heartbeat or drives else sorted(changed)
-        renewed = self._jobs.renew(actors, drives)
+        if heartbeat or self._advanced:
+            self._drives = progress.drives() if progress.merge is not None else {}
+        deals = heartbeat or (self._advanced and bool(self._drives))
+        actors = [*progress.epochs, *self._members.left] if deals else sorted(changed)
+        renewed = self._jobs.renew(actors, self._drives)
         for actor, payload in self._jobs.payloads(actors) if heartbeat else renewed:
             self.transport.publish(keys.evaluation(run, actor), payload, retained=True)
         self._advanced = False
