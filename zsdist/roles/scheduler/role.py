@@ -245,18 +245,17 @@ class Scheduler(Role):
     # -- output -------------------------------------------------------------------------------------------------
 
     def _publish(self, now: float) -> None:
-        """Publish the absolute state of all orders and jobs at each heartbeat, and what has changed in between.
+        """Publish the absolute state of all orders and jobs at each heartbeat, and jobs in between where they change.
 
-        An episode that ends concerns one actor, learners and replay: what is sent for it does not grow with the number
-        of actors.
+        An episode that ends concerns one actor: what is sent for it does not grow with the number of actors.
         """
         progress, run = self.progress, self.context.run
         changed, heartbeat = progress.leases.take_changed(), now >= self._next_orders_s
         if heartbeat:
             self._next_orders_s = now + HEARTBEAT_S
-        for role, orders in self._orders(heartbeat).items() if heartbeat or self._advanced else ():
-            payload = codec.encode(Orders(self.context.epoch, role, orders))
-            self.transport.publish(keys.control(run, role), payload, retained=heartbeat)
+            for role, orders in self._orders().items():
+                payload = codec.encode(Orders(self.context.epoch, role, orders))
+                self.transport.publish(keys.control(run, role), payload, retained=True)
         if heartbeat or self._advanced:
             self._drives = progress.drives() if progress.merge is not None else {}
         deals = heartbeat or (self._advanced and bool(self._drives))
@@ -266,23 +265,21 @@ class Scheduler(Role):
             self.transport.publish(keys.evaluation(run, actor), payload, retained=True)
         self._advanced = False
 
-    def _orders(self, whole: bool) -> dict[str, dict[str, Any]]:
-        """Return the orders by role; unless `whole`, without what only a heartbeat says: it is as it was."""
-        progress, merge, done = self.progress, self.progress.merge, self.stage is Stage.DONE
+    def _orders(self) -> dict[str, dict[str, Any]]:
+        progress, merge = self.progress, self.progress.merge
+        done = self.stage is Stage.DONE
         ending = self.stage in (Stage.CLOSING, Stage.SAVING, Stage.DONE)
-        to_actors = {
+        return {
             "actor": {
                 "leasing": self.stage is Stage.TRAIN and progress.leases.left(self._barrier) > 0,
                 "finished": self.finished_episodes,
                 "merge": merge.index if merge else progress.merge_index + 1,
                 "closing": ending,
                 "cut": ending and progress.interrupted,
-            }
-        }
-        return (to_actors if whole else {}) | {
+            },
             shards.ROLE: {
-                "epochs": progress.epochs if whole else {},
-                "left": self._members.left if whole else {},
+                "epochs": progress.epochs,
+                "left": self._members.left,
                 "buffer_size": progress.totals.sizing.size,
                 "batch_size": progress.totals.sizing.batch_size,
                 "stop": done,
