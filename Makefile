@@ -85,8 +85,8 @@ dist:
 	"$(PYTHON)" -m venv $(DIST_CHECK)/clean
 	$(DIST_CHECK)/clean/bin/python $(INSTALL_TORCH)
 	$(DIST_CHECK)/clean/bin/python -m pip install --quiet --constraint constraints.txt dist/*.whl
-	cd $(DIST_CHECK) && env -u PYTHONPATH clean/bin/python -m zsdist.evaluate --list
-	cd $(DIST_CHECK) && env -u PYTHONPATH clean/bin/python -m zsdist.launch --single-process --plain --episodes 2 --run-dir run
+	cd $(DIST_CHECK) && env -u PYTHONPATH clean/bin/zsdist evaluate --list
+	cd $(DIST_CHECK) && env -u PYTHONPATH clean/bin/zsdist launch --config smoke --single-process --plain --episodes 2 --run-dir run
 	rm -rf $(DIST_CHECK)
 	@ls -l dist
 
