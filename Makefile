@@ -1,5 +1,7 @@
 # make run      set everything up, then train with the progress on screen; ARGS='...' are options of zsdist.launch
 # make test     the same set-up, then lint, unit tests and integration tests
+# make test-docs     run the commands and the Python of the documents that take long, as they are written
+# make test-browser  play a film in Chromium, where there is one
 # make lint     ruff check, ruff format --check and mypy
 # make dist     build wheel and sdist in dist/, install the wheel in a clean environment elsewhere, and use it there
 # make endurance  drive the scheduler and the run directory through 30 virtual days; DAYS=N makes it shorter
@@ -43,7 +45,7 @@ HOURS ?= 1
 FLIPS ?= 1000
 RESULTS ?= runs/chaos
 
-.PHONY: install run test lint dist endurance lowest chaos soak damage proof resumption clean peers
+.PHONY: install run test test-docs test-browser lint dist endurance lowest chaos soak damage proof resumption clean peers
 
 install: $(TOOLS)
 
@@ -73,6 +75,12 @@ lint: install
 test: lint
 	$(BIN)/python -m pytest tests/unit tests/chaos tests/endurance -q -n auto
 	$(BIN)/python -m pytest tests/integration -q
+
+test-docs: install
+	$(BIN)/python -m pytest tests/documents -q
+
+test-browser: install
+	$(BIN)/python -m pytest tests/browser -q -rs
 
 # The wheel is built from the sdist, so both are checked. The program runs outside the checkout, with nothing else on
 # its path: files that are missing from the package show up here.
