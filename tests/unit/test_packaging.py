@@ -131,7 +131,7 @@ def test_make_says_in_one_line_that_python_is_missing(tmp_path):
 
 def test_make_dist_uses_the_wheel_outside_the_checkout(tmp_path):
     commands = dry_run(tmp_path, "dist", f"DIST_CHECK={tmp_path}/check")
-    order = ["-m build", "dist/*.whl", "zsdist evaluate --list", "zsdist launch --single-process"]
+    order = ["-m build", "dist/*.whl", "zsdist evaluate --list", "zsdist launch --config smoke"]
     positions = [commands.index(step) for step in order]
     assert positions == sorted(positions)
     used = [line for line in commands.splitlines() if line.startswith("cd ")]

@@ -11,14 +11,31 @@ from zsdist.policy import DrivingPolicy
 from zsdist.run import program
 from zsdist.sim.scenes import families
 from zsdist.types import Level
+from zsdist.vision import rays
 
 CONFIG = config.load(overrides=("sim.max_steps=30", "camera.size_px=64"))
-SIMULATION = Simulation(lambda config, **_: LatticeEnv(config=config), lambda config: FakeVisualAct())
 
 
 @pytest.fixture(scope="module")
 def contender():
     return Contender(CONFIG, {level: program.make_learner(CONFIG, level).parameters() for level in Level})
+
+
+class Seeing(FakeVisualAct):
+    """Vision model that finds the picture of `LatticeEnv` in the corner of one that is as large as the camera's."""
+
+    def read(self, images):
+        return super().read(images[:, :1, : rays.RAYS])
+
+
+SIMULATION = Simulation(lambda config, **_: LatticeEnv(config=config), lambda config: Seeing())
+
+
+def seen(observation):
+    """Return an observation of `LatticeEnv` with a picture of the camera's size."""
+    image = np.zeros((64, 64, 3), np.asarray(observation["image"]).dtype)
+    image[:1, : rays.RAYS] = observation["image"]
+    return observation | {"image": image}
 
 
 def drive(policy, scene):
@@ -27,7 +44,7 @@ def drive(policy, scene):
     policy.reset()
     actions, over = [], False
     while not over:
-        actions.append(policy.act(observation))
+        actions.append(policy.act(seen(observation)))
         observation, _, terminated, truncated, _ = env.step(actions[-1])
         over = terminated or truncated
     return actions
@@ -36,15 +53,15 @@ def drive(policy, scene):
 def test_a_policy_drives_as_in_an_evaluation_episode_after_episode(contender):
     policy = DrivingPolicy(contender, SIMULATION)
     for index in (0, 1):
-        scene, seen = families.draw("iid", "test", index), []
-        make_runner(contender, SIMULATION).drive(scene, np.random.default_rng(0), seen.append)
-        assert drive(policy, scene) == [moment.action for moment in seen[:-1]]
+        scene, moments = families.draw("iid", "test", index), []
+        make_runner(contender, SIMULATION).drive(scene, np.random.default_rng(0), moments.append)
+        assert drive(policy, scene) == [moment.action for moment in moments[:-1]]
 
 
 def test_the_observation_of_another_episode_is_refused(contender):
     policy = DrivingPolicy(contender, SIMULATION)
-    first, other = (LatticeEnv(config=CONFIG).reset(options={"scene": families.draw("iid", "test", index)})[0]
-                    for index in (0, 1))  # fmt: skip
+    scenes = [families.draw("iid", "test", index) for index in (0, 1)]
+    first, other = (seen(LatticeEnv(config=CONFIG).reset(options={"scene": scene})[0]) for scene in scenes)
     policy.act(first)
     with pytest.raises(RunError, match=r"another episode has begun; call reset\(\)"):
         policy.act(other)

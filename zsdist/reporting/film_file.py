@@ -37,7 +37,7 @@ def write(pictures: Iterable[np.ndarray], file: Path, still: int) -> None:
     try:
         with (
             _errors_of(file),
-            av.open(str(partial), "w", format="mp4", container_options={"movflags": "+faststart"}) as container,
+            av.open(str(partial), mode="w", format="mp4", container_options={"movflags": "+faststart"}) as container,
         ):
             stream = None
             for number, picture in enumerate(pictures):

@@ -167,7 +167,8 @@ def test_the_masks_of_actions_are_found_through_wrappers_and_equal_those_of_info
     with pytest.raises(ResetNeeded, match="call reset"):
         env.get_wrapper_attr("action_masks")()
     corner = scene.Scene("corner", "grass", scene.Start(9.6875, 9.6875, 0.0), (-8.0, 8.0), ())
-    for info in (env.reset(options={"scene": corner})[1], env.step(4)[-1]):
+    for act in (lambda: env.reset(options={"scene": corner})[1], lambda: env.step(4)[-1]):
+        info = act()
         masks = env.get_wrapper_attr("action_masks")()
         assert masks.dtype == bool and masks.tolist() == info["action_mask"].astype(bool).tolist()
 
