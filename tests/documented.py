@@ -12,7 +12,7 @@ DOCUMENTS = (
     *sorted((ROOT / "deploy").glob("*.md")),
 )
 NUMBERS = {"N": "1", "S": "1"}  # placeholders of numbers; all others are texts
-_BLOCK = re.compile(r"^    (?:\$ )?((?:zsdist|python -m zsdist)[ .](?:\\\n|.)*)", re.MULTILINE)
+_BLOCK = re.compile(r"^ {4,}(?:\$ )?((?:zsdist|python -m zsdist)[ .](?:\\\n|.)*)", re.MULTILINE)
 _CELL = re.compile(r"^\| `((?:zsdist|python -m zsdist)[ .][^`]*)` \|", re.MULTILINE)
 _INLINE = re.compile(r"`((?:zsdist|python -m zsdist)[ .][^`]*)`")
 
@@ -38,7 +38,8 @@ def commands() -> list[Documented]:
         lines = [(line, True) for line in (*_BLOCK.findall(text), *_CELL.findall(text))]
         lines += [(" ".join(line.split()), False) for line in _INLINE.findall(text)]
         for line, block in lines:
-            words = shlex.split(line.replace("\\\n", " "), comments=True)
+            line = re.sub(r"\$\(.*?\)|\$HUB", "tls/h:7447", line.replace("\\\n", " "))
+            words = shlex.split(line, comments=True)
             words = words[2:] if words[0] == "python" else words[1:]
             if not words:
                 continue

@@ -115,7 +115,7 @@ class FakeRun:
                 self._push(EPISODES, actor, [], closes=True)
                 self._push(EVALUATION, actor, [], closes=True)
             return
-        leases = orders["leases"].get(actor, [])
+        leases = jobs["leases"]
         self._push(EPISODES, actor, [RECORD | {"actor": actor, "episode": number} for number in leases])
         about = {"actor": actor, "merge": jobs["merge"]}
         drives = [RECORD | about | {"candidate": name, "scene_index": index} for name, index in jobs["drives"]]

@@ -7,7 +7,7 @@ from zsdist.dqn import network
 from zsdist.run.checkpoint import load_policy
 from zsdist.types import Level
 from zsdist.vision.reading_cache import SET_BYTES
-from zsdist.wire.messages import Ack, Candidate, Jobs, Orders, Push, Records, WeightsMessage
+from zsdist.wire.messages import Ack, Candidate, Jobs, Push, Records, WeightsMessage
 
 pytestmark = pytest.mark.integration
 
@@ -126,8 +126,8 @@ def test_both_learners_update_at_the_configured_pace(run):
 
 def test_the_scheduler_leases_episodes_and_receives_the_result_of_each(run):
     _, _, messages = run
-    orders = [message for message in messages["control"] if isinstance(message, Orders) and message.role == "actor"]
-    leased = {number for message in orders for numbers in message.content["leases"].values() for number in numbers}
+    jobs = [message for message in messages["evaluation"] if isinstance(message, Jobs)]
+    leased = {number for message in jobs for number in message.content["leases"]}
     assert leased == set(range(1, 9))
     reports = [message for message in messages["episodes"] if isinstance(message, Records)]
     assert {record["episode"] for report in reports for record in report.records} == set(range(1, 9))

@@ -13,7 +13,7 @@ from zsdist.errors import DecodeError, RunError, WeightsError
 from zsdist.roles import schemas
 from zsdist.roles.actor_outboxes import ActorOutboxes, CreditAccount
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
-from zsdist.roles.schemas import ActorOrders, DriveJobs
+from zsdist.roles.schemas import ActorJobs, ActorOrders
 from zsdist.roles.shapes import SHAPES
 from zsdist.types import Level, Parameters
 from zsdist.wire import keys
@@ -51,16 +51,15 @@ class Actor(Role):
         self._lags_s: dict[Level, float] = {}  # age at which the weights before the present ones were replaced
         self._max_lag_s = 0.0
         self._candidates: dict[tuple[int, str], dict[Level, Parameters]] = {}
-        self._leases: list[int] = []
         self._started: set[int] = set()  # numbers of the present leases that were begun; each is driven once
         self._started_episodes = 0
-        self._jobs = DriveJobs(merge=0, drives=[])
+        self._jobs = ActorJobs(epoch=None, leases=[], finished=0, merge=0, drives=[])
         self._driven: set[tuple[int, str, int]] = set()
-        self._finished_episodes = 0
+        self._run: ActorOrders | None = None  # progress of the run; it counts while this incarnation is named
         self._closing = False
         self._cut = False
         self._leaves = False
-        self.is_named = True  # whether the newest orders name this incarnation
+        self.is_named = False  # whether the newest jobs are for this incarnation
         self._outboxes = ActorOutboxes(context.run, context.name, context.epoch, context.config.transport)
         self._accounts = {car: CreditAccount() for car in self.cars}
         run = context.run
@@ -120,23 +119,25 @@ class Actor(Role):
                 self._take_weights(message, now)
             elif self._fits(message.level, message.parameters):
                 self._take_candidate(message)
-        for content in self.orders(self._orders, {Orders: ActorOrders, Jobs: DriveJobs}):
-            if isinstance(content, DriveJobs):
-                self._jobs = content
-                self._driven = {job for job in self._driven if job[0] >= content.merge}
+        for content in self.orders(self._orders, {Orders: ActorOrders, Jobs: ActorJobs}):
+            if isinstance(content, ActorJobs):
+                self._take_jobs(content)
             elif isinstance(content, ActorOrders):
-                self._follow(content)
+                self._run = content
+        if self.is_named and self._run is not None:
+            self._follow(self._run)
 
-    def _follow(self, content: ActorOrders) -> None:
-        self.is_named = content.epochs.get(self.context.name) == self.context.epoch
-        if not self.is_named:
-            return  # meant for a predecessor of this process, or for its successor
-        self._leases = content.leases.get(self.context.name, [])
-        self._started.intersection_update(self._leases)  # a number that is not leased to it any more never returns
-        self._finished_episodes = content.finished
-        self._closing = content.closing or self._leaves
-        self._cut = content.cut or self._leaves
-        for key in [key for key in self._candidates if key[0] < content.merge]:
+    def _take_jobs(self, jobs: ActorJobs) -> None:
+        self.is_named = jobs.epoch == self.context.epoch
+        if self.is_named:  # else they are meant for a predecessor of this process, or for its successor
+            self._jobs = jobs
+            self._started.intersection_update(jobs.leases)  # a number that is not leased to it any more never returns
+            self._driven = {job for job in self._driven if job[0] >= jobs.merge}
+
+    def _follow(self, run: ActorOrders) -> None:
+        self._closing = run.closing or self._leaves
+        self._cut = run.cut or self._leaves
+        for key in [key for key in self._candidates if key[0] < run.merge]:
             del self._candidates[key]
 
     def _take_candidate(self, message: Candidate) -> None:
@@ -192,11 +193,11 @@ class Actor(Role):
                 seed = random_streams.candidate_drive(self.config.seed, merge, index)
                 most_steps = self.config.merge.drive_steps
                 return EpisodeTask(scene, index, 0.0, True, seed, candidate, merge, most_steps)
-        for number in self._leases:
+        for number in self._jobs.leases:
             if number not in self._started:
                 self._started.add(number)
                 self._started_episodes += 1
-                share = epsilon(self._finished_episodes, agent.epsilon_decay, agent.epsilon_min)
+                share = epsilon(self._jobs.finished, agent.epsilon_decay, agent.epsilon_min)
                 seed = random_streams.exploration(self.config.seed, number)
                 shielded = bool(
                     random_streams.shielded_episodes(self.config.seed, number).random() < agent.shield_share

@@ -49,10 +49,8 @@ class Content(BaseModel):
 
 
 class ActorOrders(Content):
-    """Orders to all actors: the episodes that each one drives, and the progress of the run."""
+    """Orders to all actors: the progress of the run. They are as long for many actors as for one."""
 
-    epochs: Epochs
-    leases: dict[Name, Annotated[list[Number], Field(max_length=MAX_LEASES)]]
     finished: Count
     merge: Count
     closing: bool
@@ -134,9 +132,16 @@ class JoinVerdict(Content):
     reason: Text
 
 
-class DriveJobs(Content):
-    """Orders to one actor: candidates to drive, as (name, index of the validation scene)."""
+class ActorJobs(Content):
+    """Orders to one actor: episodes to drive, and candidates, as (name, index of the validation scene).
 
+    They are for the incarnation `epoch`; None: the actor takes no part in the run any more. `finished` is the count of
+    the run's finished episodes at the time of the leases.
+    """
+
+    epoch: Count | None
+    leases: Annotated[list[Number], Field(max_length=MAX_LEASES)]
+    finished: Count
     merge: Count
     drives: Annotated[list[Annotated[tuple[CandidateName, Count], Strict(False)]], Field(max_length=MAX_DRIVES)]
 

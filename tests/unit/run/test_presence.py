@@ -7,7 +7,7 @@ from guest_run import GuestRun, SlowCar
 
 from zsdist.roles.actor import Actor
 from zsdist.roles.scheduler.progress import Stage
-from zsdist.run.presence import WAITS_S, Presence
+from zsdist.run.presence import ABSENT_S, WAITS_S, Presence
 from zsdist.run.program import RoleSpec
 
 HERE, AWAY, REPLAY = (RoleSpec(role, number, 1) for role, number in (("actor", "0"), ("actor", "1"), ("replay", "0")))
@@ -55,6 +55,15 @@ def test_who_waits_long_is_told_once_for_each_incarnation():
         news = presence.update([HERE, replay], {"actor-0"}.__contains__, float(now))
         told += [(now, name) for name in news]
     assert told == [(WAITS_S, "replay-0"), (2.5 * WAITS_S, "replay-0")]
+
+
+def test_only_roles_that_a_run_cannot_be_saved_without_are_absent_and_only_after_a_while():
+    presence = Presence()
+    for now in (0.0, ABSENT_S - 0.1, ABSENT_S):
+        presence.update([REPLAY, HERE], {}.__contains__, now)
+        assert presence.absent(now) == (["replay-0"] if now == ABSENT_S else [])
+    presence.update([REPLAY, HERE], {"replay-0"}.__contains__, 2 * ABSENT_S)
+    assert presence.absent(2 * ABSENT_S) == []
 
 
 # -- whole runs -----------------------------------------------------------------------------------------------------

@@ -76,6 +76,9 @@ class RunProgress:
         self.launch = 0
         self.entries: list[Record] = []
         self._deal = DriveDeal(config.run.cars_per_actor)
+        self._lacking: dict[str, int] = {}  # actors that may hold fewer leases than they have cars, with their places
+        self._places: dict[str, int] = {}  # of the actors in `epochs`
+        self._next_place = 0
         self._noted: dict[str, Any] = {}  # status in the ledger
 
     @property
@@ -91,6 +94,7 @@ class RunProgress:
         if replaced:
             self.leases.give_back(actor)
         self.epochs[actor] = epoch
+        self._place(actor)
         for inbox in self.inboxes.values():
             inbox.issue(actor, epoch)
         self._note(LedgerEntry.EPOCH, [actor, epoch])
@@ -102,7 +106,10 @@ class RunProgress:
         for inbox in self.inboxes.values():
             inbox.close(actor, epoch)
         if self.epochs.get(actor, epoch) <= epoch:
-            self.epochs.pop(actor, None)
+            for about in (self.epochs, self._places, self._lacking):
+                about.pop(actor, None)
+        if actor in self.epochs:
+            self._place(actor)
         self._note(LedgerEntry.LEFT, [actor, epoch])
 
     def receive(self, records: Records, payload: bytes, now: float) -> list[Line]:
@@ -123,6 +130,7 @@ class RunProgress:
                 if frame.stream == EVALUATION:
                     self._add_drive(record)
                 elif self.leases.finish(record["episode"], frame.actor):
+                    self._lacking[frame.actor] = self._places[frame.actor]
                     self.totals.add_episode(record, self.finished)
                     lines.append(record | {"finished_as": self.finished})
                 # else the lease has been granted to another actor since
@@ -135,16 +143,30 @@ class RunProgress:
     def grant(self, barrier: int, *, evenly: bool = False) -> None:
         """Lease episodes to all actors, as many as they have cars; `barrier` as in `Leases.grant`.
 
+        Only those are looked at that may lack one, in the order in which they began, and none where there is none left.
+
         Args:
             barrier: number of episodes that are finished or granted in all, at most.
             evenly: whether to lease one to each actor in turn, so that a few episodes reach all.
         """
         cars = self._config.run.cars_per_actor
+        if not self._lacking or not self.leases.left(barrier):
+            return
+        lacking = sorted(self._lacking, key=self._lacking.__getitem__)
         for held in range(1 if evenly else cars, cars + 1):
-            for actor in self.epochs:
+            for actor in lacking:
+                if not self.leases.left(barrier):
+                    return
                 arguments = (actor, held, barrier)
                 if self.leases.grant(*arguments):
                     self._note(LedgerEntry.GRANT, arguments)
+        self._lacking.clear()  # there were enough for all
+
+    def _place(self, actor: str) -> None:
+        """Give an actor a place behind all others, unless it has one, and note that it lacks leases."""
+        if actor not in self._places:
+            self._places[actor], self._next_place = self._next_place, self._next_place + 1
+        self._lacking[actor] = self._places[actor]
 
     def drives(self) -> dict[str, list[Drive]]:
         """Return the validation drives of each actor; they follow from the merge, and are not in the ledger."""
@@ -236,6 +258,8 @@ class RunProgress:
         self.totals.restore(base["totals"])
         self.leases.restore(base["leases"])
         self.epochs = dict(base["epochs"])
+        for actor in self.epochs:
+            self._place(actor)
         for stream, inbox in self.inboxes.items():
             inbox.restore(base["inboxes"][stream])
         self._follow(base["status"])

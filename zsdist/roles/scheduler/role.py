@@ -6,6 +6,7 @@ from typing import Any
 from zsdist.dqn.exploration import epsilon
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
 from zsdist.roles.replay import shards
+from zsdist.roles.scheduler.job_book import JobBook
 from zsdist.roles.scheduler.ledger import Ledger
 from zsdist.roles.scheduler.members import Members
 from zsdist.roles.scheduler.merge import NO_MERGE, Merge, next_merge_at
@@ -38,6 +39,8 @@ class Scheduler(Role):
         self.progress = RunProgress(context.config, context.epoch, self.refuse)
         self.ledger = Ledger(folder, context.epoch)
         self._members = Members(context.config.run.actors)
+        self._jobs = JobBook(context.epoch, self.progress)
+        self._advanced = False  # whether records have been accepted since the jobs were last published
         self._offered: dict[Level, dict[str, int]] = {level: {} for level in Level}  # candidate -> its newest merge
         self._merged = dict.fromkeys(Level, 0)  # index of the last merge that each learner has taken over
         self._sits, self._last = False, self.target  # whether all roles close before the run's end; episodes until then
@@ -136,11 +139,12 @@ class Scheduler(Role):
                 self._sits, self._last = True, min(content.until, self.target)
 
     def _receive_records(self, now: float) -> None:
-        lines = []
-        for message, records in self.messages(self._reports, Records, Jobs):
-            if not isinstance(records, Jobs):  # this role's own
-                lines += self.progress.receive(records, message.payload, now)
-        if self.progress.entries:
+        lines, sizing = [], self.progress.totals.sizing
+        sizes = (sizing.size, sizing.batch_size)
+        for message, records in self.messages(self._reports, Records, own=Jobs):
+            lines += self.progress.receive(records, message.payload, now)
+        self._advanced |= bool(self.progress.entries)
+        if sizes != (sizing.size, sizing.batch_size):
             self._next_orders_s = 0.0
         self.ledger.append(self.progress.take_entries())
         for line in lines:
@@ -215,7 +219,7 @@ class Scheduler(Role):
     def _conduct_end(self, now: float) -> None:
         """End the run: actors close their epochs, the replay stores everything, then checkpoint and summary follow."""
         if self.stage is Stage.CLOSING:
-            if any(inbox.open_streams() for inbox in self.progress.inboxes.values()):
+            if not all(inbox.closed for inbox in self.progress.inboxes.values()):
                 return
             self.progress.stage = Stage.SAVING
         if self._final_states is None:
@@ -241,18 +245,24 @@ class Scheduler(Role):
     # -- output -------------------------------------------------------------------------------------------------
 
     def _publish(self, now: float) -> None:
-        """Publish the absolute state of all orders and jobs where it changed or a heartbeat is due."""
-        if now < self._next_orders_s:
-            return
-        self._next_orders_s = now + HEARTBEAT_S
-        run, epoch, merge = self.context.run, self.context.epoch, self.progress.merge
-        for role, orders in self._orders().items():
-            payload = codec.encode(Orders(epoch, role, orders))
-            self.transport.publish(keys.control(run, role), payload, retained=True)
-        for actor, drives in self.progress.drives().items():
-            jobs = {"merge": merge.index if merge else 0, "drives": [list(drive) for drive in drives]}
-            payload = codec.encode(Jobs(epoch, actor, jobs))
+        """Publish the absolute state of all orders and jobs at each heartbeat, and jobs in between where they change.
+
+        An episode that ends concerns one actor: what is sent for it does not grow with the number of actors.
+        """
+        progress, run = self.progress, self.context.run
+        changed, heartbeat = progress.leases.take_changed(), now >= self._next_orders_s
+        if heartbeat:
+            self._next_orders_s = now + HEARTBEAT_S
+            for role, orders in self._orders().items():
+                payload = codec.encode(Orders(self.context.epoch, role, orders))
+                self.transport.publish(keys.control(run, role), payload, retained=True)
+        due = heartbeat or self._advanced or bool(changed)
+        drives = progress.drives() if progress.merge is not None and due else {}
+        actors = [*progress.epochs, *self._members.left] if heartbeat or drives else sorted(changed)
+        renewed = self._jobs.renew(actors, drives)
+        for actor, payload in self._jobs.payloads(actors) if heartbeat else renewed:
             self.transport.publish(keys.evaluation(run, actor), payload, retained=True)
+        self._advanced = False
 
     def _orders(self) -> dict[str, dict[str, Any]]:
         progress, merge = self.progress, self.progress.merge
@@ -260,8 +270,6 @@ class Scheduler(Role):
         ending = self.stage in (Stage.CLOSING, Stage.SAVING, Stage.DONE)
         return {
             "actor": {
-                "epochs": progress.epochs,
-                "leases": {actor: progress.leases.held_by(actor) for actor in progress.epochs},
                 "finished": self.finished_episodes,
                 "merge": merge.index if merge else progress.merge_index + 1,
                 "closing": ending,

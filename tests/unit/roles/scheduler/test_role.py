@@ -66,7 +66,7 @@ class Bench:
         context = Context(parse(settings), RUN, "scheduler", "0", 5, MemoryTransport(broker))
         self._folder = tempfile.TemporaryDirectory()
         self.scheduler = Scheduler(context, self.log, Path(self._folder.name), restored)
-        self.asked, self.published, self._frames = Mailbox(2**20), Mailbox(2**24), {}
+        self.asked, self.published, self._frames, self.jobs = Mailbox(2**20), Mailbox(2**24), {}, {}
         self.epochs = dict.fromkeys(actors, EPOCH)
         for role in ("replay", "learner-high", "learner-low"):
             self.others.serve(keys.control(RUN, role), self.asked)
@@ -84,7 +84,7 @@ class Bench:
         self.scheduler.step(self.now)
 
     def orders(self):
-        """Return the newest orders by role and jobs by actor, after the next heartbeat."""
+        """Return the newest orders by role and drives by actor, after the next heartbeat."""
         self.now += HEARTBEAT_S
         self.step()
         newest = {}
@@ -94,7 +94,13 @@ class Bench:
                 newest[decoded.role] = decoded.content
             elif isinstance(decoded, Jobs):
                 newest[decoded.actor] = decoded.content["drives"]
+                self.jobs[decoded.actor] = decoded.content
         return newest
+
+    def leases(self):
+        """Return the leases of each actor, after the next heartbeat."""
+        self.orders()
+        return {actor: self.jobs[actor]["leases"] for actor in self.epochs}
 
     def finish(self, *episodes, actor=ACTOR):
         for episode in episodes:
@@ -186,7 +192,7 @@ def test_the_checkpoint_of_a_merge_holds_what_was_promoted_whatever_was_asked_be
 
 def test_no_episode_is_leased_beyond_the_next_merge():
     bench = Bench(actors=("actor-0", "actor-1", "actor-2"))
-    leases = bench.orders()["actor"]["leases"]
+    leases = bench.leases()
     assert sorted(number for numbers in leases.values() for number in numbers) == [1, 2, 3, 4]
     assert all(len(numbers) <= 2 for numbers in leases.values())
 
@@ -320,7 +326,7 @@ def test_a_resumed_run_leases_what_is_left_and_merges_at_the_next_multiple():
     bench.answer(bench.asked.drain(), merge=1)
     ((_, states),) = bench.log.checkpoints
     resumed = Bench(restored=states["scheduler"])
-    assert resumed.orders()["actor"]["leases"] == {ACTOR: [5, 6]}
+    assert resumed.leases() == {ACTOR: [5, 6]}
     resumed.finish(5, 6, 7, 8)
     assert resumed.scheduler.stage is Stage.MERGE
     assert resumed.orders()["learner"]["candidates"] == ["recent", "distilled", "best"]
@@ -329,7 +335,7 @@ def test_a_resumed_run_leases_what_is_left_and_merges_at_the_next_multiple():
 def test_a_scheduler_that_works_until_a_number_closes_there_and_saves_once_and_by_no_clock():
     bench = Bench(SETTINGS | {"run": SETTINGS["run"] | {"checkpoint_every_s": 60.0}}, until=3)
     bench.finish(1)
-    assert bench.orders()["actor"]["leases"] == {ACTOR: [2, 3]}
+    assert bench.leases() == {ACTOR: [2, 3]}
     bench.now += 61.0
     bench.finish(2, 3)
     assert not bench.asked
@@ -350,30 +356,29 @@ def test_a_scheduler_that_works_until_a_merge_saves_once_after_it_and_its_succes
     assert ended(bench) == []
     ((episodes, states),) = bench.log.checkpoints
     assert (episodes, states["scheduler"].meta["merges"][0]["chosen"]) == (4, "distilled")
-    assert Bench(restored=states["scheduler"], until=6).orders()["actor"]["leases"] == {ACTOR: [5, 6]}
+    assert Bench(restored=states["scheduler"], until=6).leases() == {ACTOR: [5, 6]}
 
 
 def test_few_episodes_until_a_number_are_dealt_out_to_all_actors():
     bench = Bench(actors=("actor-0", "actor-1", "actor-2"), until=4)
-    leases = bench.orders()["actor"]["leases"]
+    leases = bench.leases()
     assert [len(leases[f"actor-{number}"]) for number in range(3)] == [2, 1, 1]
 
 
 def test_a_scheduler_with_nothing_to_do_saves_at_once():
     bench = Bench(until=0)
-    assert bench.orders()["actor"]["leases"] == {ACTOR: []}
+    assert bench.leases() == {ACTOR: []}
     assert ended(bench) == []
     assert [episodes for episodes, _ in bench.log.checkpoints] == [0]
 
 
 def test_the_episodes_of_a_replaced_actor_are_leased_to_its_successor():
     bench = Bench(NO_MERGES)
-    assert bench.orders()["actor"]["leases"] == {ACTOR: [1, 2]}
+    assert bench.leases() == {ACTOR: [1, 2]}
     bench.finish(1)
     bench.epochs[ACTOR] = EPOCH + 1
     bench.supervise()
-    orders = bench.orders()["actor"]
-    assert orders["epochs"] == {ACTOR: EPOCH + 1} and orders["leases"] == {ACTOR: [2, 3]}
+    assert bench.leases() == {ACTOR: [2, 3]} and bench.jobs[ACTOR]["epoch"] == EPOCH + 1
 
 
 def test_an_actor_is_told_why_its_record_is_refused():

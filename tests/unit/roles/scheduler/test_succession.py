@@ -125,7 +125,7 @@ class PlayedActor:
         }
         self._keys = {EPISODES: keys.episodes(RUN, name, epoch), EVALUATION: keys.evaluation(RUN, name)}
         self._orders_epoch, self._started, self._cars = -1, set(), {}
-        self._leases, self._jobs, self._closing = [], None, False
+        self._leases, self._jobs, self._closing, self._named, self._ends = [], None, False, False, False
         transport.subscribe(keys.ack(RUN, name), self._box)
         transport.subscribe(keys.control(RUN, "actor"), self._box, retained=True)
         transport.subscribe(keys.evaluation(RUN, name), self._box, retained=True)
@@ -140,11 +140,13 @@ class PlayedActor:
                 case Ack() as ack:
                     self._outboxes[ack.stream].on_ack(ack, now)
                 case Orders(epoch, _, content) if epoch >= self._orders_epoch:
-                    self._orders_epoch = epoch
-                    if content["epochs"].get(self.name) == self.epoch:
-                        self._leases, self._closing = content["leases"].get(self.name, []), content["closing"]
+                    self._orders_epoch, self._ends = epoch, content["closing"]
                 case Jobs(epoch, _, content) if epoch >= self._orders_epoch:
-                    self._orders_epoch, self._jobs = epoch, content
+                    self._orders_epoch, self._named = epoch, content["epoch"] == self.epoch
+                    if self._named:
+                        self._leases, self._jobs = content["leases"], content
+        if self._named:
+            self._closing = self._ends
         self._drive()
         if self._closing and not self._cars:
             for outbox in self._outboxes.values():
