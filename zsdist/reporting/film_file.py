@@ -4,6 +4,7 @@ import io
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
 
 import av
 import numpy as np
@@ -13,7 +14,8 @@ from zsdist.common import atomic_files
 from zsdist.errors import RunError
 
 FRAMES_PER_SECOND = 10
-CODEC, PIXELS = "libx264", "yuv420p"  # the only pixels of H.264 that every browser shows
+CODEC: Final = "libx264"
+PIXELS = "yuv420p"  # the only ones of H.264 that every browser shows
 STILL_QUALITY = 88
 _KEY_FRAMES_S = 5  # distance of the frames to which a player can jump
 _BT709 = 1  # number of the colour space, its primaries and its transfer in H.264
