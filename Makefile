@@ -1,5 +1,7 @@
 # make run      set everything up, then train with the progress on screen; ARGS='...' are options of zsdist.launch
 # make test     the same set-up, then lint, unit tests and integration tests
+# make test-docs     run the commands and the Python of the documents that take long, as they are written
+# make test-browser  play a film in Chromium, where there is one
 # make lint     ruff check, ruff format --check and mypy
 # make dist     build wheel and sdist in dist/, install the wheel in a clean environment elsewhere, and use it there
 # make endurance  a month of a run without simulation, and 4,096 actors of one; DAYS=N makes the month shorter
@@ -48,7 +50,7 @@ FLIPS ?= 1000
 SEEDS ?= 5
 RESULTS ?= runs/chaos
 
-.PHONY: install run test lint dist endurance lowest chaos soak chaos-learning damage proof resumption manifests clean peers
+.PHONY: install run test test-docs test-browser lint dist endurance lowest chaos soak chaos-learning damage proof resumption manifests clean peers
 
 install: $(TOOLS)
 
@@ -80,6 +82,12 @@ test: lint
 	$(BIN)/python -m pytest tests/integration -q -n auto --dist loadfile -m "not alone"
 	$(BIN)/python -m pytest tests/integration -q -m alone
 
+test-docs: install
+	$(BIN)/python -m pytest tests/documents -q
+
+test-browser: install
+	$(BIN)/python -m pytest tests/browser -q -rs
+
 # The wheel is built from the sdist, so both are checked. The program runs outside the checkout, with nothing else on
 # its path: files that are missing from the package show up here.
 dist:
@@ -91,8 +99,8 @@ dist:
 	"$(PYTHON)" -m venv $(DIST_CHECK)/clean
 	$(DIST_CHECK)/clean/bin/python $(INSTALL_TORCH)
 	$(DIST_CHECK)/clean/bin/python -m pip install --quiet --constraint constraints.txt dist/*.whl
-	cd $(DIST_CHECK) && env -u PYTHONPATH clean/bin/python -m zsdist.evaluate --list
-	cd $(DIST_CHECK) && env -u PYTHONPATH clean/bin/python -m zsdist.launch --single-process --plain --episodes 2 --run-dir run
+	cd $(DIST_CHECK) && env -u PYTHONPATH clean/bin/zsdist evaluate --list
+	cd $(DIST_CHECK) && env -u PYTHONPATH clean/bin/zsdist launch --config smoke --single-process --plain --episodes 2 --run-dir run
 	rm -rf $(DIST_CHECK)
 	@ls -l dist
 

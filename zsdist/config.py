@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
-from zsdist.common import places, ranges, values
+from zsdist.common import places, presets, ranges, values
 from zsdist.common import setting_trees as trees
 from zsdist.common.placement_settings import LAUNCHER, ClusterConfig
 from zsdist.common.places import Place
@@ -297,18 +297,23 @@ Notify = Callable[[str], None]  # shows one line to the user
 def load(path: str | Path | None = None, overrides: tuple[str, ...] = (), notify: Notify | None = None) -> Config:
     """Return the configuration of a YAML file, or the defaults, with `key.path=value` overrides applied.
 
-    A file may name another file as its `base`, by a path relative to itself. It then holds only what differs from the
-    base, and the base may not have a base itself. The type of a setting decides what its text means (`common.values`).
+    A file may name a preset as its `base`, or another file by a path relative to itself. It then holds only what
+    differs from the base, and the base may not have a base itself. The type of a setting decides what its text means
+    (`common.values`).
 
     Args:
-        path: YAML file; None: the defaults.
+        path: YAML file, or the name of a preset as a text; None: the defaults.
         overrides: settings to change; of two values of one setting the later counts.
         notify: called where a given name is a built-in one and also a file or folder here.
 
     Raises:
         ConfigError: the file cannot be read or is no YAML mapping; a key is unknown; a value is not allowed.
     """
-    tree = _changed({} if path is None else trees.read(Path(path)), overrides)
+    preset = presets.find(path) if isinstance(path, str) else None
+    if preset is not None and notify is not None and (line := presets.find_clash(str(path))):
+        notify(line)
+    file = preset or (None if path is None else Path(path))
+    tree = _changed({} if file is None else trees.read(file), overrides)
     _note_clashes(tree, notify)
     return parse(tree)
 

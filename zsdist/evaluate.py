@@ -46,7 +46,12 @@ def make_parser() -> argparse.ArgumentParser:
     add("--compare", nargs=2, type=cli.path, metavar="FILE.jsonl", help=compared)
     add("--video", type=cli.path, metavar="DIR", help="film the first episodes into DIR, an MP4 and a still of each")
     add("--video-episodes", type=cli.count, default=3, metavar="N", help="number of episodes to film (default: 3)")
-    add("--config", type=cli.path, metavar="FILE", help="configuration of a baseline's world; a run has its own")
+    add(
+        "--config",
+        type=cli.configuration,
+        metavar="FILE",
+        help="preset or file of a baseline's world; a run has its own",
+    )
     parser.add_set()
     add(
         "--workers",
@@ -102,7 +107,7 @@ def _evaluate(options: argparse.Namespace, console: PlainConsole, held: contextl
 
 def find_policy(
     name: str,
-    config_file: Path | None = None,
+    config_file: Path | str | None = None,
     variant: str = FULL,
     overrides: tuple[str, ...] = (),
     notify: config.Notify | None = None,
@@ -111,7 +116,7 @@ def find_policy(
 
     Args:
         name: name of a baseline or a shipped policy, or path of a run directory or a checkpoint.
-        config_file: configuration of a baseline's world; a learned policy has its own.
+        config_file: configuration of a baseline's world, a preset's name as a text; a learned policy has its own.
         variant: variant of a learned policy.
         overrides: settings to change, as `KEY.PATH=VALUE`: where its weights are now, or another world.
         notify: called with lines for the user.

@@ -5,7 +5,7 @@ import contextlib
 import signal
 
 from zsdist import config
-from zsdist.common import cli, commands, output_files, streams
+from zsdist.common import cli, commands, output_files, presets, streams
 from zsdist.common.console import PlainConsole
 from zsdist.common.signals import Interrupted, Interruption, handled_by, status_of
 from zsdist.errors import CompleteError, ConfigError
@@ -28,7 +28,8 @@ def make_parser() -> argparse.ArgumentParser:
     episodes = "training episodes in total, also with --resume (run.episodes)"
     setting("--episodes", "run.episodes", type=cli.whole, metavar="N", help=episodes)
     setting("--seed", "seed", type=cli.whole, metavar="S", help="seed of scenes, exploration and initial weights")
-    add("--config", type=cli.path, metavar="FILE", help="YAML configuration; see configs/")
+    preset = f"YAML configuration, or a preset: {', '.join(presets.names())}"
+    add("--config", type=cli.configuration, metavar="FILE", help=preset)
     parser.add_set()
     setting("--single-process", *ONE_PROCESS, action="store_true", help="run all roles here, on a virtual clock")
     add("--run-dir", type=cli.path, metavar="DIR", help="folder of the run (default: a new one in runs/)")

@@ -78,7 +78,7 @@ def make_parser() -> argparse.ArgumentParser:
     add("--unseen-kinds", action="store_true", help="also check words for kinds that the projection was not trained on")
     seed = "seed of scenes, poses, appearance and weights (default: 0)"
     parser.add_setting("--seed", "seed", type=cli.natural, metavar="S", help=seed)
-    add("--config", type=cli.path, metavar="FILE", help="YAML configuration: camera, encoder, weights to check")
+    add("--config", type=cli.configuration, metavar="FILE", help="preset or file: camera, encoder, weights to check")
     parser.add_set()
     add("--plain", action="store_true", help="show progress as lines, also on a terminal")
     return parser

@@ -29,7 +29,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=cli.path, metavar="DIR", default=Path("runs/report"), help=page)
     vision = parser.add_argument_group("vision, instead of runs")
     vision.add_argument("--vision", action="store_true", help="report on the visual-act model")
-    vision.add_argument("--config", type=cli.path, metavar="FILE", help="YAML configuration: camera and weights")
+    vision.add_argument("--config", type=cli.configuration, metavar="FILE", help="preset or file: camera and weights")
     parser.add_set(vision)
     weights, seed = "folder of weights (default: vision.weights)", "seed of the pictures (default: 0)"
     parser.add_setting("--weights", "vision.weights", group=vision, metavar="DIR", help=weights)

@@ -154,5 +154,5 @@ def test_modules_and_make_targets_that_are_named_exist(document):
     text = document.read_text()
     modules = {module.replace(".", "/") for module in re.findall(r"python -m (zsdist[\w.]*\w)", text)}
     assert [name for name in modules if not (ROOT / f"{name}.py").exists()] == []
-    targets = set(re.findall(r"`make (\w+)", text)) | set(re.findall(r"^    make (\w+)", text, re.MULTILINE))
-    assert targets <= set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    targets = set(re.findall(r"`make ([\w-]+)", text)) | set(re.findall(r"^    make ([\w-]+)", text, re.MULTILINE))
+    assert targets <= set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))

@@ -7,7 +7,7 @@ import pytest
 from fakes import FakeVisualAct, LatticeEnv
 
 from zsdist import evaluate
-from zsdist.common import cli
+from zsdist.common import cli, progress
 from zsdist.config import Config
 from zsdist.evaluation import report as reports
 from zsdist.evaluation.baselines import BASELINES
@@ -139,7 +139,7 @@ def test_a_note_on_the_vision_model_is_printed_once_beside_the_result(folder, ca
 
 
 def test_progress_without_a_terminal_is_plain_lines(folder, capsys, monkeypatch):
-    monkeypatch.setattr(reports, "PLAIN_EVERY_S", -1.0)
+    monkeypatch.setattr(progress, "PLAIN_EVERY_S", -1.0)
     contender = Contender(Config(), baseline="astar")
     reports.evaluate(contender, policy="astar", weights_sha256=None, scenes=str(folder), episodes=2, seed=0, workers=1)
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("astar")]

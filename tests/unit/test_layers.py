@@ -18,6 +18,7 @@ ROWS = (  # a unit may import from rows above its own in this list; within a row
     {"reporting", "diagnostics"},
     {"pretraining"},
     {"launch", "evaluate", "pretrain", "monitor", "report", "doctor", "certs"},
+    {"__main__", "policy"},
 )
 STRANGERS = {  # units that do not import each other although the rows would allow it
     ("sim", "vision"),

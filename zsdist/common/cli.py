@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from zsdist import config
-from zsdist.common import output_files, places, signals, streams, values
+from zsdist.common import output_files, places, presets, signals, streams, values
 from zsdist.common.console import plain, say
 from zsdist.errors import ConfigError, ZsdistError
 
@@ -151,6 +151,11 @@ def path(text: str) -> Path:
         return places.expand(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text!r}: {error}") from error
+
+
+def configuration(text: str) -> Path | str:
+    """Return the value of an option that is a configuration: the name of a preset, or a path."""
+    return text if presets.find(text) is not None else path(text)
 
 
 def whole(text: str) -> int:

@@ -8,6 +8,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+_SCRIPT = "zsdist"  # the script that pip installs
+
 
 def quoted(*words: object) -> str:
     r"""Return words as a POSIX shell reads them back, in one line.
@@ -20,11 +22,15 @@ def quoted(*words: object) -> str:
 def module(name: str, *words: object) -> str:
     """Return the command that runs a module of zsdist with arguments, such as `python -m zsdist.report 'my run'`.
 
+    In a process that was started by the script `zsdist` it is `zsdist report 'my run'`.
+
     Args:
         name: name of the module, such as `zsdist.report`.
         words: arguments; a path is given as an absolute one, so that the command works in any folder.
     """
-    return quoted(python(), "-m", name, *(word.absolute() if isinstance(word, Path) else word for word in words))
+    script = _script()
+    program = (python(), "-m", name) if script is None else (script, name.partition(".")[2])
+    return quoted(*program, *(word.absolute() if isinstance(word, Path) else word for word in words))
 
 
 def python() -> str:
@@ -53,6 +59,15 @@ def repeated(parser: argparse.ArgumentParser, options: argparse.Namespace, names
             values = value if isinstance(value, list) else [value]
             words += [f"--{name}={one.absolute() if isinstance(one, Path) else one}" for one in values]
     return words
+
+
+def _script() -> str | None:
+    """Return how a shell calls the script `zsdist` that started this process; None where another program did."""
+    script = Path(sys.argv[0]) if sys.argv else Path()
+    if script.name != _SCRIPT or not script.is_file():
+        return None
+    found = shutil.which(_SCRIPT)
+    return _SCRIPT if found is not None and os.path.samefile(found, script) else str(script.absolute())
 
 
 def _is_this_interpreter(found: str) -> bool:

@@ -7,10 +7,22 @@ in the package's commands and in the workers that Ray starts; a program that imp
 
 import os
 import sys
+from collections.abc import Sequence
 from itertools import pairwise
 
 _PACKAGE = "zsdist"
 _RAY_WORKER = "default_worker.py"  # name of the script that Ray's workers run
+
+
+def is_command(arguments: Sequence[str]) -> bool:
+    """Return whether a command line is that of a command of the package: `python -m zsdist...`, or `zsdist ...`.
+
+    Args:
+        arguments: command line of the process, the interpreter included.
+    """
+    if any(one == "-m" and other.partition(".")[0] == _PACKAGE for one, other in pairwise(arguments)):
+        return True
+    return len(arguments) > 1 and os.path.basename(arguments[1]) == _PACKAGE  # the script that pip installs
 
 
 def leave_out_working_folder(path: list[str], arguments: list[str], working_folder: str, home: str) -> None:
@@ -22,9 +34,8 @@ def leave_out_working_folder(path: list[str], arguments: list[str], working_fold
         working_folder: folder in which the process was started.
         home: folder that holds the package, which stays.
     """
-    is_command = any(one == "-m" and other.startswith(f"{_PACKAGE}.") for one, other in pairwise(arguments))
     is_worker = any(os.path.basename(argument) == _RAY_WORKER for argument in arguments)
-    if not (is_command or is_worker) or os.path.realpath(working_folder) == os.path.realpath(home):
+    if not (is_command(arguments) or is_worker) or os.path.realpath(working_folder) == os.path.realpath(home):
         return
     if path and path[0] in ("", working_folder):
         del path[0]

@@ -7,7 +7,7 @@ from typing import Any
 import yaml
 from pydantic import BaseModel
 
-from zsdist.common import strict_yaml, values
+from zsdist.common import presets, strict_yaml, values
 from zsdist.common.places import Place
 from zsdist.errors import ConfigError
 
@@ -18,7 +18,7 @@ def read(path: Path) -> dict[str, Any]:
     base = tree.pop("base", None)
     if base is None or base in values.NOTHING:
         return tree
-    base_tree = _read_file(path.parent / str(base))
+    base_tree = _read_file(presets.find(str(base)) or path.parent / str(base))
     if "base" in base_tree:
         raise ConfigError(f"configuration file {path}: its base {base} has a base too; allowed is one without")
     merged: dict[str, Any] = _overlay(base_tree, tree)
@@ -33,6 +33,9 @@ def _read_file(path: Path) -> dict[str, Any]:
         raise ConfigError(
             f"configuration file {path} is a folder; allowed is a file, such as its config.yaml"
         ) from error
+    except FileNotFoundError as error:
+        allowed = f"allowed are a file, and the presets {', '.join(presets.names())}"
+        raise ConfigError(f"configuration file {path}: {error.strerror}; {allowed}") from error
     except OSError as error:
         raise ConfigError(f"configuration file {path}: {error.strerror or error}") from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: no UTF-8, or a wrong value with a tag

@@ -3,6 +3,7 @@
 import importlib.metadata
 import shutil
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from zsdist.diagnostics.result import CheckResult, CheckStatus
 
 INSTALL = "Run make install, or install zsdist again with pip."
 CORES, MEMORY_GIB, DISK_GIB = 2, 4.0, 2.0  # with less, the default run is slow or fails
+TEMPORARY_GIB, TEMPORARY_SHARE = 1.0, 0.95  # Ray spills no objects into a disk that is fuller
 
 
 def check_python(version: tuple[int, ...] = sys.version_info[:3]) -> CheckResult:
@@ -68,6 +70,19 @@ def check_resources() -> Iterator[CheckResult]:
     yield compare_amount("memory", allowed_memory_bytes() / 2**30, MEMORY_GIB, " GiB", "Use fewer actors: --actors 1.")
     free_gib = shutil.disk_usage(Path.cwd()).free / 2**30
     yield compare_amount("disk", free_gib, DISK_GIB, " GiB free here", "Make room, or set --run-dir to another disk.")
+
+
+def check_temporary() -> CheckResult:
+    """Compare the room in the folder for temporary files, which Ray and the reading cache use, with what they need."""
+    folder = Path(tempfile.gettempdir())
+    usage = shutil.disk_usage(folder)
+    free_gib, used = usage.free / 2**30, 1 - usage.free / usage.total
+    found = f"{folder}: {free_gib:.3g} GiB free, {100 * used:.0f}% full"
+    if free_gib >= TEMPORARY_GIB and used <= TEMPORARY_SHARE:
+        return CheckResult("temporary folder", CheckStatus.OK, found)
+    wanted = f"{TEMPORARY_GIB:g} GiB free and at most {100 * TEMPORARY_SHARE:.0f}% full are recommended"
+    advice = "Make room there, or set the environment variable TMPDIR to a folder on another disk."
+    return CheckResult("temporary folder", CheckStatus.WARN, f"{found}; {wanted}", advice)
 
 
 def check_cache() -> CheckResult:

@@ -19,6 +19,7 @@ def run_checks(address: str | None, endpoint: str | None, tls: Path | None = Non
     yield machine.check_python()
     yield from machine.check_packages()
     yield from machine.check_resources()
+    yield guarded("temporary folder", machine.check_temporary)
     yield guarded("cache", machine.check_cache)
     yield guarded("camera", parts.check_camera)
     yield guarded("vision", parts.check_vision)

@@ -1,18 +1,17 @@
 """Whole evaluations: selection and driving of scenes with a progress display, and summaries as JSON and tables."""
 
 import contextlib
-import sys
-import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from zsdist.common import random_streams
-from zsdist.common.console import PlainConsole, bars, say, table
+from zsdist.common.console import PlainConsole, say, table
+from zsdist.common.progress import StepProgress
 from zsdist.evaluation.contenders import FULL, Contender
 from zsdist.evaluation.episode_store import EpisodeStore
 from zsdist.evaluation.fingerprint import code_sha256
@@ -25,7 +24,6 @@ from zsdist.sim.scenes.families import FAMILIES
 from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Outcome
 
-PLAIN_EVERY_S = 5.0
 LABELS = {
     "success": "success",
     "collision": "collision",
@@ -136,13 +134,15 @@ def evaluate_all(trials: Sequence[Trial], *, seed: int, workers: int) -> list[Re
     drives = [EvaluationDrive(number, index, scene) for number in order for index, scene in enumerate(scenes[number])]
     records: list[dict[int, EpisodeRecord]] = [{} for _ in trials]
     contenders = [trial.contender for trial in trials]
+    ended: Counter[Outcome] = Counter()
     with (
-        _Progress("evaluation", len(drives), ()) as progress,
+        StepProgress("evaluation", len(drives)) as progress,
         contextlib.closing(drive_each(contenders, drives, seed, workers)) as driven,
     ):
         for drive, record in driven:
             records[drive.contender][drive.number] = record
-            progress.count(record)
+            ended[record.outcome] += 1
+            progress.step(_counts(ended))
     return [
         _report(trial.contender, trial.name, trial.sha256, trial.scenes, seed, chosen, [of[i] for i in range(len(of))])
         for trial, chosen, of in zip(trials, scenes, records, strict=True)
@@ -182,15 +182,21 @@ def evaluate(
         if known:
             say(f"{out}: {len(known)} of {len(chosen)} episodes are there already", error=True)
     name = policy if contender.variant == FULL else contender.variant
-    with _Progress(name, len(chosen), list(known.values())) as progress:
+    ended = Counter(record.outcome for record in known.values())
+    with StepProgress(name, len(chosen), len(known)) as progress:
 
         def on_record(index: int, record: EpisodeRecord) -> None:
             if store is not None:
                 store.add(index, record)
-            progress.count(record)
+            ended[record.outcome] += 1
+            progress.step(_counts(ended))
 
         records = drive_all(contender, chosen, seed, workers, on_record, known)
     return _report(contender, policy, weights_sha256, scenes, seed, chosen, records)
+
+
+def _counts(ended: Counter[Outcome]) -> str:
+    return ", ".join(f"{outcome} {ended[outcome]}" for outcome in Outcome)
 
 
 def _report(
@@ -268,36 +274,3 @@ def show_together(result: dict[str, Any], console: PlainConsole) -> None:
 
 def _figure(value: float | None, digits: int = 3) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
-
-
-class _Progress:
-    """Progress of an evaluation: a bar on a terminal, else a plain line every few seconds."""
-
-    def __init__(self, title: str, total: int, known: Sequence[EpisodeRecord]) -> None:
-        self._title, self._total = title, total
-        self._outcomes = {outcome: sum(record.outcome is outcome for record in known) for outcome in Outcome}
-        self._printed_s = time.monotonic()
-        self._bar = bars(PlainConsole(stderr=True), transient=True) if sys.stderr.isatty() else None
-        if self._bar:
-            self._task = self._bar.add_task(title, total=total, completed=len(known))
-
-    def __enter__(self) -> Self:
-        if self._bar:
-            self._bar.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._bar:
-            self._bar.__exit__(kind, error, trace)
-
-    def count(self, record: EpisodeRecord) -> None:
-        """Count one more episode."""
-        self._outcomes[record.outcome] += 1
-        line = ", ".join(f"{outcome} {count}" for outcome, count in self._outcomes.items())
-        if self._bar:
-            self._bar.update(self._task, advance=1, description=f"{self._title}: {line}")
-        elif time.monotonic() - self._printed_s > PLAIN_EVERY_S:
-            self._printed_s = time.monotonic()
-            say(f"{self._title}: {sum(self._outcomes.values())} of {self._total}: {line}", error=True)

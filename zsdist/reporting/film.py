@@ -1,7 +1,7 @@
 """Films of driven episodes: the car from behind, its camera picture with attention, and its belief map."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -13,6 +13,7 @@ from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
 
 from zsdist.common import random_streams
+from zsdist.common.progress import StepProgress
 from zsdist.config import Config
 from zsdist.errors import RunError, WeightsError
 from zsdist.evaluation.contenders import Contender
@@ -21,8 +22,8 @@ from zsdist.evaluation.episodes import Moment
 from zsdist.evaluation.workers import Simulation, make_runner
 from zsdist.planning.footprint import ADVANCES
 from zsdist.planning.grid import Grid
-from zsdist.reporting import style
-from zsdist.reporting.attention import attended
+from zsdist.reporting import film_file, style
+from zsdist.reporting.attention import overlay
 from zsdist.reporting.belief_view import BeliefView
 from zsdist.reporting.chase import ChaseCamera
 from zsdist.sim.camera import make_camera
@@ -32,10 +33,11 @@ from zsdist.vision.labels import DIRECTIONS
 
 PANEL_PX, GAP_PX, CAPTION_PX = 480, 6, 78
 FRAMES_PER_ACTION = 5
-FRAMES_PER_SECOND = 10  # an action takes 0.45 to 1 s in the simulation, half a second here
+# An action takes 0.45 to 1 s in the simulation, half a second here (`film_file.FRAMES_PER_SECOND`).
 TURN_SHARE = 0.4  # share of frames for the turn, in an action that turns and then moves
 LAST_FRAMES = 15
-STILL_QUALITY = 88
+_WIDTH_PX = 3 * (PANEL_PX + GAP_PX) - GAP_PX
+_GLOW = 0.75  # greatest share of the heat map in a picture
 _DIRECTION_OF = {  # index into `DIRECTIONS`; there is one attention map for each
     Action.FORWARD: 0,
     Action.LEFT_45: 1,
@@ -58,11 +60,12 @@ def film(
     on_film: Callable[[Path], None],
     simulation: Simulation | None = None,
 ) -> list[Path]:
-    """Drive scenes again, as the evaluation with this seed does, and film each as an MP4.
+    """Drive scenes again, as the evaluation with this seed does, and film each as an MP4, with progress.
 
-    Between decisions the poses are interpolated: first the turn, then the movement. The camera's pictures between
-    decisions are rendered for a level car. The attention shown belongs to the current action; it is missing for
-    networks without attention and for drivers without a camera.
+    A film is whole or not there. Between decisions the poses are interpolated: first the turn, then the movement. The
+    camera's pictures between decisions are rendered for a level car. Attention is that of the decision, on the picture
+    that the car then saw, and fades while it moves on. It is missing for networks without attention and for drivers
+    without a camera.
 
     Args:
         contender: contender that drives.
@@ -88,10 +91,19 @@ def film(
     files = []
     for index, scene in enumerate(scenes):
         moments: list[Moment] = []
-        record = runner.drive(scene, random_streams.evaluated_episode(seed, index), moments.append)
+        title = f"film {index + 1} of {len(scenes)}, {scene.name}"
+        with StepProgress(f"{title}: actions", contender.config.sim.max_steps) as driven:
+
+            def on_moment(moment: Moment, moments: list[Moment] = moments, driven: StepProgress = driven) -> None:
+                moments.append(moment)
+                driven.step()
+
+            record = runner.drive(scene, random_streams.evaluated_episode(seed, index), on_moment)
         file = folder / f"{index:02d}-{scene.name}-{record.outcome}.mp4"
-        middle = (len(moments) - 1) // 2 * FRAMES_PER_ACTION
-        write(frames(moments, contender.config, visual_act), file, middle)
+        actions = len(moments) - 1
+        with StepProgress(f"{title}: frames", actions * FRAMES_PER_ACTION + LAST_FRAMES) as drawn:
+            pictures = _counted(frames(moments, contender.config, visual_act), drawn)
+            film_file.write(pictures, file, actions // 2 * FRAMES_PER_ACTION)
         files.append(file)
         on_film(file)
     return files
@@ -105,58 +117,37 @@ def frames(moments: Sequence[Moment], config: Config, visual_act: Any) -> Iterat
         config: configuration of the driver.
         visual_act: vision model, whose `observe` gives the attention; None: no attention is shown.
     """
-    scene, camera, camera_panel = moments[0].scene, make_camera(config.camera), _camera_panel(visual_act)
+    scene, camera, find_attention = moments[0].scene, make_camera(config.camera), _attention_of(visual_act)
     chase = ChaseCamera(scene, PANEL_PX)
     belief = BeliefView(scene, Grid.from_config(config.grid), PANEL_PX)
     path: list[tuple[float, float]] = []
 
-    def picture(moment: Moment, pose: Pose, people: np.ndarray | None, image: np.ndarray, step: int) -> np.ndarray:
-        panels = (
-            chase.render(pose, people),
-            camera_panel(image, moment.action),
-            belief.draw(moment.thought, pose, path, people),
-        )
-        return _frame(panels, caption(moment, step, config.sim.max_steps))
+    def picture(
+        moment: Moment, pose: Pose, people: np.ndarray | None, seen: np.ndarray, words: np.ndarray
+    ) -> np.ndarray:
+        return _frame((chase.render(pose, people), seen, belief.draw(moment.thought, pose, path, people)), words)
 
     for step, (moment, after) in enumerate(pairwise(moments), start=1):
         path.append(moment.observed.pose[:2])
+        attention = find_attention(_image_of(moment), _action_of(moment))
+        words = _words(caption(moment, step, config.sim.max_steps))
         for share in np.arange(FRAMES_PER_ACTION) / FRAMES_PER_ACTION:
             pose = between(moment.observed.pose, after.observed.pose, _action_of(moment), share)
             people = _people_between(moment.people, after.people, share)
             image = _image_of(moment) if share == 0 else camera.render(scene, pose, people=people)
-            yield picture(moment, pose, people, image, step)
+            yield picture(moment, pose, people, _glowing(_panel(image), attention, (1 - share) ** 2), words)
     last = moments[-1]
-    end = picture(last, last.observed.pose, last.people, _image_of(last), len(moments) - 1)
+    words = _words(caption(last, len(moments) - 1, config.sim.max_steps))
+    end = picture(last, last.observed.pose, last.people, _panel(_image_of(last)), words)
     for _ in range(LAST_FRAMES):
         yield end
     camera.close()
 
 
-def write(pictures: Iterable[np.ndarray], file: Path, still: int) -> None:
-    """Write frames of one size as an MP4, and one of them as a JPEG of the same name.
-
-    Args:
-        pictures: frames `(height, width, 3)` uint8, with even width and height.
-        file: MP4 to write.
-        still: number of the frame to write as a JPEG, from 0.
-
-    Raises:
-        RunError: it cannot be written.
-    """
-    writer = None
-    try:
-        for number, picture in enumerate(pictures):
-            if writer is None:
-                size = (picture.shape[1], picture.shape[0])
-                writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"mp4v"), FRAMES_PER_SECOND, size)
-                if not writer.isOpened():
-                    raise RunError(f"film {file} cannot be written: OpenCV cannot open it as mp4v")
-            writer.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
-            if number == still:
-                Image.fromarray(picture).save(file.with_suffix(".jpg"), quality=STILL_QUALITY)
-    finally:
-        if writer is not None:
-            writer.release()
+def _counted(pictures: Iterator[np.ndarray], drawn: StepProgress) -> Iterator[np.ndarray]:
+    for picture in pictures:
+        drawn.step()
+        yield picture
 
 
 def between(before: Pose, after: Pose, action: Action, share: float) -> Pose:
@@ -194,22 +185,37 @@ def caption(moment: Moment, step: int, max_steps: int) -> tuple[str, str]:
     return first, f"R_p:  {advice}     option: {option}     {shield}"
 
 
-def _frame(panels: Sequence[np.ndarray], lines: Sequence[str]) -> np.ndarray:
-    width = len(panels) * (PANEL_PX + GAP_PX) - GAP_PX
-    picture = np.full((PANEL_PX + CAPTION_PX, width, 3), 255, np.uint8)
+def _frame(panels: Sequence[np.ndarray], words: np.ndarray) -> np.ndarray:
+    """Return panels side by side with their titles, above the picture of the caption."""
+    picture = np.full((PANEL_PX + CAPTION_PX, _WIDTH_PX, 3), 255, np.uint8)
     for index, panel in enumerate(panels):
         offset = index * (PANEL_PX + GAP_PX)
         picture[:PANEL_PX, offset : offset + PANEL_PX] = panel
-    image = Image.fromarray(picture)
+    for (left, top), title in _titles():
+        picture[top : top + len(title), left : left + title.shape[1]] = title
+    picture[PANEL_PX:] = words
+    return picture
+
+
+def _words(lines: Sequence[str]) -> np.ndarray:
+    """Return the picture of a caption, `(CAPTION_PX, width, 3)` uint8."""
+    image = Image.new("RGB", (_WIDTH_PX, CAPTION_PX), "white")
     pen = ImageDraw.Draw(image)
-    for index, title in enumerate(_TITLES):
-        corner = (index * (PANEL_PX + GAP_PX) + 8, 7)
-        left, top, right, bottom = pen.textbbox(corner, title, font=_font(15))
-        pen.rectangle((left - 5, top - 4, right + 5, bottom + 4), fill="white")
-        pen.text(corner, title, font=_font(15), fill=style.BLACK)
     for index, line in enumerate(lines):
-        pen.text((10, PANEL_PX + 10 + 32 * index), line, font=_font(18), fill=style.BLACK)
+        pen.text((10, 10 + 32 * index), line, font=_font(18), fill=style.BLACK)
     return np.asarray(image)
+
+
+@cache
+def _titles() -> list[tuple[tuple[int, int], np.ndarray]]:
+    """Return the corners (left, top) and pictures of the titles."""
+    titles = []
+    for index, title in enumerate(_TITLES):
+        left, top, right, bottom = (round(side) for side in _font(15).getbbox(title))
+        image = Image.new("RGB", (right - left + 11, bottom - top + 9), "white")
+        ImageDraw.Draw(image).text((5 - left, 4 - top), title, font=_font(15), fill=style.BLACK)
+        titles.append(((index * (PANEL_PX + GAP_PX) + 3 + left, 3 + top), np.asarray(image)))
+    return titles
 
 
 @cache
@@ -227,27 +233,36 @@ def _image_of(moment: Moment) -> np.ndarray:
     return moment.observed.image
 
 
-def _camera_panel(visual_act: Any) -> Callable[[np.ndarray, int | None], np.ndarray]:
-    """Return the function that draws the camera panel from an image and the action taken."""
+def _panel(image: np.ndarray) -> np.ndarray:
+    return cv2.resize(image, (PANEL_PX, PANEL_PX), interpolation=cv2.INTER_LINEAR)
 
-    def plain(image: np.ndarray, action: int | None) -> np.ndarray:
-        return cv2.resize(image, (PANEL_PX, PANEL_PX), interpolation=cv2.INTER_LINEAR)
 
-    def with_attention(image: np.ndarray, action: int | None) -> np.ndarray:
-        panel = plain(image, action)
-        if action is None:
-            return panel
-        weights = visual_act.observe(image[None]).attention[0, _DIRECTION_OF[Action(action)]]
+def _attention_of(visual_act: Any) -> Callable[[np.ndarray, Action], np.ndarray | None]:
+    """Return the function from an image and the action taken to a heat map of a panel; None: there is no attention."""
+
+    def missing(image: np.ndarray, action: Action) -> None:
+        return None
+
+    def find(image: np.ndarray, action: Action) -> np.ndarray:
+        weights = visual_act.observe(image[None]).attention[0, _DIRECTION_OF[action]]
         side = round(len(weights) ** 0.5)
-        return attended(panel, weights.reshape(side, side))
+        return overlay(weights.reshape(side, side), PANEL_PX).astype(np.float32)
 
     if not hasattr(visual_act, "observe"):
-        return plain
+        return missing
     try:
         visual_act.observe(np.zeros((1, 64, 64, 3), np.uint8))
     except WeightsError:
-        return plain
-    return with_attention
+        return missing
+    return find
+
+
+def _glowing(panel: np.ndarray, attention: np.ndarray | None, strength: float) -> np.ndarray:
+    """Return a panel with a heat map over it, whose strength is 0 to 1."""
+    if attention is None:
+        return panel
+    alpha = _GLOW * np.float32(strength) * attention[..., 3:]
+    return np.round((1 - alpha) * panel + 255 * alpha * attention[..., :3]).astype(np.uint8)
 
 
 def _people_between(before: np.ndarray | None, after: np.ndarray | None, share: float) -> np.ndarray | None:

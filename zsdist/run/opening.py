@@ -4,7 +4,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
-from zsdist.common import locks
+from zsdist.common import commands, locks
 from zsdist.config import Config
 from zsdist.errors import CompleteError, RunError
 from zsdist.run import checkpoint_files, cluster_address, directory, killed_start, local_ray, location, preflight
@@ -68,7 +68,9 @@ def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify, held:
         error = CompleteError if complete else RunError
         raise error(
             f"the run in {folder} has finished {finished} episodes and --episodes is {settings.run.episodes}; "
-            f"allowed is more than {finished}"
+            f"allowed is more than {finished}. Drive as many again with "
+            f"{commands.module('zsdist.launch', '--resume', folder, '--episodes', 2 * finished)}, or evaluate the run "
+            f"with {commands.module('zsdist.evaluate', folder)}"
         )
     trained = checkpoint_files.read_vision(checkpoint_files.newest_checkpoint(folder)) if states else None
     vision = check_parts(settings, notify)

@@ -17,6 +17,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ClosedEnvironmentError, InvalidAction, ResetNeeded
 
 from zsdist import config as settings
+from zsdist.common import places, presets
 from zsdist.config import Config
 from zsdist.errors import ConfigError, SceneError
 from zsdist.planning.grid import Grid
@@ -24,7 +25,7 @@ from zsdist.planning.lattice import NOWHERE, flat_state, successors
 from zsdist.planning.rewards import RewardTerms, obstacle_avoidance, target_distance, target_reached
 from zsdist.sim.camera import Camera, make_camera
 from zsdist.sim.physics.world import World
-from zsdist.sim.scenes import families
+from zsdist.sim.scenes import families, sources
 from zsdist.sim.scenes import scene as scene_files
 from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Action, Pose
@@ -49,16 +50,17 @@ class CarNavigation(gymnasium.Env):
     used releases its simulation, closed or not.
 
     Args:
-        family: family of the training scenes from which a reset chooses by its seed; `reset(options={"scene": scene})`
-            sets a scene.
+        family: family of the training scenes from which a reset chooses by its seed, or path of a folder of scene files
+            or of one; `reset(options={"scene": scene})` sets a scene.
         config: configuration of grid, simulation, camera, rewards and number of training scenes, as a `Config`, a
-            mapping of settings or the path of a YAML file; None: the defaults. `spec` holds all settings.
+            mapping of settings, a preset's name or the path of a YAML file; None: the defaults. `spec` holds all.
         camera: camera that draws the images, which the caller closes; None: the one that `config.camera` describes.
-        render_mode: `rgb_array`: `render` returns the camera's image; None: it returns nothing.
+        render_mode: `rgb_array`: `render` returns the camera's image; None: it returns nothing. `gymnasium.make` shows
+            these images in a window for `human`, with the package pygame.
         images: whether observations and their space have an `image`; without it, only `picture` uses the camera.
 
     Attributes:
-        family: family of the training scenes.
+        family: family of the training scenes, or absolute path of the scene files.
         config: configuration of the environment.
         render_mode: `rgb_array` or None.
         grid: planning grid.
@@ -66,6 +68,7 @@ class CarNavigation(gymnasium.Env):
 
     Raises:
         ConfigError: there is no such family or render mode, or the configuration is not valid.
+        SceneError: a scene file is wrong.
         SimulationError: PyBullet allows no further client in this process.
     """
 
@@ -75,23 +78,18 @@ class CarNavigation(gymnasium.Env):
 
     def __init__(
         self,
-        family: str = "iid",
+        family: str | os.PathLike[str] = "iid",
         config: Config | Mapping[str, Any] | str | os.PathLike[str] | None = None,
         camera: Camera | None = None,
         render_mode: str | None = None,
         images: bool = True,
     ) -> None:
-        if not isinstance(family, str) or family not in families.FAMILIES:
-            raise ConfigError(
-                f"scene family is {family!r}; allowed are {', '.join(families.FAMILIES)}; "
-                "a scene file is driven by reset(options={'scene': ...})"
-            )
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"render_mode is {render_mode!r}; allowed are None, 'rgb_array'")
-        self.family = family
         self.config = _config(config)
         self.render_mode = render_mode
         self.grid = Grid.from_config(self.config.grid)
+        self.family, self._scenes = _source(family, self.grid)
         self.world = World(self.grid, self.config.sim.step_s)
         self._own_camera = camera is None
         self._camera: Camera = make_camera(self.config.camera) if camera is None else camera
@@ -125,12 +123,14 @@ class CarNavigation(gymnasium.Env):
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None and spec.kwargs.get("config") is not None:
             spec = replace(spec, kwargs=spec.kwargs | {"config": self.config.model_dump(mode="json")})
+        if spec is not None and self._scenes is not None:
+            spec = replace(spec, kwargs=spec.kwargs | {"family": self.family})
         self._spec = spec
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Start an episode in `options["scene"]`, or else in a training scene of the family.
+        """Start an episode in `options["scene"]`, or else in a training scene of the family or one of the files.
 
         Args:
             seed: seed of the choice of scenes from here on, an integer of Python or numpy; None: go on.
@@ -190,6 +190,18 @@ class CarNavigation(gymnasium.Env):
         info |= {"reward_terms": terms._asdict(), "success": success, "collision": driven.contact}
         return self._observe(scene, driven.pose), terms.total, terminated, truncated, info
 
+    def action_masks(self) -> np.ndarray:
+        """Return which actions are allowed now, `(5,)` bool: `action_mask` of `info`, as MaskablePPO asks for it.
+
+        Raises:
+            ResetNeeded: no episode has begun.
+            ClosedEnvironmentError: the environment is closed.
+        """
+        self._check_open()
+        if self.world.scene is None:
+            raise ResetNeeded("no episode has begun; call reset() before action_masks()")
+        return self._mask(self.world.pose)
+
     def picture(self, pose: Pose | None = None) -> np.ndarray:
         """Return the camera's picture, `(px, px, 3)` uint8; it must not be written.
 
@@ -245,6 +257,8 @@ class CarNavigation(gymnasium.Env):
         )
 
     def _training_scene(self) -> Scene:
+        if self._scenes is not None:
+            return self._scenes[int(self.np_random.integers(len(self._scenes)))]
         count = self.config.scenes.train_scenes
         if self.family == "singleton":
             count = min(count, families.SINGLETON_SCENES)
@@ -257,9 +271,25 @@ class CarNavigation(gymnasium.Env):
         return {"image": self.picture().copy()} | poses if self._images else poses
 
     def _info(self, scene: Scene, pose: Pose, sim_steps: int) -> dict[str, Any]:
+        return {"scene": scene.name, "action_mask": self._mask(pose).astype(np.int8), "sim_steps": sim_steps}
+
+    def _mask(self, pose: Pose) -> np.ndarray:
         state = self.grid.lattice_state(pose)
-        mask = successors(self.grid.cells)[flat_state(state, self.grid.cells)] != NOWHERE
-        return {"scene": scene.name, "action_mask": mask.astype(np.int8), "sim_steps": sim_steps}
+        mask: np.ndarray = successors(self.grid.cells)[flat_state(state, self.grid.cells)] != NOWHERE
+        return mask
+
+
+def _source(family: Any, grid: Grid) -> tuple[str, list[Scene] | None]:
+    """Return a family's name and None, or the absolute path of scene files and their scenes."""
+    if isinstance(family, str) and family in families.FAMILIES:
+        return family, None
+    if not isinstance(family, str | os.PathLike) or not os.path.exists(os.path.expanduser(family)):
+        raise ConfigError(
+            f"scene family is {family!r:.80}; allowed are {', '.join(families.FAMILIES)}, a folder of scene files and "
+            "one such file"
+        )
+    path = os.fspath(family)
+    return places.absolute(path), sources.read_files(path, "family", grid=grid)
 
 
 def _config(given: Config | Mapping[str, Any] | str | os.PathLike[str] | None) -> Config:
@@ -268,9 +298,11 @@ def _config(given: Config | Mapping[str, Any] | str | os.PathLike[str] | None) -
     if isinstance(given, Config):
         return given
     if isinstance(given, str | os.PathLike):
-        return settings.load(Path(given).expanduser())
+        preset = isinstance(given, str) and presets.find(given) is not None
+        return settings.load(given if preset else Path(given).expanduser())
     if isinstance(given, Mapping):
         return settings.parse(dict(given))
     raise ConfigError(
-        f"config is {given!r:.80}; allowed are a Config, a mapping of settings, the path of a YAML file, and None"
+        f"config is {given!r:.80}; allowed are a Config, a mapping of settings, the path of a YAML file, a "
+        "preset's name, and None"
     )

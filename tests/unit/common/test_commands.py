@@ -38,6 +38,17 @@ def test_a_module_is_run_by_this_interpreter_with_paths_that_hold_in_any_folder(
     assert said[1] == sys.prefix
 
 
+def test_the_script_of_the_package_repeats_itself_as_the_shell_finds_it(tmp_path, monkeypatch):
+    script = tmp_path / "bin" / "zsdist"
+    script.parent.mkdir()
+    script.touch(mode=0o755)
+    monkeypatch.setattr(sys, "argv", [str(script), "--episodes", "3"])
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert commands.module("zsdist.report", "my run") == f"{script} report 'my run'"
+    monkeypatch.setenv("PATH", str(script.parent))
+    assert commands.module("zsdist.report", "my run") == "zsdist report 'my run'"
+
+
 def test_python_is_named_only_where_the_shell_finds_this_interpreter_under_the_name(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     assert commands.python() == sys.executable

@@ -10,6 +10,7 @@ from zsdist.common.search_path import leave_out_working_folder
 
 HOME = str(Path(zsdist.__file__).parents[1])
 COMMAND = ["python", "-m", "zsdist.launch", "--actors", "2"]
+SCRIPT = ["/home/me/.venv/bin/python", "/home/me/.venv/bin/zsdist", "launch"]
 WORKER = ["python", "-u", "/site-packages/ray/_private/workers/default_worker.py", "--node-ip-address=127.0.0.1"]
 
 
@@ -23,7 +24,7 @@ def test_modules_of_a_user_in_the_working_folder_take_no_place_of_a_library(tmp_
 
 
 @pytest.mark.parametrize("first", ["", "/home/me"])
-@pytest.mark.parametrize("arguments", [COMMAND, WORKER])
+@pytest.mark.parametrize("arguments", [COMMAND, SCRIPT, [*COMMAND[:2], "zsdist", "launch"], WORKER])
 def test_commands_and_workers_leave_the_working_folder_out_once(first, arguments):
     path = [first, "/home/me", "/lib"]
     leave_out_working_folder(path, arguments, "/home/me", HOME)

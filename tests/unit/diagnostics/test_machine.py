@@ -1,4 +1,5 @@
 import os
+import shutil
 import tempfile
 
 import pytest
@@ -33,6 +34,19 @@ def test_cores_and_memory_are_those_that_are_allowed(monkeypatch):
     cores, memory, _ = machine.check_resources()
     assert (cores.status, cores.found.split(";")[0]) == (CheckStatus.WARN, "1")
     assert (memory.status, memory.found.split(";")[0]) == (CheckStatus.WARN, "1 GiB")
+
+
+@pytest.mark.parametrize(
+    ("free_gib", "total_gib", "status"), [(60, 100, "ok"), (0.5, 2, "warn"), (3, 300, "warn"), (2, 3, "ok")]
+)
+def test_a_temporary_folder_without_room_is_a_warning(tmp_path, monkeypatch, free_gib, total_gib, status):
+    total, free = int(total_gib * 2**30), int(free_gib * 2**30)
+    usage = type(shutil.disk_usage(tmp_path))(total, total - free, free)
+    monkeypatch.setattr(machine.shutil, "disk_usage", lambda folder: usage)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    result = machine.check_temporary()
+    assert (result.status.value, result.found.partition(":")[0]) == (status, str(tmp_path))
+    assert ("TMPDIR" in result.advice) is (status == "warn")
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from zsdist.evaluation.drivers import LearnedDriver, Observability
 from zsdist.evaluation.episodes import EpisodeRunner
 from zsdist.evaluation.oracle_view import by_camera
 from zsdist.evaluation.workers import Simulation
-from zsdist.reporting import film
+from zsdist.reporting import film, film_file
 from zsdist.run import program
 from zsdist.sim.scenes.scene import Obstacle, Scene, Start
 from zsdist.types import Action, Level, Pose
@@ -62,7 +62,7 @@ def test_every_action_has_its_frames_and_the_end_is_held(moments):
 
 def test_a_film_read_back_shows_what_was_written(moments, tmp_path):
     pictures = list(film.frames(moments, CONFIG, None))
-    film.write(iter(pictures), tmp_path / "film.mp4", still=7)
+    film_file.write(iter(pictures), tmp_path / "film.mp4", still=7)
     reader = cv2.VideoCapture(str(tmp_path / "film.mp4"))
     read = []
     while (got := reader.read())[0]:

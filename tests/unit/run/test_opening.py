@@ -29,6 +29,7 @@ def test_a_run_is_resumed_unless_its_episodes_and_what_follows_them_are_complete
 
     with pytest.raises(RunError, match="has finished 2 episodes") as refused:
         resumed_episodes(wanted - 1)
+    assert f"-m zsdist.launch --resume {folder} --episodes 4" in str(refused.value)
     assert isinstance(refused.value, CompleteError) == (ended == "complete")
     assert resumed_episodes(wanted) == wanted
 

@@ -144,6 +144,35 @@ def test_seeds_choose_scenes_and_a_reset_without_one_goes_on():
     assert len({make().reset()[1]["scene"] for _ in range(5)}) > 1  # without a seed at all
 
 
+@pytest.mark.parametrize("given", ["folder", "file", "path"])
+def test_a_family_may_be_a_folder_of_scene_files_or_one_file(tmp_path, monkeypatch, given):
+    for index in range(3):
+        scene.write(families.draw("iid", "train", index), tmp_path / f"{index}.yaml")
+    monkeypatch.chdir(tmp_path.parent)
+    env = make(family={"folder": tmp_path.name, "file": f"{tmp_path.name}/1.yaml", "path": tmp_path}[given])
+    chosen = [env.reset(seed=seed)[1]["scene"] for seed in range(8)]
+    names = [families.draw("iid", "train", index).name for index in range(3)]
+    assert set(chosen) <= ({names[1]} if given == "file" else set(names))
+    monkeypatch.chdir("/")
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert [again.reset(seed=seed)[1]["scene"] for seed in range(8)] == chosen
+
+
+def test_a_preset_is_a_configuration_of_the_environment():
+    assert CarNavigation(config="scattered", images=False).config.run.name == "scattered"
+
+
+def test_the_masks_of_actions_are_found_through_wrappers_and_equal_those_of_info():
+    env = wrap.RecordEpisodeStatistics(make(images=False))
+    with pytest.raises(ResetNeeded, match="call reset"):
+        env.get_wrapper_attr("action_masks")()
+    corner = scene.Scene("corner", "grass", scene.Start(9.6875, 9.6875, 0.0), (-8.0, 8.0), ())
+    for act in (lambda: env.reset(options={"scene": corner})[1], lambda: env.step(4)[-1]):
+        info = act()
+        masks = env.get_wrapper_attr("action_masks")()
+        assert masks.dtype == bool and masks.tolist() == info["action_mask"].astype(bool).tolist()
+
+
 @pytest.mark.parametrize("action", [1, np.int64(1), np.int8(1), np.array(1)])
 def test_actions_may_be_integers_of_any_kind(action):
     env, plain = make(), make()

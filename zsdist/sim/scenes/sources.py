@@ -34,4 +34,5 @@ def read_files(
     if path.is_file():
         return [scene.read(path, grid)]
     allowed = ", ".join((*names, *families.FAMILIES))
-    raise SceneError(f"{what} {places.shown(name)!r} is no folder; allowed are {allowed} and a folder of scene files")
+    files = "a folder of scene files, or one file"
+    raise SceneError(f"{what} {places.shown(name)!r} is no folder; allowed are {allowed} and {files}")
