@@ -22,7 +22,7 @@ from zsdist.evaluation.workers import Simulation, make_runner
 from zsdist.planning.footprint import ADVANCES
 from zsdist.planning.grid import Grid
 from zsdist.reporting import style
-from zsdist.reporting.attention import attended
+from zsdist.reporting.attention import attended, seen_share
 from zsdist.reporting.belief_view import BeliefView
 from zsdist.reporting.chase import ChaseCamera
 from zsdist.sim.camera import make_camera
@@ -62,7 +62,8 @@ def film(
 
     Between decisions the poses are interpolated: first the turn, then the movement. The camera's pictures between
     decisions are rendered for a level car. The attention shown belongs to the current action; it is missing for
-    networks without attention and for drivers without a camera.
+    networks without attention and for drivers without a camera, and as faint as the network believes that nothing is
+    within its range in this direction.
 
     Args:
         contender: contender that drives.
@@ -237,9 +238,12 @@ def _camera_panel(visual_act: Any) -> Callable[[np.ndarray, int | None], np.ndar
         panel = plain(image, action)
         if action is None:
             return panel
-        weights = visual_act.observe(image[None]).attention[0, _DIRECTION_OF[Action(action)]]
+        direction = _DIRECTION_OF[Action(action)]
+        weights = visual_act.observe(image[None]).attention[0, direction]
         side = round(len(weights) ** 0.5)
-        return attended(panel, weights.reshape(side, side))
+        return attended(
+            panel, weights.reshape(side, side), seen_share(visual_act.read(image[None]).clearance)[0, direction]
+        )
 
     if not hasattr(visual_act, "observe"):
         return plain
