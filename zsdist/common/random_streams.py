@@ -30,6 +30,7 @@ Runs are repeatable only with the same numbers: a changed number changes every r
 | `check_approach` | 1017 | seed, number of the approach |
 | `check_names` | 1018 | seed |
 | `check_words` | 1019 | seed |
+| `map_scenes` | 1030 | seed |
 """
 
 import numpy as np
@@ -83,6 +84,11 @@ def evaluated_episode(seed: int, index: int) -> Generator:
 def intervals(seed: int) -> Generator:
     """Return the stream that resamples episodes for bootstrap intervals."""
     return _generator(1009, seed)
+
+
+def map_scenes(seed: int) -> Generator:
+    """Return the stream that draws starts and goals on a map."""
+    return _generator(1030, seed)
 
 
 def scene(family: int, seed: int) -> Generator:
