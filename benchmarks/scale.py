@@ -7,9 +7,14 @@ once the actors have used up the credit that is granted ahead of the learner. Al
 CPU time of each can be measured: that of actors, replay and learner in the main thread, that of zenoh (router and all
 clients) in the other threads. Transitions divided by a part's own CPU time are the rate that it could sustain on a core
 of its own. The part with the lowest rate saturates first; actors do not count, because every machine brings its own.
+
+`python benchmarks/scale.py --clients 16 64 256 --points scale.jsonl` measures many clients at one hub instead, each
+with a connection of its own (`_crowd.py`), and appends a line to the file for each case that it does not hold yet.
+`--fit scale.jsonl` prints what runs of 10 to 10,000 actors need by these points (`_scaling_model.py`).
 """
 
 import argparse
+import json
 import os
 import tempfile
 import threading
@@ -114,10 +119,66 @@ class Sampler:
 
 
 def main() -> None:
-    """Run the cases and print their figures."""
+    """Measure what the options say, and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="shorter cases; ends within 50 s on two cores")
-    warm_up_s, measured_s = (0.5, 2.5) if parser.parse_args().quick else (2.0, 10.0)
+    parser.add_argument("--clients", type=int, nargs="+", metavar="N", help="measure so many clients at one hub")
+    parser.add_argument("--processes", type=int, default=64, metavar="N", help="most processes that clients share")
+    parser.add_argument("--shards", type=int, nargs="+", default=[1], metavar="N", help="shards of the replay")
+    parser.add_argument("--rate", type=float, default=100.0, metavar="N", help="transitions a second of each client")
+    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="duration of each case")
+    parser.add_argument("--points", type=Path, default=Path("scale.jsonl"), metavar="FILE", help="file of the figures")
+    parser.add_argument("--fit", type=Path, metavar="FILE", help="print what runs need by the points of a file")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="with --fit: write a picture too")
+    options = parser.parse_args()
+    if options.fit is not None:
+        fit(options.fit, options.plot)
+    elif options.clients:
+        measure_crowds(options)
+    else:
+        measure_parts(quick=options.quick)
+
+
+def measure_crowds(options: argparse.Namespace) -> None:
+    """Measure clients with a connection each, in every combination of numbers of clients and shards."""
+    import _crowd  # forks, so nothing else may have been opened
+
+    cases = [
+        _crowd.Case(clients, min(clients, options.processes), shards, options.rate, options.seconds)
+        for clients in options.clients
+        for shards in options.shards
+        if shards <= clients
+    ]
+    _crowd.run(cases, options.points, ENDPOINT)
+
+
+def fit(file: Path, picture: Path | None) -> None:
+    """Print the costs of each part by the points of a file, and what runs of several sizes need."""
+    import _crowd
+    import _scaling_model as model
+
+    points = [json.loads(line) for line in file.read_text().splitlines()]
+    figures: dict[str, float] = {}
+    for part in model.COSTS:
+        costs = model.fit(points, part)
+        error = costs.pop("error")
+        print(f"{part}: CPU microseconds, error {100 * error:.0f}%")
+        print("".join(f"  {name:20}{1e6 * value:12.3g}\n" for name, value in costs.items()), end="")
+        figures |= {f"{part}_{name}_us": 1e6 * value for name, value in costs.items()} | {f"{part}_error": error}
+    if picture is not None:
+        import _scaling_plot
+
+        _scaling_plot.draw(points, _crowd.WEIGHTS_BYTES, picture)
+    rate = points[-1]["rate"]
+    for clients in (10, 100, 1000, 10000):
+        needed = model.needs(points, clients, rate, 1 / _crowd.WEIGHTS_EVERY_S, _crowd.WEIGHTS_BYTES)
+        figures |= {f"{name}_of_{clients}_actors": value for name, value in needed.items()}
+    report("scale", figures, {})
+
+
+def measure_parts(*, quick: bool) -> None:
+    """Run the cases in one process and print their figures."""
+    warm_up_s, measured_s = (0.5, 2.5) if quick else (2.0, 10.0)
     figures: dict[str, float] = {}
     ratios: dict[str, float] = {}
     print("transitions per second, and those that each part could sustain on a core of its own")

@@ -6,7 +6,7 @@ alike. All times are CPU time of the process without resets. The obvious design 
 the trunk run eagerly by torch at each step. `warm` is the default vision in training with every reading in the cache.
 None of these designs has an agent. `actor_...` are whole steps of an actor with its agent: cold without a reading
 cache; learning with the cache filled by the episodes before; warm when the same episodes are driven again, so that
-every reading is in the cache. The student is left out if the weights contain none.
+every reading is in the cache. Networks without an encoder are left out where the weights contain none.
 """
 
 import argparse
@@ -38,7 +38,7 @@ from zsdist.vision.encoders import lite0
 from zsdist.vision.encoders.base import resample
 from zsdist.vision.models import STUDENT_PX
 from zsdist.vision.reading_cache import ReadingCache
-from zsdist.vision.visual_act import VisualAct
+from zsdist.vision.visual_act import ALONE, VisualAct
 
 CARS = (1, 4, 16, 32)
 ENCODER_PX = 224
@@ -184,9 +184,11 @@ def _designs(weights: str) -> tuple[list[Design], Read]:
         Design("tiny_512px_eager", env(512, "pybullet"), read=read_eagerly),
         Design("warm", env(), camera=False, perception=perception),
     ]
-    if weights_folder.read(weights_folder.locate(weights)).has(weights_folder.STUDENT_FILE):
-        student = VisualAct.load(VisionConfig(weights=weights, network="student"), CameraConfig(size_px=STUDENT_PX))
-        designs.append(Design("caster_128px_student", env(STUDENT_PX), read=student.read))
+    folder = weights_folder.read(weights_folder.locate(weights))
+    for name, (file, px) in ALONE.items():
+        if folder.has(file):
+            alone = VisualAct.load(VisionConfig(weights=weights, network=name), CameraConfig(size_px=px))
+            designs.append(Design(f"caster_{px}px_{name}", env(px), read=alone.read))
     tokens = np.zeros((1, encoder.side, encoder.side, encoder.features), np.float32)
     return designs, lambda: model.read_tokens(tokens)
 

@@ -2,8 +2,8 @@
 
 `python benchmarks/vision.py [--quick]` prints a table, then one JSON line. In each round every network gets the same
 new picture, in turn, one at a time as in an actor. Cold: the processor's caches are flushed before each reading, as by
-an actor that simulates and renders between two readings. Cached: the same reading repeated at once. The student is left
-out if the weights have none.
+an actor that simulates and renders between two readings. Cached: the same reading repeated at once. Networks without an
+encoder are left out where the weights have none.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from zsdist.vision import weights_folder
 from zsdist.vision.encoders import lite0
 from zsdist.vision.encoders.base import resample
 from zsdist.vision.models import STUDENT_PX
-from zsdist.vision.visual_act import VisualAct
+from zsdist.vision.visual_act import ALONE, VisualAct
 
 FLUSHED_BYTES = 64 << 20  # more than a core's own and shared caches
 WARM_UP = 3  # rounds that are not counted
@@ -48,8 +48,9 @@ def main() -> None:
     figures = {f"{name}_{state}_ms": value for name, by_state in times.items() for state, value in by_state.items()}
     figures |= {"open_s": opened_s, "pictures": len(pictures), "camera_px": camera.size_px}
     ratios = {"onnx_vs_eager": times["trunk_eager"]["cold"] / times["trunk"]["cold"]}
-    if "student" in times:
-        ratios["student_vs_head"] = times["trunk_and_head"]["cold"] / times["resample_and_student"]["cold"]
+    for name in ALONE:
+        if name in times:
+            ratios[f"{name}_vs_head"] = times["trunk_and_head"]["cold"] / times[f"resample_and_{name}"]["cold"]
     print(f"{'ms per picture, median':24}{'cold':>10}{'cached':>10}")
     for name, by_state in times.items():
         print(f"{name:24}{by_state['cold']:10.3f}{by_state['cached']:10.3f}")
@@ -65,10 +66,15 @@ def _readers(model: VisualAct, weights: str, camera: CameraConfig) -> dict[str, 
         "head": lambda image: model.read_tokens(tokens),  # its time does not depend on the tokens
         "trunk_and_head": model.read,
     }
-    if weights_folder.read(weights_folder.locate(weights)).has(weights_folder.STUDENT_FILE):
-        student = VisualAct.load(VisionConfig(weights=weights, network="student"), camera)
-        small = np.zeros((1, STUDENT_PX, STUDENT_PX, 3), np.uint8)
-        readers |= {"student": lambda image: student.read(small), "resample_and_student": student.read}
+    folder = weights_folder.read(weights_folder.locate(weights))
+    for name, (file, px) in ALONE.items():
+        if folder.has(file):
+            alone = VisualAct.load(VisionConfig(weights=weights, network=name), camera)
+            small = np.zeros((1, px, px, 3), np.uint8)
+            readers |= {
+                name: lambda image, read=alone.read, small=small: read(small),
+                f"resample_and_{name}": alone.read,
+            }
     readers["resample"] = lambda image: resample(image, STUDENT_PX)
 
     def read_eagerly(image: np.ndarray) -> torch.Tensor:

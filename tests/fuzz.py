@@ -197,8 +197,8 @@ def seeds() -> dict[str, list[tuple[str, bytes]]]:
             (keys.sample(RUN, "low"), SampleReply(Level.LOW, None, 0, 2.0)),
         ],
         "actor-0": [
-            (keys.control(RUN, "actor"), Orders(1, "actor", ACTOR | {"epochs": {"actor-0": 9}})),
-            (keys.evaluation(RUN, "actor-0"), Jobs(1, "actor-0", JOBS)),
+            (keys.control(RUN, "actor"), Orders(1, "actor", ACTOR)),
+            (keys.evaluation(RUN, "actor-0"), Jobs(1, "actor-0", JOBS | {"epoch": 9})),
             (keys.ack(RUN, "actor-0"), Ack(1, "actor-0", 9, "low", 0, 100)),
             (keys.ack(RUN, "actor-0"), Ack(1, "actor-0", 9, "episodes", 0, None)),
             (keys.weights(RUN, "low"), weights),

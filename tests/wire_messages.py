@@ -28,12 +28,11 @@ from zsdist.wire.messages import (
 STATE_SIZE, ACTIONS = 12, 11
 
 # Valid contents of orders, jobs and records.
-ACTOR = {"epochs": {"actor-0": 3}, "leases": {"actor-0": [1, 2]}, "finished": 0, "merge": 1, "closing": False}
-ACTOR |= {"cut": False}
+ACTOR = {"finished": 0, "merge": 1, "closing": False, "cut": False}
 REPLAY = {"epochs": {"actor-0": 3}, "buffer_size": 1000, "batch_size": 16, "stop": False}
-LEARNER = {"learning": True, "merge": 1, "phase": "drive", "candidates": ["recent"], "chosen": "", "stop": False}
+LEARNER = {"learning": True, "merge": 1, "candidates": ["recent"], "chosen": "", "stop": False}
 SUPERVISION = {"epochs": {}, "restarts": {"actor": 1}, "interrupted": False}
-JOBS = {"merge": 1, "drives": [["recent", 0], ["best", 3]]}
+JOBS = {"epoch": 3, "leases": [1, 2], "finished": 0, "merge": 1, "drives": [["recent", 0], ["best", 3]]}
 DRIVE = {"actor": "actor-0", "scene": "s", "outcome": "success", "steps": 3, "return": -1.5, "epsilon": 0.5}
 DRIVE |= {"shielded": True, "path_m": 2.0, "start": [0, 0.0], "goal": [1.0, 1.0], "path": [[0.0, 0.0]], "options": 2}
 EPISODE = DRIVE | {"episode": 4}

@@ -39,6 +39,8 @@ def main(options: argparse.Namespace) -> int:
     say(f"  {commands.quoted('--set', f'transport.tls={options.folder.absolute()}')}")
     say(f"  every machine                       {authority}.pem")
     say(f"  the machine that launches the run   {permissions.HUB}.* and {permissions.TRUSTED}.*")
+    say(f"  machines where learners live        {permissions.learner_name('*')} (by default that one too)")
+    say(f"  machines where replay shards live   {permissions.REPLAY}.* (by default that one too)")
     say("  machines that run actors            actor-N.*")
     say(f"  machines that watch the run         {permissions.MONITOR}.*")
     return 0

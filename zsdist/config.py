@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from zsdist.common import places, ranges, values
 from zsdist.common import setting_trees as trees
+from zsdist.common.placement_settings import LAUNCHER, ClusterConfig
 from zsdist.common.places import Place
+from zsdist.common.section import Section
 from zsdist.errors import ConfigError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -28,17 +30,6 @@ Source = Annotated[Text, Place(places.FAMILIES)]  # scene family, or folder of s
 Sources = Annotated[tuple[Source, ...], Field(min_length=1)]
 Weights = Annotated[Text, Place((places.WEIGHTS,))]
 Encoder = Annotated[Text, Place((places.ENCODER,))]
-
-
-class Section(BaseModel):
-    """Group of settings. It is frozen and accepts neither unknown keys nor NaN nor infinity."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
-
-    @field_validator("*", mode="before")
-    @classmethod
-    def _typed(cls, value: Any, info: ValidationInfo) -> Any:
-        return values.typed(cls.model_fields[str(info.field_name)].annotation, value)
 
 
 class GridConfig(Section):
@@ -82,10 +73,11 @@ class VisionConfig(Section):
 
     weights: Weights = places.WEIGHTS  # the weights in the package, or a folder made by `zsdist.pretrain`
     encoder: Encoder = places.ENCODER  # or a folder with a CLIP model of open_clip or Hugging Face
-    network: Literal["head", "student"] = "head"  # head on the encoder's tokens, or small network without an encoder
+    network: Literal["head", "student", "compact"] = "head"  # head on the encoder's tokens; the others: no encoder
     rays: Literal["all", "three", "none"] = "all"  # rays the agent gets; three: one per direction; none: no vision
     ray_quantile: Annotated[float, Field(gt=0, lt=1)] = 0.1  # quantile of the prediction used as a ray's distance
     cache_bytes: Annotated[int, Field(ge=0)] = 64 * 2**20  # size of the cache of readings, per machine; 0: no cache
+    device: Literal["cpu", "gpu", "auto"] = "cpu"  # auto: a GPU where the process sees one and onnxruntime can use it
 
 
 class RewardConfig(Section):
@@ -172,6 +164,7 @@ class ReplayConfig(Section):
     average_episodes: Count = 50  # latest episodes whose mean return decides
     target_return: float = 710.0  # R_target: mean paper return of A* on 60 training scenes of `iid`
     fsync_ms: Annotated[int, Field(ge=0)] | None = None  # time between syncs of journals; None: they are never synced
+    journals: tuple[Folder, ...] = ()  # folders of the shards' journals, given in turn; none: the run directory's
     max_bytes: Count = 256 * 2**20  # limit for the buffers of both levels; a run that needs more is refused
 
 
@@ -183,6 +176,7 @@ class MergeConfig(Section):
     drive_steps: Count = 150  # actions after which a validation drive is a timeout; the shortest path takes about 30
     distil_updates: Count = 200  # updates towards the guide's actions that make the distilled candidate
     drop_after_scenes: Count = 6  # scenes after which a candidate that is clearly behind is dropped
+    share: Annotated[float, Field(gt=0, le=1)] = 0.5  # most of the cars' actions for such drives beside training
 
 
 SHORT_FORMS = {"transport": "transport.kind"}  # settings that the name of their section alone stands for
@@ -203,7 +197,7 @@ class TransportConfig(Section):
     kind: Literal["memory", "zenoh"] = "zenoh"  # memory: within one process
     endpoint: str = "tcp/127.0.0.1:7447"  # endpoint of the hub; with `tls` tls/HOST:PORT, default tls/127.0.0.1:7447
     tls: Folder | None = None  # folder made by `python -m zsdist.certs`; None: reachable from this machine only
-    mailbox_bytes: Count = 64 * 2**20  # size of received messages that wait; others are dropped and sent again
+    mailbox_bytes: Count = 32 * 2**20  # of received messages that wait or are in process; others are sent again
     window_frames: ranges.Window = 64  # unacknowledged frames per stream
     resend_after_s: Positive = 0.25  # age at which an unacknowledged frame is sent again
     give_up_after_s: Positive = 60.0  # time without progress at a live receiver after which the run fails
@@ -240,6 +234,7 @@ class Config(Section):
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0  # seed of scenes, networks and exploration
     placement: Literal["inline", "ray"] = "ray"  # inline: all roles in one process
     run: RunConfig = RunConfig()
+    cluster: ClusterConfig = ClusterConfig()
     scenes: ScenesConfig = ScenesConfig()
     grid: GridConfig = GridConfig()
     sim: SimConfig = SimConfig()
@@ -265,6 +260,11 @@ class Config(Section):
                 raise ValueError(f"{name}_initial is {value}; allowed is {name}_min to {name}_max, {low} to {high}")
         if self.replay.shards > self.run.actors:
             raise ValueError(f"replay.shards is {self.replay.shards}; allowed is at most run.actors, {self.run.actors}")
+        if self.cluster.replay.node != LAUNCHER and not self.replay.journals:
+            raise ValueError(
+                f"cluster.replay.node is {self.cluster.replay.node!r} without replay.journals: the run directory may "
+                "not be there; allowed is a folder on the disk of those machines, as replay.journals=/var/lib/zsdist"
+            )
         endpoint = self.transport.endpoint
         if self.run.address is not None and is_loopback(endpoint):
             raise ValueError(

@@ -53,6 +53,10 @@ class RunError(ZsdistError):
     """Run or stored result that cannot be started, resumed, read or written, or whose counts do not agree."""
 
 
+class CompleteError(RunError):
+    """Run that is to be resumed and has nothing left to do."""
+
+
 class DamagedError(RunError):
     """File of a run that is missing, or whose content is not what was written."""
 

@@ -8,10 +8,10 @@ from zsdist import config
 from zsdist.common import cli, commands, output_files, streams
 from zsdist.common.console import PlainConsole
 from zsdist.common.signals import Interrupted, Interruption, handled_by, status_of
-from zsdist.errors import ConfigError
+from zsdist.errors import CompleteError, ConfigError
 from zsdist.reporting import final_evaluation
 from zsdist.roles import permissions
-from zsdist.run import join, opening, training
+from zsdist.run import join, location, opening, training
 from zsdist.run.program import RunSpec
 from zsdist.telemetry.display import Display
 from zsdist.transport.base import Transport
@@ -33,6 +33,8 @@ def make_parser() -> argparse.ArgumentParser:
     setting("--single-process", *ONE_PROCESS, action="store_true", help="run all roles here, on a virtual clock")
     add("--run-dir", type=cli.path, metavar="DIR", help="folder of the run (default: a new one in runs/)")
     add("--resume", type=cli.path, metavar="DIR", help="resume the run in DIR and append to its files")
+    again = "with --run-dir DIR: resume the run in DIR where there is one, and do nothing where it is complete"
+    add("--auto-resume", action="store_true", help=again)
     address = "Ray cluster to run on, from one of its nodes: auto or HOST:PORT"
     setting("--address", "run.address", metavar="RAY", help=address)
     add(
@@ -55,14 +57,22 @@ def main(options: argparse.Namespace) -> int:
 
 
 def _launch(options: argparse.Namespace, console: PlainConsole, held: contextlib.ExitStack) -> int:
-    spec = _open(options, console, held)
+    try:
+        spec = _open(options, console, held)
+    except CompleteError as error:
+        if not options.auto_resume:
+            raise
+        console.say(f"nothing is left to do: {error}")
+        return 0
     console.say("zsdist run ", (str(spec.folder), "bold"), f" (seed {spec.config.seed})")
     shown = commands.repeated(make_parser(), options, ("plain",))
     resume = f"  {commands.module('zsdist.launch', '--resume', spec.folder, *shown)}"
     interruption = Interruption()
     try:
         summary = _train(spec, console, interruption, prefer_lines=options.plain)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
+        if reason := str(error):
+            streams.tell(f"{reason}; the run did not wait for it")
         if spec.folder.exists():  # it does not where nothing had begun
             streams.tell("stopped at once; what came after the last checkpoint is not saved. Resume with", resume)
         raise Interrupted(interruption.number or signal.SIGINT) from None  # Ray may have raised it anew
@@ -106,6 +116,10 @@ def _conclude(spec: RunSpec, summary: training.Summary, console: PlainConsole) -
 
 def _open(options: argparse.Namespace, console: PlainConsole, held: contextlib.ExitStack) -> RunSpec:
     overrides = cli.overrides(options)
+    if options.auto_resume and (options.run_dir is None or options.resume is not None):
+        raise ConfigError("--auto-resume needs --run-dir DIR, in which it looks for a run, and no --resume")
+    if options.auto_resume and (options.run_dir / location.CONFIG_FILE).is_file():
+        return opening.open_resumed(options.run_dir, overrides, console.say, held)
     if options.resume is None:
         settings = config.load(options.config, overrides, console.say)
         return opening.open_new(settings, options.run_dir, console.say, held)
@@ -119,7 +133,7 @@ def _open(options: argparse.Namespace, console: PlainConsole, held: contextlib.E
 
 def _join(options: argparse.Namespace, console: PlainConsole) -> int:
     """Add actors to a run elsewhere until it ends; return 128 plus its number where a signal has taken them away."""
-    for name in ("config", "episodes", "seed", "single_process", "run_dir", "resume", "address"):
+    for name in ("config", "episodes", "seed", "single_process", "run_dir", "resume", "auto_resume", "address"):
         value = getattr(options, name)
         if value is not None and value is not False:
             option = f"--{name.replace('_', '-')}"

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from zsdist.common import cli
 from zsdist.common.console import PlainConsole, say
+from zsdist.common.http_address import http_address
 from zsdist.errors import RunError, TransportError
 from zsdist.roles import permissions
 from zsdist.run import life as lives
@@ -38,11 +39,15 @@ def make_parser() -> argparse.ArgumentParser:
     add("--once", action="store_true", help="print one snapshot, then exit")
     add("--json", action="store_true", help="with --once: print the snapshot as JSON")
     add("--plain", action="store_true", help="print lines, also on a terminal")
+    metrics = "serve the figures to Prometheus at 127.0.0.1:PORT or HOST:PORT, of one run after the other"
+    add("--prometheus", type=http_address, metavar="PORT", help=metrics)
     return parser
 
 
 def main(options: argparse.Namespace) -> int:
     """Show a run until it ends or until Ctrl-C, or once; return 1 where it is gone without having ended."""
+    if options.prometheus is not None:
+        return _export(options)
     if options.connect is None:
         return _watch_folder(options, lives.find(options.runs, options.run))
     with closing(_connect(options.connect, options.tls)) as transport:
@@ -56,6 +61,39 @@ def main(options: argparse.Namespace) -> int:
     if sight is Sight.ENDED:
         say(f"run {run} ended; it {seen}", error=options.json)
     return 0
+
+
+def _export(options: argparse.Namespace) -> int:
+    """Serve the metrics of one run after the other, until a signal; a run that is not there yet is waited for."""
+    for name in ("once", "json", "plain"):
+        if getattr(options, name):
+            raise RunError(f"--{name} cannot be combined with --prometheus, which shows nothing here")
+    if options.connect is not None:
+        _identity(options.connect, options.tls)  # what is wrong with the certificate is said at once
+    from zsdist.telemetry import prometheus
+
+    with prometheus.Exporter(options.prometheus) as exporter:
+        say(f"metrics at {options.prometheus.url(prometheus.PAGE)}")
+        exporter.serve(lambda: _find(options))
+    return 0
+
+
+def _find(options: argparse.Namespace) -> tuple[str, Transport]:
+    """Return the name of a run that goes on and a connection to its hub; raise an error where there is none."""
+    if options.connect is not None:
+        transport = _connect(options.connect, options.tls)
+        try:
+            return options.run or watching.only_run(transport, options.connect), transport
+        except RunError:
+            transport.close()
+            raise
+    life = lives.find(options.runs, options.run)
+    if life.ended or life.killed:
+        raise RunError(f"run {life.title} has ended or was killed")
+    reached = _reach(options, life)
+    if reached is None:
+        raise RunError(f"run {life.title} is starting, or its hub does not answer")
+    return life.name, reached
 
 
 def _watch_folder(options: argparse.Namespace, life: RunLife) -> int:

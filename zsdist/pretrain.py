@@ -1,9 +1,9 @@
 """`python -m zsdist.pretrain`: train the vision of the car (Algorithm 1), or check a trained one.
 
 Pictures are rendered and encoded first; then the projection to words, the head and the small student network are
-trained on them. Finished parts are kept: after Ctrl-C or SIGTERM, `--resume DIR` resumes. With `--check`, the model of
-`vision.weights` is evaluated on fresh pictures of families that are withheld from training, beside baselines that know
-less or more.
+trained on them, and the compact network on pictures that are made meanwhile. Finished parts are kept: after Ctrl-C or
+SIGTERM, `--resume DIR` resumes. With `--check`, the model of `vision.weights` is evaluated on fresh pictures of
+families that are withheld from training, beside baselines that know less or more.
 """
 
 import argparse
@@ -24,6 +24,7 @@ from zsdist.pretraining.job import PURPOSE, STAGES, Job
 from zsdist.pretraining.pictures import check_disk
 from zsdist.pretraining.progress import PretrainingProgress
 from zsdist.vision.encoders import open_encoder
+from zsdist.vision.models import COMPACT_PX
 
 IMAGES = 30_000
 CHECK_IMAGES = 300
@@ -149,9 +150,12 @@ def _pretrain(options: argparse.Namespace, folder: Path, held: contextlib.ExitSt
             f"  {commands.module('zsdist.pretrain', '--resume', folder, *again)}",
         )
         return signals.status_of(error)
-    if "head" in job.stages:
-        vision = job.config.vision.model_copy(update={"weights": str(folder.absolute())})
-        check(job.config.model_copy(update={"vision": vision}), CHECK_IMAGES, job.seed, options.json, object_count=0)
+    network = next((stage for stage in ("head", "compact") if stage in job.stages), None)
+    if network is not None:
+        vision = job.config.vision.model_copy(update={"weights": str(folder.absolute()), "network": network})
+        camera = job.config.camera.model_copy(update={"size_px": COMPACT_PX} if network == "compact" else {})
+        config = job.config.model_copy(update={"vision": vision, "camera": camera})
+        check(config, CHECK_IMAGES, job.seed, options.json, object_count=0)
     use = commands.quoted("--set", f"vision.weights={folder.resolve()}")
     say(f"weights are in {folder}; use them with {use}")
     return 0

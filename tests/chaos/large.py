@@ -74,7 +74,9 @@ class Large:
         first: dict[str, int] = {}
 
         def learned() -> bool:
-            updates = {name: self.witness.statistics[name]["updates"] for name in self.witness.name_of("learner")}
+            updates = {
+                name: self.witness.statistics[name]["learner_updates"] for name in self.witness.name_of("learner")
+            }
             return any(count > first.setdefault(name, count) for name, count in updates.items())
 
         self.until(name, learned)
@@ -113,7 +115,7 @@ class Large:
 
 def networks(large: Large) -> dict:
     """Run, merge, checkpoint, kill, resume and merge again with wide networks."""
-    large.until("first update", lambda: large.sum_of("learner", "updates") > 0)
+    large.until("first update", lambda: large.sum_of("learner", "learner_updates") > 0)
     large.until("first merge", lambda: large.sum_of("scheduler", "merges") > 0)
     large.checkpoint("next checkpoint")
     merges = large.sum_of("scheduler", "merges")

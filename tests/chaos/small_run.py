@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -133,9 +133,12 @@ class Launcher:
         root: folder in which the run directory `run` lies, and beside it the files of the cars.
         settings: settings other than `LIGHT`.
         restarts: number of restarts of a role that are allowed; None: the usual one.
+        command: command of another run in the same place; None: `launcher.py` with the settings.
     """
 
-    def __init__(self, root: Path, *settings: str, restarts: int | None = None) -> None:
+    def __init__(
+        self, root: Path, *settings: str, restarts: int | None = None, command: Sequence[str] | None = None
+    ) -> None:
         self.root, self.folder = root, root / "run"
         (root / "steps").mkdir(parents=True, exist_ok=True)
         (self.folder / "endpoint").unlink(missing_ok=True)
@@ -144,7 +147,7 @@ class Launcher:
         if restarts is not None:
             environment[UNLIMITED] = str(restarts)
         self.log = root / "launcher.log"
-        command = [sys.executable, str(HERE / "launcher.py"), str(self.folder), *settings]
+        command = command or [sys.executable, str(HERE / "launcher.py"), str(self.folder), *settings]
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)
         self.known: dict[int, psutil.Process] = {}

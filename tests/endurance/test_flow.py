@@ -2,69 +2,80 @@
 
 import gc
 import os
-import tracemalloc
+import sys
+import time
 
 import pytest
+from endurance.conftest import BYTES_OF_AN_OBJECT, MIB
 from flow import Flow, WholeRun
 
 from zsdist.config import parse
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.timeout(7200),
-    pytest.mark.skipif("ZSDIST_ENDURANCE_DAYS" not in os.environ, reason="takes long; run `make endurance`"),
-]
+MONTH = pytest.mark.skipif("ZSDIST_ENDURANCE_DAYS" not in os.environ, reason="takes long; run `make endurance`")
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(7200)]
 
+ACTORS, OPTIONS = 4096, 3
 MERGES, DAYS = 1000, 30
 MERGE_EVERY = 10  # episodes
 SMALL = {"hidden": [4], "min_size": 16}
-GROWS = ("*/roles/scheduler/*", "*/telemetry/*")  # lists of finished episodes and merges, which checkpoints contain
 
 
-def test_4096_actors_go_on(tmp_path):
+def flow_of(actors, folder):
     level = SMALL | {"updates_per_insert": 0.002}
-    config = parse(
-        {
-            "run": {"actors": 4096, "cars_per_actor": 1},
-            "replay": {"batch_initial": 16, "shards": 2},
-            "transport": {"mailbox_bytes": 2**30},
-            "high": level,
-            "low": level,
-        }
-    )
-    flow = Flow(config, tmp_path)
-    assert flow.drive(options=3, give_up_s=60.0) == 3
-    print(
-        f"4096 actors: 3 options each after {flow.now:.1f} s of virtual time"
-    )  # the time of 73 steps, and some waiting
+    settings = {
+        "run": {"actors": actors, "cars_per_actor": 1},
+        "replay": {"batch_initial": 16, "shards": 2},
+        "transport": {"mailbox_bytes": 2**30},
+        "high": level,
+        "low": level,
+    }
+    return Flow(parse(settings), folder)
+
+
+def run_of(actors, folder, merges, **merge):
+    level = SMALL | {"updates_per_insert": 0.1}
+    every = merge["every_episodes"]
+    settings = {
+        "run": {"actors": actors, "cars_per_actor": 3 if actors < 10 else 1, "episodes": every * merges + every // 2},
+        "merge": {"validation_scenes": 2, "distil_updates": 1} | merge,
+        "replay": {"batch_initial": 16, "size_initial": 1000},
+        "transport": {"mailbox_bytes": 2**28},
+        "high": level,
+        "low": level,
+    }
+    return WholeRun(parse(settings), folder)
+
+
+@pytest.mark.parametrize("actors", [64, pytest.param(ACTORS, marks=MONTH)])
+def test_many_actors_go_on(tmp_path, report, actors):
+    began_s, flow = time.process_time(), flow_of(actors, tmp_path)
+    for options in range(1, OPTIONS + 1):
+        assert flow.drive(options, give_up_s=60.0) == options
+        report(actors=actors, options=options, virtual_s=flow.now, processor_s=time.process_time() - began_s)
     assert all(learner.updates for learner in flow.learners)
     assert not any(outboxes.statistics()["low_resent_frames"] for outboxes in flow.actors.outboxes.values())
 
 
-def test_a_thousand_merges_hold_no_more_than_ten(tmp_path):
-    level = SMALL | {"updates_per_insert": 0.1}
-    config = parse(
-        {
-            "run": {"actors": 2, "cars_per_actor": 3, "episodes": MERGE_EVERY * MERGES + 5},
-            "merge": {"every_episodes": MERGE_EVERY, "validation_scenes": 2, "distil_updates": 1},
-            "replay": {"batch_initial": 16, "size_initial": 1000},
-            "high": level,
-            "low": level,
-        }
-    )
-    run, held, bytes_held = WholeRun(config, tmp_path), [], []
-    tracemalloc.start()
-    try:
-        for merges in (10, MERGES // 4, MERGES // 2, MERGES):
-            assert run.drive(merges, give_up_s=1e6) == merges
-            gc.collect()
-            counted = tracemalloc.take_snapshot().filter_traces([tracemalloc.Filter(False, name) for name in GROWS])
-            bytes_held.append(sum(trace.size for trace in counted.traces))
-            held.append(run.held())
-    finally:
-        tracemalloc.stop()
-    growth_mib = (bytes_held[-1] - bytes_held[1]) / 2**20 / (DAYS * 3 / 4)
-    print(f"{run.merges} merges: {growth_mib:.4f} MiB a day, events {dict(run.events)}, held {held}")
+@pytest.mark.parametrize("actors", [32, pytest.param(ACTORS, marks=MONTH)])
+def test_a_scheduler_of_many_actors_leases_merges_and_goes_on(tmp_path, report, actors):
+    began_s, run = time.process_time(), run_of(actors, tmp_path, 3, every_episodes=2 * actors)
+    for merges in (1, 2):
+        assert run.drive(merges, give_up_s=300.0) == merges
+        report(actors=actors, merges=merges, virtual_s=run.now, processor_s=time.process_time() - began_s)
+    assert run.events["standstill"] == 0 and run.scheduler.finished_episodes == 4 * actors
+
+
+@pytest.mark.parametrize("merges", [8, pytest.param(MERGES, marks=MONTH)])
+def test_a_thousand_merges_hold_no_more_than_ten(tmp_path, report, merges):
+    run, held, blocks, began_s = run_of(2, tmp_path, merges, every_episodes=MERGE_EVERY), [], [], time.process_time()
+    for reached in (merges // 4, merges // 2, *range(merges // 2 + 50, merges, 50), merges):
+        assert run.drive(reached, give_up_s=1e6) == reached
+        gc.collect()
+        blocks.append(sys.getallocatedblocks())
+        held.append(run.held())
+        report(merges=reached, virtual_s=run.now, processor_s=time.process_time() - began_s, objects=blocks[-1])
+    grown_mib = (blocks[-1] - blocks[1]) * BYTES_OF_AN_OBJECT / MIB  # the lists of a checkpoint among it
+    report(mib_a_day=grown_mib / (DAYS * merges / MERGES / 2), standstills=run.events["standstill"])
     assert len(set(held)) == 1
-    assert growth_mib < 0.02
-    assert run.events["standstill"] == 0 and run.log.checkpoints >= MERGES
+    assert run.events["standstill"] == 0 and run.log.checkpoints >= merges - 1  # that of the last is under way
+    assert merges < MERGES or grown_mib / (DAYS / 2) < 1

@@ -45,6 +45,10 @@ NOT_OF_ACTOR_0 = (
 )
 TO_ACTOR_0 = ("weights/low", "candidate/high/recent", "control/actor", "ack/actor-0", "evaluation/actor-0")
 NOT_TO_ACTOR_0 = ("push/low/actor-1/3", "ack/actor-1", "evaluation/actor-1", "control/replay", "episodes/actor-1/3")
+OF_LEARNER_LOW = ("weights/low", "candidate/low/best", "priority/low", "priority/low/3", "stats/learner/low", "events")
+NOT_OF_LEARNER_LOW = ("weights/high", "candidate/high/best", "priority/high", "control/actor", "ack/actor-0")
+OF_REPLAY = ("ack/actor-0", "stats/replay/0", "events")
+NOT_OF_REPLAY = ("weights/low", "candidate/low/best", "control/actor", "control/scheduler", "push/low/actor-0/3")
 TO_MONITOR = ("stats/actor/0", "events", "weights/low")
 NOT_TO_MONITOR = ("push/low/actor-0/3", "ack/actor-0", "control/actor", "candidate/low/best", "evaluation/actor-0")
 
@@ -52,8 +56,8 @@ NOT_TO_MONITOR = ("push/low/actor-0/3", "ack/actor-0", "control/actor", "candida
 class Client:
     """A plain zenoh session with a certificate."""
 
-    def __init__(self, endpoint: str, identity: Identity | None) -> None:
-        settings = {"mode": "client", "connect/endpoints": [endpoint], "connect/timeout_ms": 500}
+    def __init__(self, endpoint: str, identity: Identity | None, timeout_ms: int = 10_000) -> None:
+        settings = {"mode": "client", "connect/endpoints": [endpoint], "connect/timeout_ms": timeout_ms}
         settings |= {"connect/exit_on_failure": True, "scouting/multicast/enabled": False}
         if identity is not None:
             settings["transport/link/tls"] = {
@@ -180,6 +184,40 @@ def test_an_actor_can_neither_request_batches_or_states_nor_serve_them(connect):
     assert learner.ask("weights/low") == []
 
 
+@pytest.mark.parametrize(
+    ("name", "own", "foreign"),
+    [("learner-low", OF_LEARNER_LOW, NOT_OF_LEARNER_LOW), (permissions.REPLAY, OF_REPLAY, NOT_OF_REPLAY)],
+)
+def test_a_learner_and_the_replay_publish_what_is_theirs_and_nothing_else(connect, name, own, foreign):
+    trusted, client = connect(permissions.TRUSTED), connect(name)
+    box = trusted.hear("**")
+    assert heard(box, client, own[0]) == {own[0]}
+    for key in (*foreign, *own[1:]):
+        client.put(key)
+    assert heard(box, client, own[0]) == set(own)
+
+
+def test_learners_ask_the_replay_for_batches_of_their_level_and_nobody_else_answers(connect):
+    learner, replay, forger = connect("learner-low"), connect(permissions.REPLAY), connect("learner-high")
+    for key in ("sample/low", "sample/high", "control/replay"):
+        forger.answer(key, b"forged")
+        replay.answer(key, b"true")
+    while not (answer := learner.ask("sample/low")):
+        pass
+    assert answer == [b"true"] and learner.ask("sample/high") == learner.ask("control/replay") == []
+    assert connect(permissions.TRUSTED).ask("control/replay") == [b"true"]
+
+
+def test_the_replay_hears_pushes_and_orders_and_a_learner_hears_orders_alone(connect):
+    trusted, replay, learner = connect(permissions.TRUSTED), connect(permissions.REPLAY), connect("learner-low")
+    for client, key in ((replay, "push/low/actor-1/3"), (replay, "control/replay"), (learner, "control/learner")):
+        assert heard(client.hear(key), trusted, key) == {key}
+    box = learner.hear("push/**", "ack/*", "control/learner")
+    trusted.put("push/low/actor-1/3")
+    trusted.put("ack/actor-0")
+    assert heard(box, trusted, "control/learner") == {"control/learner"}
+
+
 def test_an_actor_can_declare_its_own_token_and_no_other(connect):
     actor, watcher = connect("actor-0"), connect(permissions.MONITOR)
     tokens = [actor.session.liveliness().declare_token(f"{RUN}/alive/{who}") for who in ("learner/low", "actor/1")]
@@ -198,7 +236,7 @@ def test_an_actor_asks_to_join_under_its_own_name_and_sees_which_runs_there_are(
     assert actor.ask_until_known("join/actor-0") == [b"terms"]
     assert actor.ask("join/actor-1") == actor.ask("join/*") == []
     connect("actor-1").answer("join/actor-0", b"forged")
-    assert actor.ask("join/actor-0") == [b"terms"]
+    assert actor.ask_until_known("join/actor-0") == [b"terms"]
     tokens = [trusted.session.liveliness().declare_token(f"{RUN}/alive/{who}") for who in ("scheduler/0", "replay/0")]
     seen = set()
     while not seen:
@@ -261,7 +299,7 @@ def test_no_client_connects_without_a_certificate_of_the_authority(hub, folder, 
         (hub.endpoint, Identity.load(tmp_path, permissions.TRUSTED)),
     ):
         with pytest.raises(zenoh.ZError):
-            Client(endpoint, identity)
+            Client(endpoint, identity, timeout_ms=500)
     with pytest.raises(TransportError, match=r"no hub answers at .* or it refuses certificate .*trusted\.pem"):
         ZenohTransport(hub.endpoint, Identity.load(tmp_path, permissions.TRUSTED), connect_timeout_s=0.5)
 

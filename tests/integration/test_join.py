@@ -19,7 +19,7 @@ from zsdist.transport import certificates
 from zsdist.transport.base import Mailbox
 from zsdist.wire import keys
 
-pytestmark = [pytest.mark.integration, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.integration, pytest.mark.alone, pytest.mark.timeout(600)]
 
 PATIENCE_S = 200.0  # a busy machine takes long to import what a process needs
 

@@ -12,10 +12,11 @@ import pytest
 import zenoh
 from rehearsal import episodes
 
-pytestmark = [pytest.mark.integration, pytest.mark.slow]
+pytestmark = [pytest.mark.integration, pytest.mark.slow, pytest.mark.alone]
 
 LAUNCH = [sys.executable, "-m", "zsdist.launch", "--actors", "2", "--plain"]
-QUICK = ["--set", "run.final_evaluation_episodes=0", "--set", "scenes.train=[singleton]", "--set", "sim.max_steps=60"]
+QUICK = ["--set", "run.final_evaluation_episodes=0", "--set", "scenes.train=[singleton]", "--set", "sim.max_steps=60",
+         "--set", "vision.network=student", "--set", "camera.size_px=128"]  # fmt: skip
 PATIENCE_S = 100.0
 GARBAGE_KEYS = (
     "push/low/actor-0/0",

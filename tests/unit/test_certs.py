@@ -17,7 +17,8 @@ def run(capsys, *arguments):
 def test_every_role_of_a_run_finds_its_certificate(capsys, tmp_path):
     status, printed = run(capsys, tmp_path / "made", "--actors", "2", "--host", "10.1.2.3", "--days", "3")
     assert status == 0
-    roles = [("hub", "0"), ("scheduler", "0"), ("replay", "0"), ("learner", "low"), ("supervisor", "0")]
+    roles = [("hub", "0"), ("scheduler", "0"), ("replay", "0"), ("replay", "1"), ("supervisor", "0")]
+    roles += [("learner", "low"), ("learner", "high")]
     for role, identifier in [*roles, ("monitor", "0"), ("actor", "0"), ("actor", "1")]:
         Identity.load(tmp_path / "made", permissions.certificate_of(role, identifier))
     hosts = Identity.load(tmp_path / "made", permissions.HUB).hosts()

@@ -6,7 +6,7 @@ from hostile import NAMES
 
 from zsdist import config, evaluate, launch
 from zsdist.common import cli, signals
-from zsdist.errors import RunError
+from zsdist.errors import CompleteError, RunError
 from zsdist.run import directory, opening, training
 from zsdist.run.program import RunSpec
 
@@ -170,6 +170,48 @@ def test_a_folder_that_holds_a_run_is_not_overwritten(capsys, tmp_path):
     before = (folder / "config.yaml").read_bytes()
     assert "--resume" in refusal(capsys, "--seed", "5", "--run-dir", folder)
     assert (folder / "config.yaml").read_bytes() == before
+
+
+class OpenedError(Exception):
+    """Says how a run was opened."""
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    def open_new(settings, folder, notify, held):
+        raise OpenedError("new", folder, settings.run.actors)
+
+    def open_resumed(folder, overrides, notify, held):
+        if "run.episodes=2" in overrides:
+            raise CompleteError("the run has finished 2 episodes")
+        raise OpenedError("resumed", folder, *overrides)
+
+    monkeypatch.setattr(opening, "open_new", open_new)
+    monkeypatch.setattr(opening, "open_resumed", open_resumed)
+
+
+def launched(*arguments):
+    return launch.main(launch.make_parser().parse_args(["--plain", *map(str, arguments)]))
+
+
+def test_one_command_begins_a_run_resumes_it_and_ends_at_once_where_it_is_complete(capsys, tmp_path, opened):
+    (tmp_path / "c.yaml").write_text("run: {actors: 3}\n")
+    folder = tmp_path / "run"
+    command = ("--run-dir", folder, "--auto-resume", "--config", tmp_path / "c.yaml")
+    with pytest.raises(OpenedError) as new:
+        launched(*command)
+    assert new.value.args == ("new", folder, 3)
+    directory.create(folder, config.Config())
+    with pytest.raises(OpenedError) as resumed:
+        launched(*command, "--actors", "5")
+    assert resumed.value.args == ("resumed", folder, "run.actors=5")
+    assert launched(*command, "--episodes", "2") == 0
+    assert "nothing is left to do: the run has finished 2 episodes" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("options", [[], ["--resume", "x", "--run-dir", "y"]])
+def test_a_run_that_may_be_there_is_looked_for_in_one_folder(capsys, options):
+    assert "--auto-resume needs --run-dir DIR" in refusal(capsys, "--auto-resume", *options)
 
 
 @pytest.mark.parametrize("option", [["--seed", "1"], ["--config", "x.yaml"], ["--run-dir", "y"]])

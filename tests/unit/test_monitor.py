@@ -1,7 +1,10 @@
+import contextlib
 import json
 import os
+import signal
 import threading
 import time
+import urllib.request
 from contextlib import contextmanager
 
 import pytest
@@ -96,6 +99,33 @@ def test_an_endpoint_without_a_hub_is_reported_in_one_line(capsys, arguments, te
     assert status == cli.REFUSED
     assert telling in printed.err
     assert printed.err.count("\n") == 1
+
+
+def test_figures_are_served_to_prometheus_until_a_signal(capsys, hub, speaker):
+    port = free_endpoint().rpartition(":")[2]
+    read = []
+
+    def scrape():
+        for _ in range(400):
+            with contextlib.suppress(OSError):
+                read.append(urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=10).read().decode())
+            if read and "zsdist_actor_env_steps_total{" in read[-1]:
+                break
+            threading.Event().wait(0.05)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    scraping = threading.Thread(target=scrape)
+    scraping.start()
+    status, printed = run(capsys, "--connect", hub.endpoint, "--prometheus", port)
+    scraping.join()
+    assert status == 130 and f"metrics at http://127.0.0.1:{port}/metrics" in printed.out
+    assert 'zsdist_actor_env_steps_total{host="here",id="0",level="",run="demo"} 7.0' in read[-1]
+
+
+@pytest.mark.parametrize("option", ["--once", "--json", "--plain"])
+def test_an_option_of_the_display_is_refused_where_figures_are_served(capsys, option):
+    status, printed = run(capsys, "--prometheus", "9464", option)
+    assert status == cli.REFUSED and f"{option} cannot be combined with --prometheus" in printed.err
 
 
 def test_a_run_that_is_not_there_is_named(capsys, hub, speaker, monkeypatch):

@@ -17,7 +17,7 @@ def command(*arguments):
     [
         (("--families", "meadow"), "'meadow', which is not a scene family; allowed are street, varied"),
         (("--families", "street,ood-layout"), "'ood-layout', which is withheld from the training of vision.*test"),
-        (("--stages", "feet"), "'feet'; allowed are words, head, student"),
+        (("--stages", "feet"), "'feet'; allowed are words, head, student, compact"),
         (("--stages", "student"), "student without head"),
     ],
 )

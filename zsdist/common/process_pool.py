@@ -4,7 +4,7 @@ import multiprocessing
 import multiprocessing.connection
 import os
 import threading
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import resource_tracker
@@ -21,24 +21,27 @@ _AHEAD = 2  # items per worker that are handed out at a time
 
 def each(
     work: Callable[[Item], Result],
-    items: Sequence[Item],
+    items: Iterable[Item],
     workers: int,
     begin: Callable[..., None],
     arguments: tuple[Any, ...],
     go_on: Callable[[], bool] = lambda: True,
+    ahead: int | None = None,
 ) -> Generator[Result, None, None]:
-    """Yield the result of `work` for each item, as soon as it is ready.
+    """Yield the result of `work` for each item, as soon as it is ready, or in the order of the items with `ahead`.
 
     Items are started in order, so the finished ones are the first when `go_on` ends the work. Close the generator if it
     may not be exhausted: its processes then end at once.
 
     Args:
         work: function from an item to its result, at module level, as is `begin`.
-        items: items to work on; none is None.
+        items: items to work on, possibly without an end; none is None.
         workers: number of processes; 1: only this one.
         begin: function that is called once in every process, with `arguments`, before any work.
         arguments: arguments of `begin`.
         go_on: called before an item is started; once it returns false, only the started items are finished.
+        ahead: number of items that other processes work on before their results are asked for, which come in order;
+            None: a few for each process, and results come as they are ready.
 
     Raises:
         ZsdistError: `work` raised it.
@@ -55,16 +58,18 @@ def each(
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(begin, arguments))
     left = iter(items)
-    running: set[Future[Result]] = set()
+    running: list[Future[Result]] = []
+    most = ahead or _AHEAD * workers
     restore = _set_one_thread()
     try:
         while True:
-            while len(running) < _AHEAD * workers and go_on() and (following := next(left, None)) is not None:
-                running.add(submit(pool, work, following))
+            while len(running) < most and go_on() and (following := next(left, None)) is not None:
+                running.append(submit(pool, work, following))
             if not running:
                 return
-            done, running = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
+            done = {running[0]} if ahead else wait(running, return_when=FIRST_COMPLETED).done
+            ready, running = [each for each in running if each in done], [each for each in running if each not in done]
+            for future in ready:
                 yield future.result()
     except BrokenProcessPool as error:
         raise RunError("a worker process died; run with --workers 1 to see its own message") from error

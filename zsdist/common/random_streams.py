@@ -30,6 +30,7 @@ Runs are repeatable only with the same numbers: a changed number changes every r
 | `check_approach` | 1017 | seed, number of the approach |
 | `check_names` | 1018 | seed |
 | `check_words` | 1019 | seed |
+| `fresh_pictures` | 1020 | seed, characters of the split's name |
 | `map_scenes` | 1030 | seed |
 """
 
@@ -144,6 +145,11 @@ def check_names(seed: int) -> Generator:
 def check_words(seed: int) -> Generator:
     """Return the stream of the words on which a check trains projections that have not seen some kinds."""
     return _generator(1019, seed)
+
+
+def fresh_pictures(seed: int, split: str) -> Generator:
+    """Return the stream of a shard of fresh pictures of a split."""
+    return _generator(1020, seed, *split.encode())
 
 
 def _seed(tag: int, *numbers: int) -> Seed:

@@ -1,6 +1,7 @@
 """Labelled pictures from random poses in random scenes, for training and testing the visual-act model."""
 
 import contextlib
+import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,13 +16,17 @@ from zsdist.datasets.sampling import drawn_scenes, free_pose, people_on_paths, v
 from zsdist.sim.camera import make_camera
 from zsdist.sim.ground_truth import rays_met
 from zsdist.sim.scenes.manifest import Split
-from zsdist.sim.scenes.scene import Scene
+from zsdist.sim.scenes.scene import Obstacle, Scene
 from zsdist.types import Pose
 from zsdist.vision.labels import nearest
 from zsdist.vision.rays import RAYS, ray_angles_rad
 
 _PYBULLET_SHARE = 0.12  # share of training scenes drawn by PyBullet, four times as slow and without textures
 _TILT_JITTER_RAD = 0.05
+_FRESH_POSES = 16  # pictures of a fresh scene: making a scene takes as long as drawing several pictures of it
+_DISGUISED_SHARE = 0.2  # share of the fresh scenes in any colours whose obstacles have those of the ground
+_ANY_HEIGHT_SHARE = 0.5  # share of the fresh scenes in which boxes are as low or high as `_BOX_HEIGHT_M`
+_BOX_HEIGHT_M = (0.5, 2.6)
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,31 @@ def labelled_views(
         yield from _views_of(scene, number, rng, camera, varied)
 
 
+def fresh_views(
+    families: list[str], split: Split, count: int, seed: int, camera: CameraConfig
+) -> Iterator[LabelledView]:
+    """Yield varied pictures for a training that never ends; arguments as in `labelled_views`.
+
+    They vary more than those of `labelled_views`: boxes have any height, and obstacles may look like the ground.
+    """
+    rng = random_streams.fresh_pictures(seed, split)
+    for _, scene, number in drawn_scenes(families, split, count, rng, _FRESH_POSES):
+        drawn = boxes_of_any_height(scene, rng) if rng.random() < _ANY_HEIGHT_SHARE else scene
+        yield from _views_of(drawn, number, rng, camera, True, _DISGUISED_SHARE)
+
+
+def boxes_of_any_height(scene: Scene, rng: np.random.Generator) -> Scene:
+    """Return the scene with random heights of its boxes, and the same ground plan."""
+
+    def changed(obstacle: Obstacle) -> Obstacle:
+        if obstacle.kind != "box" or obstacle.size_m is None:
+            return obstacle
+        height_m = round(float(rng.uniform(*_BOX_HEIGHT_M)), 2)
+        return dataclasses.replace(obstacle, size_m=(*obstacle.size_m[:2], height_m))
+
+    return dataclasses.replace(scene, obstacles=tuple(map(changed, scene.obstacles)))
+
+
 def label(scene: Scene, pose: Pose, camera: CameraConfig, people: np.ndarray | None = None) -> dict[str, Any]:
     """Return the ground truth at one pose: the label fields of `LabelledView`.
 
@@ -105,10 +135,17 @@ def camera_angles_rad(camera: CameraConfig) -> np.ndarray:
 
 
 def _views_of(
-    scene: Scene, count: int, rng: np.random.Generator, config: CameraConfig, varied: bool
+    scene: Scene,
+    count: int,
+    rng: np.random.Generator,
+    config: CameraConfig,
+    varied: bool,
+    disguised_share: float = 0.0,
 ) -> Iterator[LabelledView]:
     with contextlib.closing(
-        varied_camera(_any_back_end(config, rng), rng) if varied else make_camera(config)
+        varied_camera(_any_back_end(config, rng), rng, disguised_share=disguised_share)
+        if varied
+        else make_camera(config)
     ) as camera:
         for _ in range(count):
             people = people_on_paths(scene, rng)

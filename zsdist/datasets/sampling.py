@@ -26,7 +26,7 @@ _MOUNT_JITTER_M = 0.15
 
 
 def drawn_scenes(
-    families: Sequence[str], split: Split, count: int, rng: np.random.Generator
+    families: Sequence[str], split: Split, count: int, rng: np.random.Generator, poses: int = POSES_PER_SCENE
 ) -> Iterator[tuple[str, Scene, int]]:
     """Yield scenes for `count` pictures, each as (family, scene, number of pictures to take in it).
 
@@ -37,11 +37,12 @@ def drawn_scenes(
         split: range of the families' seeds for the scenes; an unknown one raises `SceneError`.
         count: number of pictures.
         rng: source of the scenes.
+        poses: number of pictures in a scene.
     """
     left, turns = count, itertools.cycle(families)
     while left > 0:
         family = next(turns)
-        number = min(POSES_PER_SCENE, left)
+        number = min(poses, left)
         yield family, generate(family, split_seed(split, int(rng.integers(_SCENES)))), number
         left -= number
 
@@ -71,19 +72,30 @@ def people_on_paths(scene: Scene, rng: np.random.Generator) -> np.ndarray | None
     return np.array(positions) if positions else None
 
 
-def varied_camera(config: CameraConfig, rng: np.random.Generator, natural_share: float = NATURAL_SHARE) -> Camera:
+def varied_camera(
+    config: CameraConfig,
+    rng: np.random.Generator,
+    natural_share: float = NATURAL_SHARE,
+    disguised_share: float = 0.0,
+) -> Camera:
     """Return a camera at a random height that shows scenes with a random appearance, or with that of a drive.
 
     Args:
         config: settings of the camera; its height is varied.
         rng: source of height and appearance.
         natural_share: share of cameras that show scenes with the appearance of a drive.
+        disguised_share: share of the others whose scenes have obstacles in the colours of the ground.
     """
     natural = rng.random() < natural_share
     height = config.height_m + rng.uniform(-_MOUNT_JITTER_M, _MOUNT_JITTER_M)
 
     def look(scene: Scene, primitives: Primitives) -> Appearance:
-        return appearance.of_scene(scene, primitives) if natural else appearance.varied(scene, primitives, rng)
+        if natural:
+            return appearance.of_scene(scene, primitives)
+        drawn = appearance.varied(scene, primitives, rng)
+        if disguised_share and rng.random() < disguised_share:
+            return appearance.disguised(drawn, primitives, rng)
+        return drawn
 
     return make_camera(config.model_copy(update={"height_m": height}), look)
 

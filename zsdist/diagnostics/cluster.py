@@ -1,14 +1,19 @@
-"""Checks of a cluster's addresses: Ray's, and the endpoint of the hub."""
+"""Checks of a cluster: Ray's address and token, its nodes, and the endpoint of the hub."""
 
+import multiprocessing
 import socket
+from concurrent.futures import ProcessPoolExecutor
 
 from zsdist.diagnostics.result import CheckResult, CheckStatus
 from zsdist.errors import RunError
-from zsdist.run import cluster_address
+from zsdist.run import cluster_address, placement, ray_token
+from zsdist.run.placement import Node
+
+SHOWN_NODES = 8
 
 
 def check_address(address: str) -> CheckResult:
-    """Check that a Ray cluster answers at an address.
+    """Check that a run on this machine can connect to a Ray cluster, by connecting to it.
 
     Args:
         address: `HOST[:PORT]`, `ray://HOST[:PORT]` or `auto`.
@@ -18,9 +23,29 @@ def check_address(address: str) -> CheckResult:
     try:
         host, port = cluster_address.resolve(cluster_address.named(address))
         cluster_address.check_answers(host, port)
+        advice = "The token of a cluster and its version of Ray: deploy/README.md, docs/security.md."
+        ray_token.check(host, port)
+        advice = "Launch on a node of the cluster: ray start --address=HOST:PORT makes this machine one."
+        nodes = survey(address)
     except RunError as error:
         return CheckResult(check, CheckStatus.FAIL, str(error), advice)
-    return CheckResult(check, CheckStatus.OK, f"{host}:{port} answers")
+    shown = "; ".join(f"{node.name}: {placement.written(node.total)}" for node in nodes[:SHOWN_NODES])
+    more = f"; and {len(nodes) - SHOWN_NODES} more" if len(nodes) > SHOWN_NODES else ""
+    return CheckResult(
+        check, CheckStatus.OK, f"{host}:{port} has accepted this machine; {len(nodes)} nodes: {shown}{more}"
+    )
+
+
+def survey(address: str) -> list[Node]:
+    """Return the nodes of a cluster, to which a process of its own connects: this one may have used another Ray.
+
+    Raises:
+        RunError: it cannot connect.
+    """
+    from zsdist.run import ray_cluster
+
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(ray_cluster.survey, address).result()
 
 
 def check_endpoint(endpoint: str) -> CheckResult:

@@ -1,6 +1,7 @@
 """Checks that try out the parts of a run: camera, vision, zenoh and Ray."""
 
 import importlib.metadata
+import os
 import threading
 import time
 from typing import TYPE_CHECKING
@@ -35,9 +36,9 @@ def check_camera() -> CheckResult:
 
 
 def check_vision() -> CheckResult:
-    """Read every file of the shipped weights, and run the head, the student and the word comparison on one picture."""
+    """Read every file of the shipped weights, and run each of its networks and the word comparison on one picture."""
     from zsdist.vision import weights_folder
-    from zsdist.vision.visual_act import VisualAct
+    from zsdist.vision.visual_act import ALONE, VisualAct
 
     config = Config()
     image = np.zeros((1, config.camera.size_px, config.camera.size_px, 3), dtype=np.uint8)
@@ -48,9 +49,7 @@ def check_vision() -> CheckResult:
         missing = [file for file in optional if not weights.has(file)]
         for file in weights.metadata["files"]:
             weights.content(file)
-        for network in ("head", "student"):
-            if network == "student" and weights_folder.STUDENT_FILE in missing:
-                continue
+        for network in ("head", *(name for name, (file, _) in ALONE.items() if weights.has(file))):
             model = VisualAct.load(config.vision.model_copy(update={"network": network}), config.camera)
             model.read(image)
             began_s = time.perf_counter()
@@ -83,17 +82,21 @@ def check_ray() -> CheckResult:
     """Start Ray on this machine as a run does, and end it."""
     from zsdist.run import cluster_address, local_ray
 
+    before = dict(os.environ)
     local_ray.stay_on_loopback()
-    from zsdist.run import ray
+    from zsdist.run import ray_cluster
 
     version = f"version {importlib.metadata.version('ray')}"
     began_s = time.perf_counter()
     try:
         cluster_address.check(Config())
-        ray.try_start()
+        ray_cluster.try_start()
     except RunError as error:
         advice = "Correct that, or train in one process: python -m zsdist.launch --single-process."
         return CheckResult("ray", CheckStatus.FAIL, f"{version}; {error}", advice)
+    finally:  # its address and token were for that Ray alone
+        os.environ.clear()
+        os.environ.update(before)
     return CheckResult("ray", CheckStatus.OK, f"{version}, started in {time.perf_counter() - began_s:.1f} s")
 
 

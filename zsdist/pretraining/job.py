@@ -1,5 +1,6 @@
 """Settings of a pretraining, kept in its folder so that it can be resumed."""
 
+import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -16,7 +17,7 @@ from zsdist.vision.weights_folder import METADATA_FILE
 
 JOB_FILE = "pretraining.json"
 PURPOSE = MANIFEST["vision-training"]
-STAGES = ("words", "head", "student")
+STAGES = ("words", "head", "student", "compact")
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class Job:
     """Settings of one pretraining.
 
     Attributes:
-        images: number of pictures to train the head on.
+        images: number of pictures to train the head on; the compact network gets as many at most in an epoch.
         epochs: number of passes over the pictures in every stage; 0: the default of each stage.
         seed: seed of scenes, poses, appearance and weights.
         families: scene families, from those for the training of vision.
@@ -42,6 +43,10 @@ class Job:
     stages: tuple[str, ...]
     config: Config
     command: str
+
+    def shard_seed(self, name: str) -> int:
+        """Return the seed of the pictures of a shard."""
+        return int.from_bytes(hashlib.sha256(f"{self.seed} {name}".encode()).digest()[:7])
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of `JOB_FILE`."""

@@ -6,7 +6,6 @@
 * `described`, `described-validation`: pictures with captions, for the projection alone; the head sees no such scene.
 """
 
-import hashlib
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator
@@ -127,9 +126,7 @@ def shards(wanted: dict[str, Source]) -> list[PictureShard]:
 
 def make(job: Job, shard: PictureShard, encoder: Encoder) -> Arrays:
     """Render and encode a shard; return arrays by name with one row per picture or mask."""
-    digest = hashlib.sha256(f"{job.seed} {shard.name}".encode()).digest()
-    source = sources(job)[shard.source]
-    return source.make(job, shard, int.from_bytes(digest[:7]), encoder)
+    return sources(job)[shard.source].make(job, shard, job.shard_seed(shard.name), encoder)
 
 
 def _act(job: Job, shard: PictureShard, seed: int, encoder: Encoder) -> Arrays:

@@ -1,14 +1,15 @@
-"""Training stages of a pretraining: words, head, student.
+"""Training stages of a pretraining: words, head, student, compact.
 
 After every epoch, a stage appends its figures to the history and saves its state. At the end, its weights replace the
 state. So an interrupted pretraining is resumed after the last complete epoch. The head is tested on kinds that it has
 not seen, so it is not trained on the pictures for words; only the contrast uses the projection learned from them.
 """
 
+import contextlib
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace as changed
 from pathlib import Path
 
@@ -19,24 +20,35 @@ from torch import nn
 
 from zsdist.common import atomic_files, json_lines, random_streams
 from zsdist.errors import RunError
+from zsdist.pretraining import fresh
 from zsdist.pretraining.job import Job
 from zsdist.pretraining.pictures import Pictures
 from zsdist.pretraining.progress import PretrainingProgress
 from zsdist.vision.encoders.base import Encoder
+from zsdist.vision.training import compact as of_compact
 from zsdist.vision.training import head as of_head
 from zsdist.vision.training import projection as of_words
 from zsdist.vision.training import student as of_student
 from zsdist.vision.training.calibration import calibrate
 from zsdist.vision.training.contrast import Contrast
+from zsdist.vision.training.examples import Examples
 from zsdist.vision.training.trainer import Recipe, Trainer
-from zsdist.vision.weights_folder import HEAD_FILE, HISTORY_FILE, PROJECTION_FILE, STUDENT_FILE, VOCABULARY_FILE
+from zsdist.vision.weights_folder import (
+    COMPACT_FILE,
+    HEAD_FILE,
+    HISTORY_FILE,
+    PROJECTION_FILE,
+    STUDENT_FILE,
+    VOCABULARY_FILE,
+)
 from zsdist.vision.words.vocabulary import Vocabulary, shipped_words
 
-TIME_SHARES = {"pictures": 0.4, "words": 0.05, "head": 0.25, "student": 0.3}
+TIME_SHARES = {"pictures": 0.4, "words": 0.05, "head": 0.25, "student": 0.3, "compact": 3.0}
 RECIPES: dict[str, Recipe] = {
     "words": of_words.WordRecipe(),
     "head": Recipe(epochs=12),
     "student": Recipe(epochs=20, batch=32),
+    "compact": Recipe(epochs=300, batch=64, weight_decay=0.05, patience=300, average=0.998),
 }
 
 
@@ -72,6 +84,7 @@ class Stages:
         encoder: encoder of the pictures.
         budget: time limit.
         progress: display of every epoch.
+        workers: number of processes that make fresh pictures.
     """
 
     def __init__(
@@ -82,9 +95,10 @@ class Stages:
         encoder: Encoder,
         budget: Budget,
         progress: PretrainingProgress,
+        workers: int,
     ) -> None:
         self._job, self._pictures, self._encoder = job, pictures, encoder
-        self._budget, self._progress = budget, progress
+        self._budget, self._progress, self._workers = budget, progress, workers
         self._history = folder / HISTORY_FILE
         self._folder = folder / "stages"
         self._field_of_view_rad = math.radians(job.config.camera.field_of_view_deg)
@@ -106,7 +120,7 @@ class Stages:
                 return of_head.train(head, examples, validation, recipe, rng, time_used, contrast)
 
             self._train("head", head, train_head, lambda: calibrate(head, validation))
-            contents[HEAD_FILE] = safetensors.torch.save(head.state_dict())
+            contents[HEAD_FILE] = _saved(head)
         if "student" in self._job.stages:
             student = of_student.new_student(self._field_of_view_rad, self._job.seed)
 
@@ -116,8 +130,27 @@ class Stages:
 
             pictures = of_student.with_image_tokens(validation)
             self._train("student", student, train_student, lambda: calibrate(student, pictures))
-            contents[STUDENT_FILE] = safetensors.torch.save(student.state_dict())
+            contents[STUDENT_FILE] = _saved(student)
+        if "compact" in self._job.stages:
+            contents[COMPACT_FILE] = _saved(self._compact())
         return contents
+
+    def _compact(self) -> nn.Module:
+        """Return the compact network, trained on pictures that are made meanwhile."""
+        network = of_compact.new_compact(self._field_of_view_rad, self._job.seed)
+        self._progress.log(f"compact: makes {fresh.epoch_pictures(self._job)} new pictures for each epoch")
+        unseen = fresh.validation(self._job)
+        with contextlib.ExitStack() as opened:
+
+            def epochs(first: int) -> Iterator[Examples]:
+                return opened.enter_context(contextlib.closing(fresh.epochs(self._job, self._workers, first)))
+
+            def train(recipe: Recipe, rng: np.random.Generator, time_used: Callable[[], float]) -> Trainer:
+                pictures = fresh.epoch_pictures(self._job)
+                return of_compact.train(network, pictures, epochs, unseen, recipe, rng, time_used)
+
+            self._train("compact", network, train, lambda: calibrate(network, unseen))
+        return network
 
     def words(self) -> tuple[nn.Module, dict[str, bytes]]:
         """Return the projection to text space, and the files of projection and vocabulary.
@@ -142,7 +175,7 @@ class Stages:
         self._train("words", projection, train, lambda: None)
         return projection, {
             VOCABULARY_FILE: vocabulary.to_bytes(),
-            PROJECTION_FILE: safetensors.torch.save(projection.state_dict()),
+            PROJECTION_FILE: _saved(projection),
         }
 
     def _train(
@@ -184,8 +217,13 @@ class Stages:
         except RunError as error:
             raise RunError(f"stage {stage!r}: {error}") from error
         finish()
-        atomic_files.replace(weights_file, safetensors.torch.save(network.state_dict()))
+        atomic_files.replace(weights_file, _saved(network))
         state_file.unlink(missing_ok=True)
+
+
+def _saved(network: nn.Module) -> bytes:
+    """Return the weights of a network in the format of safetensors, which has dense arrays only."""
+    return safetensors.torch.save({name: value.contiguous() for name, value in network.state_dict().items()})
 
 
 def best_epochs(history: Path) -> dict[str, dict[str, float]]:

@@ -51,7 +51,7 @@ def train(
     time_used = budget.begin("pictures")
     make_all(job, picture_folder, workers, lambda: time_used() < 1.0, progress.pictures)
     pictures = Pictures(job, picture_folder)
-    files = Stages(job, folder, pictures, encoder, budget, progress).run()
+    files = Stages(job, folder, pictures, encoder, budget, progress, workers).run()
     made = weights_folder.write(folder, files, _metadata(job, folder, pictures, encoder))
     for name, digest in made.metadata["files"].items():
         progress.log(f"{folder / name}: SHA-256 {digest[:16]}")

@@ -4,6 +4,7 @@ Frames of epochs that were not issued are refused. A newer epoch of an actor aba
 without a gap, so the counts agree even if the actor has died.
 """
 
+import heapq
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -38,6 +39,7 @@ class _Stream(Generic[AnyFrame]):
         receipt_s: time of the first frame since the last acknowledgement.
         heartbeat_s: time of the next heartbeat; None: at once.
         refusal: why a frame of the epoch was refused since the last one was delivered; empty: none was.
+        queued_s: time of the stream's entry in the queue of acknowledgements; it is not later than the due one.
     """
 
     epoch: int
@@ -51,10 +53,11 @@ class _Stream(Generic[AnyFrame]):
     receipt_s: float | None = None
     heartbeat_s: float | None = None
     refusal: str = ""
+    queued_s: float = float("inf")
 
 
 class Inbox(Generic[AnyFrame]):
-    """Receiver of the frames of one stream from any number of actors.
+    """Receiver of the frames of one stream from any number of actors; a call takes no longer where there are many.
 
     Attributes:
         stream: `Level` or name of the stream.
@@ -92,6 +95,9 @@ class Inbox(Generic[AnyFrame]):
         self._hold_frames, self._hold_bytes = hold_frames, hold_bytes
         self._streams: dict[str, _Stream[AnyFrame]] = {}
         self._produced_before = 0  # in epochs no longer current
+        self._open = 0  # streams that are open
+        self._places: dict[str, int] = {}  # of the actors, in the order of their first epochs
+        self._queue: list[tuple[float, int, str]] = []  # heap of times of acknowledgements, with place and actor
 
     @property
     def produced(self) -> int:
@@ -101,7 +107,7 @@ class Inbox(Generic[AnyFrame]):
     @property
     def closed(self) -> bool:
         """True if every issued epoch is closed or abandoned."""
-        return not self.open_streams()
+        return not self._open
 
     def open_streams(self) -> list[tuple[str, int]]:
         """Return the (actor, epoch) pairs that may still send."""
@@ -115,7 +121,10 @@ class Inbox(Generic[AnyFrame]):
                 return
             self._abandon(current)
             self._produced_before += current.produced
+        self._places.setdefault(actor, len(self._places))
         self._streams[actor] = _Stream(epoch, granted=0 if isinstance(self.stream, Level) else None)
+        self._open += 1
+        self._enqueue(actor)
 
     def close(self, actor: str, epoch: int) -> None:
         """Abandon the current epoch of an actor that has died and is not replaced."""
@@ -140,6 +149,7 @@ class Inbox(Generic[AnyFrame]):
             return self._refuse("no_room")  # it is sent again; the next one in order is always accepted
         stream.unacknowledged += 1
         stream.receipt_s = now if stream.receipt_s is None else stream.receipt_s
+        self._enqueue(frame.actor)
         if frame.sequence < stream.received or frame.sequence in stream.held:
             self.duplicates += 1
             return []
@@ -171,7 +181,8 @@ class Inbox(Generic[AnyFrame]):
         stream.received, stream.produced, stream.refusal = received, produced, ""
         stream.declared = max(stream.declared, produced)
         stream.held = {sequence: frame for sequence, frame in stream.held.items() if sequence >= received}
-        stream.state = "closed" if closed else stream.state
+        if closed:
+            self._end(stream, "closed")
         return lost
 
     def progress(self, actor: str) -> tuple[int, int, int, bool]:
@@ -199,20 +210,22 @@ class Inbox(Generic[AnyFrame]):
             credit: function that returns the absolute total that an open (actor, epoch) may produce; None: unlimited.
         """
         acks = []
-        for actor, stream in self._streams.items():
-            if now < _due(stream, now):
-                continue
+        for actor in self._take_due(now):
+            stream = self._streams[actor]
             allowed = credit(actor, stream.epoch) if stream.state == "open" else stream.produced
             stream.granted = None if allowed is None else max(stream.granted or 0, allowed)
             name, refusal = str(self.stream), stream.refusal
             acks.append(Ack(self.sender_epoch, actor, stream.epoch, name, stream.received, allowed, refusal))
             stream.unacknowledged, stream.receipt_s, stream.heartbeat_s = 0, None, now + HEARTBEAT_S
+            self._enqueue(actor)
         return acks
 
     def next_wake(self, now: float) -> float | None:
         """Return the time of the next acknowledgement if no frame arrives; None: there is none."""
-        time_s = min((_due(stream, now) for stream in self._streams.values()), default=_NEVER)
-        return None if time_s == _NEVER else time_s
+        due_s = self._first_due_s()
+        if due_s == _NEVER:
+            return None
+        return now if due_s == _AT_ONCE else due_s
 
     def state(self) -> dict[str, Any]:
         """Return the state for a checkpoint as plain data, without frames held out of order: they are sent again."""
@@ -226,6 +239,41 @@ class Inbox(Generic[AnyFrame]):
         self.refused = Counter(state["refused"])
         for name in _TOTALS:
             setattr(self, name, state[name])
+        self._open = len(self.open_streams())
+        self._places = {actor: place for place, actor in enumerate(self._streams)}
+        self._queue = []
+        for actor in self._streams:
+            self._enqueue(actor)
+
+    def _enqueue(self, actor: str) -> None:
+        """Queue a stream for the time at which its acknowledgement is due, unless it is queued for an earlier one."""
+        stream = self._streams[actor]
+        due_s = _due(stream)
+        if due_s < stream.queued_s:
+            stream.queued_s = due_s
+            heapq.heappush(self._queue, (due_s, self._places[actor], actor))
+
+    def _first_due_s(self) -> float:
+        """Return the time at which the next acknowledgement is due, that of the first entry of the queue."""
+        while self._queue:
+            time_s, _, actor = self._queue[0]
+            stream = self._streams[actor]
+            if time_s == stream.queued_s == _due(stream):
+                return time_s
+            heapq.heappop(self._queue)
+            if time_s == stream.queued_s:  # else the stream has an earlier entry, or had one
+                stream.queued_s = _NEVER
+                self._enqueue(actor)
+        return _NEVER
+
+    def _take_due(self, now: float) -> list[str]:
+        """Take the actors whose acknowledgements are due from the queue; return them in the order of their places."""
+        due = []
+        while self._first_due_s() <= now:
+            _, place, actor = heapq.heappop(self._queue)
+            self._streams[actor].queued_s = _NEVER
+            due.append((place, actor))
+        return [actor for _, actor in sorted(due)]
 
     def _deliver(self, stream: _Stream[AnyFrame]) -> list[AnyFrame]:
         delivered = []
@@ -237,7 +285,7 @@ class Inbox(Generic[AnyFrame]):
             stream.produced = frame.produced
             delivered.append(frame)
             if frame.closes:
-                stream.state = "closed"
+                self._end(stream, "closed")
                 stream.held.clear()
         stream.declared = max([stream.declared, stream.produced, *(held.produced for held in stream.held.values())])
         return delivered
@@ -245,11 +293,16 @@ class Inbox(Generic[AnyFrame]):
     def _abandon(self, stream: _Stream[AnyFrame]) -> None:
         if stream.state != "open":
             return
-        stream.state = "abandoned"
+        self._end(stream, "abandoned")
         stream.held.clear()
         if stream.granted is None and isinstance(self.stream, Level):
             self.abandoned_unlimited += 1
         self.abandoned_at_most += max(stream.granted or 0, stream.declared) - stream.produced
+
+    def _end(self, stream: _Stream[AnyFrame], state: str) -> None:
+        """End an open stream."""
+        stream.state = state
+        self._open -= 1
 
     def _refuse(self, reason: str, stream: _Stream[AnyFrame] | None = None) -> list[AnyFrame]:
         self.refused[reason] += 1
@@ -258,16 +311,16 @@ class Inbox(Generic[AnyFrame]):
         return []
 
 
-_NEVER = float("inf")
+_NEVER, _AT_ONCE = float("inf"), float("-inf")
 _KEPT = ("epoch", "received", "produced", "declared", "granted", "state")
 _TOTALS = ("duplicates", "abandoned_at_most", "abandoned_unlimited", "_produced_before")
 
 
-def _due(stream: _Stream[Any], now: float) -> float:
+def _due(stream: _Stream[Any]) -> float:
     """Return the time at which an acknowledgement of a stream is due."""
     if stream.unacknowledged >= ACK_EVERY_FRAMES:
-        return now
+        return _AT_ONCE
     receipt = _NEVER if stream.receipt_s is None else stream.receipt_s + ACK_AFTER_S
     if stream.state != "open":  # acknowledged again only if its last frames arrive again
         return _NEVER if stream.state == "abandoned" else receipt
-    return min(receipt, now if stream.heartbeat_s is None else stream.heartbeat_s)
+    return min(receipt, _AT_ONCE if stream.heartbeat_s is None else stream.heartbeat_s)

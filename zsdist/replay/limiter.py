@@ -39,6 +39,8 @@ class _Stream:
 class Limiter:
     """Count the inserts and updates of one level. Grant credit to streams and batches to the learner.
 
+    Sums over the streams are kept up to date, so that a grant takes time for the streams that get credit alone.
+
     A stream is one actor's epoch. Its credit is the total number of transitions it may produce since it was opened. The
     credit never falls while the stream is open. When it closes, its unused credit returns to the others.
 
@@ -72,7 +74,11 @@ class Limiter:
         self.updates = 0
         self._since = (0, 0)  # transitions stored, and updates due, at which the present ratio began
         self._streams: dict[str, _Stream] = {}
-        self._stale = True  # something changed since the last grant
+        self._stale = self._changed_streams = True  # since the last grant; the latter: a stream was opened or closed
+        self._levels = (grain, grain)  # credit ahead towards which every stream is raised, the second by the band
+        self._ahead = 0  # of all streams together
+        self._above = [0, 0]  # parts of it that are beyond each level
+        self._below: dict[int, set[str]] = {}  # streams that are below the second level, by their credit ahead
 
     @property
     def limited(self) -> bool:
@@ -84,17 +90,19 @@ class Limiter:
         if stream in self._streams:
             raise ProtocolError(f"stream {stream!r} is already open")
         self._streams[stream] = _Stream()
-        self._stale = True
+        self._count_anew()
 
     def close(self, stream: str) -> int:
         """Close a stream; return its unused credit (0 while unlimited)."""
-        self._stale = True
-        self._find(stream)
-        return self._streams.pop(stream).ahead
+        ahead = self._find(stream).ahead
+        del self._streams[stream]
+        self._count_anew()
+        return ahead
 
     def count_inserts(self, stream: str, stored: int, rejected: int = 0) -> None:
         """Count transitions of `stream`: all of them use its credit, only the stored ones count for the ratio."""
-        self._find(stream).inserted += stored + rejected
+        found = self._find(stream)
+        self._change(stream, found.inserted + stored + rejected, found.granted)
         self.stored += stored
         self._stale = True
 
@@ -161,19 +169,50 @@ class Limiter:
         else:
             self._since = (self.stored, self.updates)
         self._streams = {name: _Stream(*counts) for name, counts in state["streams"].items()} if same_run else {}
-        self._stale = True
+        self._count_anew()
 
     def _grant(self) -> None:
         """Grant credit: first a grain to every stream, then shares of the band."""
-        streams = self._streams.values()
+        if self._changed_streams:
+            self._count()
         stored, due = self._since
         room = stored + int((self.updates + 1 - due) / self._ratio) - self.stored + self._band
-        room += self._grain * len(streams)
-        room -= sum(stream.ahead for stream in streams)
-        room -= self._top_up(self._grain, room)
+        room += self._grain * len(self._streams) - self._ahead
+        room -= self._top_up(0, room)
         # Unused credit beyond the grains must not exceed the band, or idle streams could take a late stream's grain.
-        beyond = sum(max(stream.ahead - self._grain, 0) for stream in streams)
-        self._top_up(self._grain + self._band // len(streams), min(room, self._band - beyond))
+        self._top_up(1, min(room, self._band - self._above[0]))
+
+    def _count_anew(self) -> None:
+        """Note that a stream was opened or closed, after which the levels and all sums change."""
+        self._stale = self._changed_streams = True
+
+    def _count(self) -> None:
+        """Compute levels and sums from all streams."""
+        self._changed_streams = False
+        self._levels = (self._grain, self._grain + self._band // max(1, len(self._streams)))
+        aheads = {name: stream.ahead for name, stream in self._streams.items()}
+        self._ahead = sum(aheads.values())
+        self._above = [sum(max(ahead - level, 0) for ahead in aheads.values()) for level in self._levels]
+        self._below = {}
+        for name, ahead in aheads.items():
+            if ahead < self._levels[1]:
+                self._below.setdefault(ahead, set()).add(name)
+
+    def _change(self, name: str, inserted: int, granted: int) -> None:
+        """Change the counts of a stream, and all sums with them."""
+        stream = self._streams[name]
+        before = stream.ahead
+        stream.inserted, stream.granted = inserted, granted
+        after = stream.ahead
+        self._ahead += after - before
+        for index, level in enumerate(self._levels):
+            self._above[index] += max(after - level, 0) - max(before - level, 0)
+        if name in self._below.get(before, ()):
+            self._below[before].remove(name)
+            if not self._below[before]:
+                del self._below[before]
+        if after < self._levels[1]:
+            self._below.setdefault(after, set()).add(name)
 
     def _due(self) -> int:
         """Return the number of updates that the stored transitions ask for."""
@@ -181,19 +220,23 @@ class Limiter:
         # As integers: a product of fractions takes longer than sampling a batch.
         return due + ratio.numerator * (self.stored - stored) // ratio.denominator
 
-    def _top_up(self, ahead: int, room: int) -> int:
-        """Raise every stream towards `ahead`, in proportion if `room` is short; return the credit granted."""
-        lacking = {name: ahead - s.ahead for name, s in self._streams.items() if s.ahead < ahead}
-        wanted = sum(lacking.values())
+    def _top_up(self, index: int, room: int) -> int:
+        """Raise every stream towards a level, in proportion if `room` is short; return the credit granted."""
+        level = self._levels[index]
+        wanted = level * len(self._streams) - self._ahead + self._above[index]
         if room <= 0 or not wanted:
             return 0
-        granted = 0
-        for name, lack in lacking.items():
+        shares = []
+        for ahead in sorted(self._below):
+            lack = max(level - ahead, 0)
             more = lack if room >= wanted else lack * room // wanted
+            if not more:
+                break  # nor do those get any that lack less
+            shares += [(name, more) for name in self._below[ahead]]
+        for name, more in shares:
             stream = self._streams[name]
-            stream.granted = max(stream.granted, stream.inserted) + more
-            granted += more
-        return granted
+            self._change(name, stream.inserted, max(stream.granted, stream.inserted) + more)
+        return sum(more for _, more in shares)
 
     def _find(self, stream: str) -> _Stream:
         if stream not in self._streams:

@@ -13,7 +13,8 @@ from zsdist.errors import DecodeError, RunError, WeightsError
 from zsdist.roles import schemas
 from zsdist.roles.actor_outboxes import ActorOutboxes, CreditAccount
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
-from zsdist.roles.schemas import ActorOrders, DriveJobs
+from zsdist.roles.drive_share import DriveShare
+from zsdist.roles.schemas import ActorJobs, ActorOrders
 from zsdist.roles.shapes import SHAPES
 from zsdist.types import Level, Parameters
 from zsdist.wire import keys
@@ -51,16 +52,16 @@ class Actor(Role):
         self._lags_s: dict[Level, float] = {}  # age at which the weights before the present ones were replaced
         self._max_lag_s = 0.0
         self._candidates: dict[tuple[int, str], dict[Level, Parameters]] = {}
-        self._leases: list[int] = []
         self._started: set[int] = set()  # numbers of the present leases that were begun; each is driven once
         self._started_episodes = 0
-        self._jobs = DriveJobs(merge=0, drives=[])
+        self._jobs = ActorJobs(epoch=None, leases=[], finished=0, merge=0, drives=[])
         self._driven: set[tuple[int, str, int]] = set()
-        self._finished_episodes = 0
+        self._share = DriveShare(context.config.merge.share, len(self.cars))
+        self._run: ActorOrders | None = None  # progress of the run; it counts while this incarnation is named
         self._closing = False
         self._cut = False
         self._leaves = False
-        self.is_named = True  # whether the newest orders name this incarnation
+        self.is_named = False  # whether the newest jobs are for this incarnation
         self._outboxes = ActorOutboxes(context.run, context.name, context.epoch, context.config.transport)
         self._accounts = {car: CreditAccount() for car in self.cars}
         run = context.run
@@ -120,23 +121,27 @@ class Actor(Role):
                 self._take_weights(message, now)
             elif self._fits(message.level, message.parameters):
                 self._take_candidate(message)
-        for content in self.orders(self._orders, {Orders: ActorOrders, Jobs: DriveJobs}):
-            if isinstance(content, DriveJobs):
-                self._jobs = content
-                self._driven = {job for job in self._driven if job[0] >= content.merge}
+        for content in self.orders(self._orders, {Orders: ActorOrders, Jobs: ActorJobs}):
+            if isinstance(content, ActorJobs):
+                self._take_jobs(content)
             elif isinstance(content, ActorOrders):
-                self._follow(content)
+                self._run = content
+        if self.is_named and self._run is not None:
+            self._follow(self._run)
 
-    def _follow(self, content: ActorOrders) -> None:
-        self.is_named = content.epochs.get(self.context.name) == self.context.epoch
-        if not self.is_named:
-            return  # meant for a predecessor of this process, or for its successor
-        self._leases = content.leases.get(self.context.name, [])
-        self._started.intersection_update(self._leases)  # a number that is not leased to it any more never returns
-        self._finished_episodes = content.finished
-        self._closing = content.closing or self._leaves
-        self._cut = content.cut or self._leaves
-        for key in [key for key in self._candidates if key[0] < content.merge]:
+    def _take_jobs(self, jobs: ActorJobs) -> None:
+        self.is_named = jobs.epoch == self.context.epoch
+        if self.is_named:  # else they are meant for a predecessor of this process, or for its successor
+            if jobs.merge != self._jobs.merge:
+                self._share.begin_merge()
+            self._jobs = jobs
+            self._started.intersection_update(jobs.leases)  # a number that is not leased to it any more never returns
+            self._driven = {job for job in self._driven if job[0] >= jobs.merge}
+
+    def _follow(self, run: ActorOrders) -> None:
+        self._closing = run.closing or self._leaves
+        self._cut = run.cut or self._leaves
+        for key in [key for key in self._candidates if key[0] < run.merge]:
             del self._candidates[key]
 
     def _take_candidate(self, message: Candidate) -> None:
@@ -174,7 +179,7 @@ class Actor(Role):
             self._max_lag_s = max(self._max_lag_s, self._lags_s[level])
 
     def _assign(self) -> None:
-        """Give idle cars their next task: drives of candidates first, then leases."""
+        """Give idle cars their next task: drives of candidates within their share, and leases."""
         if self._closing or len(self._weights) < len(Level):
             return
         versions = {level: message.weights.version for level, message in self._weights.items()}
@@ -183,7 +188,15 @@ class Actor(Role):
                 car.begin(task, versions, self._candidate_q(task))
 
     def _next_task(self) -> EpisodeTask | None:
-        merge, agent = self._jobs.merge, self.config.agent
+        number = next((number for number in self._jobs.leases if number not in self._started), None)
+        driving = sum(not car.idle and not car.trains for car in self.cars)
+        trains = number is not None or (self._run is not None and self._run.leasing)
+        if (not trains or self._share.allows(driving)) and (task := self._next_drive()) is not None:
+            return task
+        return None if number is None else self._training(number)
+
+    def _next_drive(self) -> EpisodeTask | None:
+        merge = self._jobs.merge
         for candidate, index in self._jobs.drives:
             job = (merge, candidate, index)
             if job not in self._driven and len(self._candidates.get((merge, candidate), {})) == len(Level):
@@ -192,17 +205,17 @@ class Actor(Role):
                 seed = random_streams.candidate_drive(self.config.seed, merge, index)
                 most_steps = self.config.merge.drive_steps
                 return EpisodeTask(scene, index, 0.0, True, seed, candidate, merge, most_steps)
-        for number in self._leases:
-            if number not in self._started:
-                self._started.add(number)
-                self._started_episodes += 1
-                share = epsilon(self._finished_episodes, agent.epsilon_decay, agent.epsilon_min)
-                seed = random_streams.exploration(self.config.seed, number)
-                shielded = bool(
-                    random_streams.shielded_episodes(self.config.seed, number).random() < agent.shield_share
-                )
-                return EpisodeTask(self.schedule.training(number), number, share, shielded, seed)
         return None
+
+    def _training(self, number: int) -> EpisodeTask:
+        """Begin the training episode with a number."""
+        agent, seed = self.config.agent, self.config.seed
+        self._started.add(number)
+        self._started_episodes += 1
+        share = epsilon(self._jobs.finished, agent.epsilon_decay, agent.epsilon_min)
+        shielded = bool(random_streams.shielded_episodes(seed, number).random() < agent.shield_share)
+        exploration = random_streams.exploration(seed, number)
+        return EpisodeTask(self.schedule.training(number), number, share, shielded, exploration)
 
     def _may_act(self, car: ActorCar) -> bool:
         """Return whether a car may act: a step of a training episode needs credit for its transitions."""
@@ -212,7 +225,9 @@ class Actor(Role):
         for car, view in zip(cars, self.perception.views(cars), strict=True):
             ended = car.over
             car.advance(view, car.candidate_q or self._online_q())
-            self.actions += not ended
+            if not ended:
+                self.actions += 1
+                self._share.count(trains=car.trains)
             if car.trains:
                 if not ended:
                     self.env_steps += 1

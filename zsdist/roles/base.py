@@ -112,7 +112,9 @@ class Role(ABC):
         return box
 
     @overload
-    def messages(self, box: Mailbox, kind: type[Kind], /) -> Iterator[tuple[Message, Kind]]: ...
+    def messages(
+        self, box: Mailbox, kind: type[Kind], /, *, own: type[AnyMessage] | None = None
+    ) -> Iterator[tuple[Message, Kind]]: ...
 
     @overload
     def messages(
@@ -120,15 +122,22 @@ class Role(ABC):
     ) -> Iterator[tuple[Message, Kind | OtherKind]]: ...
 
     @overload
-    def messages(self, box: Mailbox, /, *kinds: type[AnyMessage]) -> Iterator[tuple[Message, AnyMessage]]: ...
+    def messages(
+        self, box: Mailbox, /, *kinds: type[AnyMessage], own: type[AnyMessage] | None = None
+    ) -> Iterator[tuple[Message, AnyMessage]]: ...
 
-    def messages(self, box: Mailbox, /, *kinds: type[Any]) -> Iterator[tuple[Message, Any]]:
+    def messages(
+        self, box: Mailbox, /, *kinds: type[Any], own: type[AnyMessage] | None = None
+    ) -> Iterator[tuple[Message, Any]]:
         """Drain `box` and yield each message with its decoded content.
 
-        A message that is of none of the expected kinds, or came under a key that is not its own, is refused.
+        A message that is of none of the expected kinds, or came under a key that is not its own, is refused. One of
+        the kind `own` is this role's, published under the key of what it receives, and is left out undecoded.
         """
         for message in box.drain():
             try:
+                if own is not None and codec.type_of(message.payload) is own:
+                    continue
                 decoded = codec.decode(message.payload, expect=kinds)
                 addresses.require(message.key, self.context.run, decoded)
             except DecodeError as error:
@@ -156,9 +165,8 @@ class Role(ABC):
             box: mailbox of the orders.
             models: expected kinds of messages, with the model of the content of each.
         """
-        for _, orders in self.messages(box, *models, Records):
-            if not isinstance(orders, Orders | Jobs):
-                continue  # an actor's own records, published under the key of its jobs
+        for _, orders in self.messages(box, *models, own=Records):  # an actor's results have the key of its jobs
+            assert isinstance(orders, Orders | Jobs), "the models are of these"
             if orders.sender_epoch < self._orders_epoch:
                 self.refuse("stale")
             elif (content := self.checked(schemas.read, models[type(orders)], orders.content)) is not None:

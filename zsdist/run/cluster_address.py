@@ -1,4 +1,4 @@
-"""Checks before Ray starts: whether a cluster answers, and whether Ray can work in the folder for temporary files.
+"""Checks before Ray starts: whether a cluster answers and admits us, and whether Ray can keep temporary files.
 
 Ray itself waits minutes for a cluster that is not there, and prints lines of its own.
 """
@@ -10,6 +10,7 @@ from pathlib import Path
 
 from zsdist.config import Config
 from zsdist.errors import RunError
+from zsdist.run import ray_token
 
 CONNECT_TIMEOUT_S = 3.0
 RAY_PORT, RAY_CLIENT_PORT = 6379, 10001
@@ -32,6 +33,7 @@ def check(config: Config) -> None:
         check_temporary_folder()
     else:
         check_answers(*resolve(named(config.run.address)))
+        ray_token.check(*resolve(named(config.run.address)))
 
 
 def check_temporary_folder() -> None:

@@ -31,7 +31,8 @@ from zsdist.transport.certificates import Identity
 from zsdist.transport.zenoh import ZenohTransport
 from zsdist.vision.fingerprint import VisionIdentity
 
-LOCAL_SETTINGS = ("vision.weights", "vision.encoder", "vision.cache_bytes")  # may differ from the run's, if they fit
+# Settings of this machine, which may differ from the run's, if they fit.
+LOCAL_SETTINGS = ("vision.weights", "vision.encoder", "vision.cache_bytes", "vision.device")
 TERMS_WITHIN_S = 10.0
 QUIET_AFTER_S = 5.0  # the run repeats its orders four times a second
 AWAY_S = 600.0  # silence after which the run is given up

@@ -12,8 +12,11 @@ from zsdist import config
 from zsdist.common import folders
 from zsdist.config import Config
 from zsdist.errors import RunError
+from zsdist.roles.replay import shards
 from zsdist.roles.scheduler import ledger
 from zsdist.roles.scheduler.progress import RunProgress, Stage
+from zsdist.run import directory, journals, placement
+from zsdist.run.program import RoleSpec
 from zsdist.types import Level
 
 _LEDGER = "journal/*-scheduler"
@@ -74,8 +77,10 @@ def _check_whole(folder: Path, word: str, settings: Config) -> None:
     before, now = (tree.replay.model_copy(update={"fsync_ms": None}) for tree in (written, settings))
     if before != now:
         raise RunError("settings of the replay have changed, with which its journals cannot be read")
+    if settings.run.address is not None and not placement.lives_here(RoleSpec(shards.ROLE, "0", 0), settings):
+        raise RunError("the replay's journals are on other machines")
     for index in range(settings.replay.shards):
         for level in Level:
-            journal = folder / "journal" / f"{word}-{index}" / level
+            journal = journals.of_shard(settings, directory.key_name(folder), folder, word, index) / level
             if not (folders.visible(journal, "*.base") or folders.visible(journal, "*.copy")):
                 raise RunError(f"the replay's journal {journal} is missing")

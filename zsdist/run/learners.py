@@ -34,7 +34,7 @@ def resumed(
     kept = KeptState(folder / "journal" / f"{start}-{context.name}", context.epoch)
     state, published = kept.recover()
     if state is None:
-        saved = [found for found in (_newest_in_checkpoints(folder, context.name), restored) if found is not None]
+        saved = [found for found in (newest_in_checkpoints(folder, context.name), restored) if found is not None]
         state = max(saved, key=lambda found: found.meta["updates"], default=None)
     learner = Learner(context, level, dqn, state, kept, folder / "nan")
     learner.continue_after(published)
@@ -44,7 +44,7 @@ def resumed(
     return learner
 
 
-def _newest_in_checkpoints(folder: Path, name: str) -> State | None:
+def newest_in_checkpoints(folder: Path, name: str) -> State | None:
     """Return a role's newest sound state in the checkpoints of a run; the other roles' states are not read."""
     for checkpoint in reversed(checkpoint_files.checkpoints(folder)):
         try:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from zsdist.common import locks
 from zsdist.config import Config
-from zsdist.errors import RunError
+from zsdist.errors import CompleteError, RunError
 from zsdist.run import checkpoint_files, cluster_address, directory, killed_start, local_ray, location, preflight
 from zsdist.run.program import RunSpec
 from zsdist.vision.fingerprint import VisionIdentity
@@ -46,7 +46,8 @@ def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify, held:
         held: keeps the lock of the folder.
 
     Raises:
-        RunError: there is no run to resume, or it is in use or complete.
+        CompleteError: the run has nothing left to do.
+        RunError: there is no run to resume, or it is in use or has finished more episodes.
         ZsdistError: the settings cannot be run on this machine.
     """
     given, folder = folder, location.find_run(folder)
@@ -64,7 +65,8 @@ def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify, held:
     # With all episodes finished, the last merge or the evaluation may still be missing: then the run may be resumed.
     complete = settings.run.episodes == finished and directory.ended(folder) == "complete"
     if settings.run.episodes < finished or complete:
-        raise RunError(
+        error = CompleteError if complete else RunError
+        raise error(
             f"the run in {folder} has finished {finished} episodes and --episodes is {settings.run.episodes}; "
             f"allowed is more than {finished}"
         )

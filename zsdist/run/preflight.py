@@ -12,6 +12,7 @@ from zsdist.replay.buffer import row_bytes
 from zsdist.roles import permissions
 from zsdist.roles.replay import shards
 from zsdist.roles.shapes import SHAPES, initial_weights
+from zsdist.run import placement, program
 from zsdist.run.program import ActorParts, simulation
 from zsdist.run.scene_schedule import scene_source
 from zsdist.transport.certificates import Identity
@@ -51,9 +52,10 @@ def check_certificates(config: Config) -> None:
     """
     if config.transport.tls is None:
         return
-    here = [permissions.HUB, permissions.TRUSTED]
-    if config.run.address is None:
-        here += map(permissions.actor_name, range(config.run.actors))
+    here = {permissions.HUB: None}  # in order, each once
+    for role_spec in program.roles(config, range(program.role_count(config))):
+        if config.run.address is None or placement.lives_here(role_spec, config):
+            here[permissions.certificate_of(role_spec.role, role_spec.id)] = None
     for name in here:
         Identity.load(config.transport.tls, name)
 

@@ -23,10 +23,12 @@ from zsdist.roles.replay import shards
 from zsdist.roles.replay.role import Replay
 from zsdist.roles.scheduler.role import Scheduler
 from zsdist.roles.shapes import SHAPES, learner_seed, level_settings
+from zsdist.run import journals
 from zsdist.run.directory import RunDirectory
 from zsdist.run.scene_schedule import SceneSchedule
 from zsdist.sim.env import CarNavigation
 from zsdist.transport import certificates
+from zsdist.transport.access import Grant
 from zsdist.transport.base import Transport
 from zsdist.transport.certificates import Identity
 from zsdist.transport.zenoh import PORTS_TRIED, ZenohHub, ZenohTransport
@@ -153,17 +155,31 @@ class RunSpec:
 
     def open_hub(self, endpoint: str | None = None) -> ZenohHub:
         """Open the router at `endpoint`; None: at the configured one, or the next free port above it."""
-        config, tries = self.config, PORTS_TRIED if endpoint is None else 1
-        # Not of all possible names: a grant takes 0.2 MiB of the hub.
-        certified = () if config.transport.tls is None else certificates.names(config.transport.tls)
-        grants = permissions.access_list(config.run.actors, certified)
+        tries = PORTS_TRIED if endpoint is None else 1
         endpoint = endpoint or self.config.transport.endpoint
-        return ZenohHub(endpoint, self._identity(permissions.HUB), grants, ports_tried=tries)
+        return ZenohHub(endpoint, self._identity(permissions.HUB), self._grants(), ports_tried=tries)
 
-    def connect(self, role_spec: RoleSpec, endpoint: str) -> ZenohTransport:
-        """Return a role's connection to the hub, with its certificate where the run has certificates."""
+    def open_branch(self, endpoint: str, root: str) -> ZenohHub:
+        """Open the router of a rack or a site at `endpoint`, which connects to the run's own at `root`."""
+        identity = self._identity(permissions.HUB)
+        return ZenohHub(endpoint, identity, self._grants(), ports_tried=1, root=root)
+
+    def _grants(self) -> list[Grant]:
+        config, tls = self.config, self.config.transport.tls
+        certified = () if tls is None else certificates.names(tls)  # not all possible names: each takes 0.2 MiB
+        hubs = 1 + len(config.cluster.hubs)
+        return permissions.access_list(config.run.actors, certified, shards=config.replay.shards, hubs=hubs)
+
+    def connect(self, role_spec: RoleSpec, endpoint: str, others: Sequence[str] = ()) -> ZenohTransport:
+        """Return a role's connection to the hub, with its certificate where the run has certificates.
+
+        Args:
+            role_spec: the role.
+            endpoint: endpoint of its hub.
+            others: endpoints of hubs that it uses while that one does not answer.
+        """
         identity = self._identity(permissions.certificate_of(role_spec.role, role_spec.id))
-        return ZenohTransport(endpoint, identity, connect_timeout_s=HUB_BACK_WITHIN_S)
+        return ZenohTransport(endpoint, identity, connect_timeout_s=HUB_BACK_WITHIN_S, others=others)
 
     def _identity(self, name: str) -> Identity | None:
         folder = self.config.transport.tls
@@ -203,12 +219,14 @@ class RunSpec:
         context, config = self.context(role_spec, transport, wake), self.config
         match role_spec.role:
             case "scheduler":
-                log, ledger = run_directory or self.open_directory(), self._journal(role_spec.role)
+                log, ledger = run_directory or self.open_directory(), journals.ledger(self.folder, self.start)
                 return Scheduler(context, log, ledger, self.states.get(role_spec.role))
             case shards.ROLE:
-                return Replay(
-                    context, SHAPES, self._journal(role_spec.id), self.states.get(shards.state_name(int(role_spec.id)))
-                )
+                index = int(role_spec.id)
+                has_predecessor = self.launch > 0 and role_spec.epoch >= self.launch + epoch_count(config)
+                where = (config, self.run, self.folder, self.start, index)
+                own = journals.begin(*where, has_predecessor=has_predecessor)
+                return Replay(context, SHAPES, own, self.states.get(shards.state_name(index)))
             case "learner":
                 level = Level(role_spec.id)
                 from zsdist.roles.learner import Learner  # the only role that needs torch: two seconds and 150 MB
@@ -229,10 +247,6 @@ class RunSpec:
                 return Actor(context, cars, self._perception(parts.visual_act), parts.schedule)
         raise ValueError(f"no role is called {role_spec.role!r}")
 
-    def _journal(self, name: str) -> Path:
-        """Return the folder of a journal; each start of the run has its own."""
-        return self.folder / "journal" / f"{self.start}-{name}"
-
     def _perception(self, visual_act: VisionModel) -> Perception:
         size = self.config.vision.cache_bytes
         cache = ReadingCache(size, reading_fingerprint(self.config, visual_act)) if size else None
@@ -245,6 +259,7 @@ def reading_fingerprint(config: Config, visual_act: VisionModel) -> str:
     Runs on one machine share a cache of readings; two runs with different fingerprints share no reading in it.
     """
     settings = config.model_dump_json(include={"grid", "camera"})
+    settings += "" if config.vision.device == "cpu" else config.vision.device  # the last bits of a reading differ
     code = code_hash.sha256("zsdist.sim.env", "zsdist.vision.visual_act")
     libraries = (f"{name} {version(name)}" for name in ("numpy", "numba", "onnxruntime", "pybullet", "torch"))
     return "/".join((visual_act.encoder_sha256, visual_act.weights_sha256, settings, code, *libraries))

@@ -1,46 +1,40 @@
-"""Runner of each role in a Ray actor of its own, on this machine or on a cluster. No other file imports Ray."""
+"""Runner of each role in a Ray actor of its own, on this machine or on a cluster."""
 
 import json
-import logging
 import os
-import re
-import secrets
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import ray
 from ray.exceptions import GetTimeoutError, RayActorError, RayError
-from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-from zsdist.common import signals
-from zsdist.common.allowed_resources import allowed_cores
-from zsdist.config import Config
 from zsdist.errors import RunError
 from zsdist.roles.base import HEARTBEAT_S, HOST
-from zsdist.roles.replay import shards
-from zsdist.run import cluster_address, local_ray, program
+from zsdist.run import learners, program
 from zsdist.run.directory import issue_epochs
 from zsdist.run.guests import Guests
 from zsdist.run.heartbeats import HUB, Heartbeats
 from zsdist.run.last_words import RoleLog
-from zsdist.run.presence import Presence
+from zsdist.run.placement import SPARE, Plan
+from zsdist.run.presence import WAITS_ON_CLUSTER_S, WAITS_S, Presence
 from zsdist.run.processes import ProcessIdentity
 from zsdist.run.program import RoleSpec, RunSpec, Watch
+from zsdist.run.ray_cluster import NodeAwayError, Places, connect
 from zsdist.run.restarts import Restarts, StandbyPace
 from zsdist.run.role_host import RoleHost
 from zsdist.transport.base import Mailbox, Transport
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import Orders
 
-OBJECT_STORE_BYTES = 256 * 2**20  # it carries settings and checkpoints at the start, and nothing afterwards
 START_WITHIN_S = 120.0  # longest wait for the process of the hub
-FIRST_WITHIN_S = 30.0  # on a cluster, for those that live on this machine, before others may take their room
+FIRST_WITHIN_S = 30.0  # on a cluster, for the roles that have a node each, before actors may take their room
+NODE_BACK_WITHIN_S = 120.0  # longest wait for the node that has the journal of a shard of the replay
 LEAVE_WITHIN_S = 5.0  # time for the roles to end by themselves once the run is over
 STANDBY_AFTER_S = 1.0  # delay of the standby's start, which loads a core for seconds, after other starts
-STARTS_TRIED = 3  # of Ray on this machine, whose own limit of 30 s a busy machine may exceed
 WORDS_BYTES = 2**22  # statistics that wait for the supervisor
-WAITS = "its process has not started yet; it waits for free cores of Ray, or for a machine that starts processes"
+WAITS = "Ray has not started its process yet"
 
 
 def run(
@@ -64,110 +58,37 @@ def run(
 
     Raises:
         RunError: the cluster cannot be reached or is too small, or a role failed.
+        KeyboardInterrupt: the run was interrupted before a role without which nothing can be saved had a process.
     """
-    connect(spec.config)
+    plan = connect(spec.config)
     try:
-        _Supervisor(spec, epochs).run(interrupted, watch)
+        _Supervisor(spec, epochs, plan).run(interrupted, watch)
     finally:
         ray.shutdown()
 
 
-def connect(config: Config) -> None:
-    """Start Ray on this machine, or connect to the cluster of the configuration; `ray.shutdown` ends both.
+class NodeHost(RoleHost):
+    """Content of a Ray actor, which knows of which node it is."""
 
-    Ray's processes do not react to signals that ask this one to stop, and its handlers do not stay in this one.
-
-    Raises:
-        RunError: the cluster cannot be reached or is too small, or Ray cannot be started here.
-    """
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # else roles that reserve no GPU cannot see one
-    address = config.run.address
-    what = "Ray cannot be started here" if address is None else f"Ray cluster {address!r} cannot be used"
-    for tries_left in reversed(range(STARTS_TRIED)):
-        try:
-            # Where Ray starts no process, a signal may end a long wait.
-            with signals.kept() if address is not None else signals.withheld():
-                _init(config)
-            break
-        except Exception as error:  # Ray raises errors of a dozen classes, also built-in ones
-            ray.shutdown()
-            slow = address is None and "timed out" in str(error)
-            if slow and tries_left:
-                continue
-            busy = f"this machine was too busy {STARTS_TRIED} times; try again later, or use --single-process: "
-            raise RunError(f"{what}: {busy if slow else ''}{_summary(error)}") from error
-    if address is not None and (wanted := _cores(config)) > (free := ray.cluster_resources().get("CPU", 0.0)):
-        ray.shutdown()
-        raise RunError(
-            f"the run asks for {wanted:g} cores of Ray, the cluster has {free:g}; lower run.cpus_per_role or run.actors"
-        )
-    if address is not None and (wanted := cores_here(config)) > (free := _cores_of_this_node()):
-        ray.shutdown()
-        raise RunError(
-            f"the roles that live on this machine ask for {wanted:g} cores of Ray, it has {free:g} of them; lower "
-            "run.cpus_per_role, or give it more (ray start --num-cpus)"
-        )
-
-
-def try_start() -> None:
-    """Start Ray on this machine and end it at once; raise `RunError` where it cannot be started."""
-    connect(Config())
-    ray.shutdown()
-
-
-def _init(config: Config) -> None:
-    if config.run.address is not None:
-        ray.init(address=cluster_address.named(config.run.address), log_to_driver=False, logging_level=logging.ERROR)
-        return
-    if not {"RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"} & os.environ.keys():
-        # Ray's processes inherit it. Otherwise Ray writes one into the home folder, which may not be writable.
-        os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
-    ray.init(
-        address="local",  # a cluster of its own, also where RAY_ADDRESS names another
-        num_cpus=local_ray.logical_cores(config, allowed_cores()),
-        object_store_memory=OBJECT_STORE_BYTES,
-        include_dashboard=False,
-        log_to_driver=False,
-        logging_level=logging.ERROR,
-        _node_ip_address="127.0.0.1",  # one machine: no other one needs to reach it
-    )
-
-
-def _cores(config: Config) -> float:
-    """Return the number of Ray's cores that a run asks for."""
-    return config.run.cpus_per_role * (program.role_count(config) + 1 + config.run.standby)
-
-
-def cores_here(config: Config) -> float:
-    """Return how many of Ray's cores those processes ask for that must live on this machine."""
-    staying = [role_spec for role_spec in _all_roles(config) if stays_here(role_spec, config)]
-    return config.run.cpus_per_role * (len(staying) + config.run.standby)
-
-
-def _all_roles(config: Config) -> list[RoleSpec]:
-    return [RoleSpec("hub", "0", 0), *program.roles(config, range(program.role_count(config)))]
-
-
-def _cores_of_this_node() -> float:
-    here = ray.get_runtime_context().get_node_id()
-    return float(sum(node["Resources"].get("CPU", 0.0) for node in ray.nodes() if node["NodeID"] == here))
-
-
-def _summary(error: Exception) -> str:
-    """Return one of Ray's errors as one line without its colours."""
-    return " ".join(re.sub(r"\x1b\[[0-9;]*m", "", str(error)).split()) or type(error).__name__
+    def labels(self) -> Mapping[str, str]:
+        """See `RoleHost.labels`."""
+        found: Any = ray.get_runtime_context().get_node_labels()  # Ray declares lists of texts, and gives texts
+        return dict(found)
 
 
 class _Supervisor:
     """Supervisor that starts the roles, replaces those that die or stop, and reports to the scheduler."""
 
-    def __init__(self, spec: RunSpec, epochs: Sequence[int]) -> None:
+    def __init__(self, spec: RunSpec, epochs: Sequence[int], plan: Plan) -> None:
         self.spec = spec
+        self.nodes = Places(spec.config, plan)
         self.epoch, hub_epoch, *role_epochs = epochs
+        hubs = [RoleSpec("hub", "0", hub_epoch)]
+        if spec.config.run.address is not None:
+            branches = range(1, 1 + len(spec.config.cluster.hubs))
+            hubs += [RoleSpec("hub", str(index), issue_epochs(spec.folder, 1)[0]) for index in branches]
         self.restarts = Restarts(
-            [RoleSpec("hub", "0", hub_epoch), *program.roles(spec.config, role_epochs)],
-            lambda: issue_epochs(spec.folder, 1)[0],
+            [*hubs, *program.roles(spec.config, role_epochs)], lambda: issue_epochs(spec.folder, 1)[0]
         )
         self.role_specs = self.restarts.role_specs
         self.hosts: dict[str, ray.actor.ActorHandle] = {}
@@ -178,7 +99,8 @@ class _Supervisor:
         self.places: dict[ray.actor.ActorHandle, ProcessIdentity | None] = {}  # None: it cannot be seen from here
         self.asked: dict[ray.ObjectRef, ray.actor.ActorHandle] = {}  # questions for places
         self.heartbeats = Heartbeats(time.monotonic())
-        self.presence = Presence()
+        self.presence = Presence(WAITS_S if spec.config.run.address is None else WAITS_ON_CLUSTER_S)
+        self.homeless: dict[str, float] = {}  # roles whose only node is away, and since when
         self.words = Mailbox(WORDS_BYTES)
         self.guests: Guests  # from the connection to the hub on
 
@@ -204,11 +126,11 @@ class _Supervisor:
                 ray.kill(host)
 
     def _start(self) -> None:
-        """Start all roles but the hub, first those that live on this machine: on a cluster others may fill it."""
-        first = [role_spec for role_spec in self.role_specs.values() if stays_here(role_spec, self.spec.config)]
-        then = [role_spec for role_spec in self.role_specs.values() if role_spec not in first]
+        """Start all roles but the hub; on a cluster its actors last, which may fill any node."""
+        first = [role_spec for role_spec in self.role_specs.values() if role_spec.role != "actor"]
+        then = [role_spec for role_spec in self.role_specs.values() if role_spec.role == "actor"]
         for role_spec in (*first, *then):
-            if then and role_spec is then[0] and self.spec.config.run.address is not None:
+            if role_spec is then[0] and self.spec.config.run.address is not None:
                 ray.wait(list(self.asked), num_returns=len(self.asked), timeout=FIRST_WITHIN_S)
             if role_spec.name != HUB:
                 self.hosts[role_spec.name] = self._host(role_spec)
@@ -216,8 +138,13 @@ class _Supervisor:
 
     def _supervise(self, transport: Transport, interrupted: bool) -> None:
         self.guests.step(time.time())
-        for name in self.presence.update(self.role_specs.values(), self._is_there, time.monotonic()):
-            self._report(transport, "role_waits", name, WAITS)
+        now = time.monotonic()
+        for name in self.presence.update(self.role_specs.values(), self._is_there, now):
+            self._report(transport, "role_waits", name, WAITS + self.nodes.lack(self.role_specs[name]))
+        if interrupted and self.spec.config.run.address is not None and (absent := self.presence.absent(now)):
+            raise KeyboardInterrupt(f"{', '.join(absent)} had not begun")
+        for name, since_s in list(self.homeless.items()):
+            self._look_for_home(name, since_s, now)
         content = program.supervision(
             self.presence.actors,
             restarts=self.restarts.by_kind(),
@@ -285,13 +212,25 @@ class _Supervisor:
         if not self.restarts.may_replace(name):
             raise RunError(log.named_in(words))
         try:
-            role_spec = self.restarts.replace(name, words, time.monotonic())
+            self.restarts.replace(name, words, time.monotonic())
         except RunError as error:
             raise RunError(log.named_in(str(error))) from None
         self.places.pop(self.hosts[name], None)
-        self.hosts[name] = self._stand_in(role_spec)
-        self._drive(role_spec)
         self._report(transport, "role_replaced", name, reason)
+        self.homeless[name] = time.monotonic()
+        self._look_for_home(name, self.homeless[name], self.homeless[name])
+
+    def _look_for_home(self, name: str, since_s: float, now: float) -> None:
+        """Start the successor of a role, unless the only node on which it can live is away."""
+        try:
+            self.hosts[name] = self._stand_in(self.role_specs[name])
+        except NodeAwayError as error:
+            self.hosts.pop(name, None)
+            if now - since_s < NODE_BACK_WITHIN_S:
+                return
+            raise RunError(f"{error} and has not come back within {NODE_BACK_WITHIN_S:.0f} s") from None
+        del self.homeless[name]
+        self._drive(self.role_specs[name])
 
     def _report(self, transport: Transport, event: str, name: str, reason: str) -> None:
         about = {"time_s": round(time.time(), 3), "role": "supervisor", "id": "0", "host": HOST, "pid": os.getpid()}
@@ -311,11 +250,10 @@ class _Supervisor:
         self.pace.delay(now + STANDBY_AFTER_S)
 
     def _stand_in(self, role_spec: RoleSpec) -> "ray.actor.ActorHandle":
-        """Return the standby process; a new one where there is none or the role may live on another machine."""
-        config, host = self.spec.config, self.standby
-        here = stays_here(role_spec, config) or role_spec.role == "learner" or config.run.address is None
-        if host is None or not here or not self._stands(host):
-            return self._host(role_spec, here=here)
+        """Return the standby process; a new one where there is none or the role lives on another machine."""
+        host = self.standby
+        if host is None or not self.nodes.spare_serves(role_spec) or not self._stands(host):
+            return self._host(role_spec)
         self.standby = None
         self.pace.note_use()
         return host
@@ -329,7 +267,7 @@ class _Supervisor:
             self.standby = None
             self.pace.note_death(now)
         if self.standby is None and self.spec.config.run.standby and now > self.pace.due_s:
-            self.standby = self._host(self.role_specs[HUB])
+            self.standby = self._host(SPARE)
             self.standby.warm_up.remote()
 
     def _stands(self, standby: "ray.actor.ActorHandle") -> bool:
@@ -340,26 +278,32 @@ class _Supervisor:
         pulse = None if place is None else place.pulse()
         return place is None or (pulse is not None and not pulse.stopped)
 
-    def _host(self, role_spec: RoleSpec, *, here: bool = False) -> "ray.actor.ActorHandle":
-        options: dict[str, Any] = {
-            "num_cpus": self.spec.config.run.cpus_per_role,
+    def _host(self, role_spec: RoleSpec) -> "ray.actor.ActorHandle":
+        options = {
+            **self.nodes.options(role_spec),
             "max_restarts": 0,
             "max_concurrency": 3,  # `drive`, and `stop` or `place` meanwhile
         }
-        if here or stays_here(role_spec, self.spec.config):
-            node = ray.get_runtime_context().get_node_id()
-            options["scheduling_strategy"] = NodeAffinitySchedulingStrategy(node, soft=False)
-        host_class: Any = ray.remote(**options)(RoleHost)  # Ray's types cover classes only without options
-        host = host_class.remote(self.spec)
+        host_class: Any = ray.remote(**options)(NodeHost)  # Ray's types cover classes only without options
+        host = host_class.remote(self._spec_for(role_spec))
         self.asked[host.place.remote()] = host
         return host
 
+    def _spec_for(self, role_spec: RoleSpec) -> RunSpec:
+        """Return the specification for a process; a learner elsewhere gets its state from the newest checkpoint."""
+        if role_spec.role != "learner" or self.nodes.lives_here(role_spec):
+            return self.spec
+        found = learners.newest_in_checkpoints(self.spec.folder, role_spec.name)
+        return self.spec if found is None else replace(self.spec, states={**self.spec.states, role_spec.name: found})
+
     def _leave(self) -> None:
         """Wait a while for the other roles to end by themselves."""
-        others = [reference for reference, name in self.work.items() if name != HUB and self._is_there(name)]
+        names = [name for name, role_spec in self.role_specs.items() if role_spec.role == "hub"]
+        others = [reference for reference, name in self.work.items() if name not in names and self._is_there(name)]
         if others:
             ray.wait(others, num_returns=len(others), timeout=LEAVE_WITHIN_S)
-        ray.wait([self.hosts[HUB].stop.remote()], timeout=LEAVE_WITHIN_S)
+        stopped: list[ray.ObjectRef] = [self.hosts[name].stop.remote() for name in names if self._is_there(name)]
+        ray.wait(stopped, num_returns=len(stopped), timeout=LEAVE_WITHIN_S)
 
     def _ask(self, reference: ray.ObjectRef, name: str) -> str:
         try:
@@ -378,12 +322,6 @@ def _epoch_in(payload: bytes) -> int:
     except (ValueError, RecursionError, KeyError, TypeError):
         return -1
     return epoch if isinstance(epoch, int) else -1
-
-
-def stays_here(role_spec: RoleSpec, config: Config) -> bool:
-    """Return whether a role must live on this machine: it needs its address, its files, or its certificate."""
-    guarded = config.transport.tls is not None and role_spec.role != "actor"
-    return guarded or role_spec.role in ("hub", "scheduler", shards.ROLE)
 
 
 def _last_line(error: Exception) -> str:

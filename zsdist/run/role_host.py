@@ -5,6 +5,7 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Mapping
 
 from zsdist.common import output_files
 from zsdist.errors import ZsdistError
@@ -14,6 +15,7 @@ from zsdist.run.allocator import keep_freed_memory
 from zsdist.run.heartbeats import HUB
 from zsdist.run.processes import ProcessIdentity, name_role_thread
 from zsdist.run.program import ActorParts, RoleSpec, RunSpec
+from zsdist.transport.base import Transport
 from zsdist.transport.zenoh import ZenohHub
 
 
@@ -60,12 +62,15 @@ class RoleHost:
             self._redirect_output(role_spec)
             if role_spec.name == HUB and self._hub is None:
                 self.open_hub(endpoint)
-            transport = self.spec.connect(role_spec, endpoint)
+            elif role_spec.role == "hub" and self._hub is None:
+                branch = self.spec.config.cluster.branches[int(role_spec.id) - 1]
+                self._hub = self.spec.open_branch(branch.endpoint, root=endpoint)
+            transport = self._connect(role_spec, endpoint)
             parts, self._parts = self._parts, None  # they are an actor's; any other role needs their memory
             if self._hub is None:
                 role = self.spec.build(role_spec, transport, self.wake, parts)
             else:
-                role = program.make_hub(self.spec, role_spec, transport, self.wake, endpoint)
+                role = program.make_hub(self.spec, role_spec, transport, self.wake, self._hub.endpoint)
             self._step(role)
         except ZsdistError as error:
             return role_spec.reason(error)
@@ -83,6 +88,21 @@ class RoleHost:
             if self._hub is not None:
                 self._hub.close()
         return ""
+
+    def labels(self) -> Mapping[str, str]:
+        """Return the labels of the node on which this process lives."""
+        return {}
+
+    def _connect(self, role_spec: RoleSpec, endpoint: str) -> Transport:
+        """Connect a role to the hub of its process, an actor to that of its rack or site, others to the run's own."""
+        if self._hub is not None:
+            return self.spec.connect(role_spec, self._hub.endpoint)
+        if role_spec.role == "actor":
+            labels = self.labels().items()
+            for branch in self.spec.config.cluster.branches:
+                if branch.labels.items() <= labels:
+                    return self.spec.connect(role_spec, branch.endpoint, (endpoint,))
+        return self.spec.connect(role_spec, endpoint)
 
     def stop(self) -> None:
         """Make `drive` return after the current step; called from another thread of the Ray actor."""

@@ -4,6 +4,16 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+EVERY_MESSAGE = (
+    "put",
+    "declare_subscriber",
+    "query",
+    "declare_queryable",
+    "reply",
+    "liveliness_token",
+    "declare_liveliness_subscriber",
+    "liveliness_query",
+)
 RETAINED = "@retained/"  # prefix of the tokens of keys with a retained value; `**` does not match it
 
 
@@ -21,6 +31,7 @@ class Grant:
         request: keys under which the holder may send requests.
         alive: liveliness tokens that the holder may hold.
         watch: liveliness tokens that the holder may watch.
+        relay: keys under which the holder, another hub, may pass on anything in both directions.
     """
 
     name: str
@@ -30,6 +41,7 @@ class Grant:
     request: tuple[str, ...] = ()
     alive: tuple[str, ...] = ()
     watch: tuple[str, ...] = ()
+    relay: tuple[str, ...] = ()
 
 
 def settings(grants: Iterable[Grant]) -> dict[str, Any]:
@@ -53,6 +65,14 @@ def settings(grants: Iterable[Grant]) -> dict[str, Any]:
 def _rules(grant: Grant) -> Iterable[dict[str, Any]]:
     """Yield zenoh's rules of a grant; `ingress` is from the holder to the hub, `egress` from the hub to the holder."""
     subscribed, kept = (tuple(RETAINED + key for key in keys) for keys in (grant.subscribe, grant.serve))
+    if grant.relay:
+        yield {
+            "id": f"{grant.name} relay",
+            "permission": "allow",
+            "flows": ["ingress", "egress"],  # hubs tell each other of subscribers, which clients are never told of
+            "messages": list(EVERY_MESSAGE),
+            "key_exprs": [*grant.relay, *(RETAINED + key for key in grant.relay)],
+        }
     for flow, messages, keys in (
         ("ingress", ("put",), grant.publish),
         ("ingress", ("declare_subscriber",), grant.subscribe),

@@ -25,7 +25,8 @@ class Mailbox(Owned):
     """Queue in which the threads of a transport put messages for a role.
 
     Appending never blocks. A message that does not fit into the byte budget is dropped and counted, since the protocol
-    sends it again. An empty mailbox accepts any message, so that none is too large forever.
+    sends it again. Messages that were drained last count until the next time: they are being processed, and still take
+    memory. An empty mailbox accepts any message, so that none is too large forever.
 
     Attributes:
         dropped: number of messages that did not fit.
@@ -36,7 +37,7 @@ class Mailbox(Owned):
         """Make an empty mailbox.
 
         Args:
-            max_bytes: most bytes of keys and payloads that may wait.
+            max_bytes: most bytes of keys and payloads that may wait or be in process.
             wake: function that is called after each message, on the thread of the sender.
         """
         self.dropped = 0
@@ -44,6 +45,7 @@ class Mailbox(Owned):
         self._max_bytes = max_bytes
         self._wake = wake
         self._bytes = 0
+        self._drained_bytes = 0
         self._messages: deque[Message] = deque()
         self._lock = threading.Lock()
 
@@ -51,7 +53,7 @@ class Mailbox(Owned):
         """Add a message; return false if it was dropped."""
         size = len(message.key) + len(message.payload)
         with self._lock:
-            if self._messages and self._bytes + size > self._max_bytes:
+            if self._messages and self._bytes + self._drained_bytes + size > self._max_bytes:
                 self.dropped += 1
                 return False
             self._messages.append(message)
@@ -66,7 +68,7 @@ class Mailbox(Owned):
         with self._lock:
             messages = list(self._messages)
             self._messages.clear()
-            self._bytes = 0
+            self._bytes, self._drained_bytes = 0, self._bytes
         return messages
 
     def __len__(self) -> int:

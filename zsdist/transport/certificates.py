@@ -5,6 +5,7 @@ with its key that it owns the certificate. The common name determines the client
 """
 
 import datetime
+import errno
 import ipaddress
 import os
 from collections.abc import Iterable, Sequence
@@ -23,7 +24,7 @@ from cryptography.hazmat.primitives.asymmetric.types import (
 )
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from zsdist.common import folders
+from zsdist.common import commands, folders
 from zsdist.errors import TransportError
 
 AUTHORITY = "ca"
@@ -50,6 +51,11 @@ class Identity:
             TransportError: a file is missing, unreadable or out of date, or the files do not belong together.
         """
         folder = Path(folder)
+        if folder.is_dir() and not (folder / f"{name}.pem").exists():
+            raise TransportError(
+                f"certificate {folder / f'{name}.pem'}: {os.strerror(errno.ENOENT)}; copy it from where the folder was "
+                f"made, or make what it lacks there: {commands.module('zsdist.certs', folder)}"
+            )
         identity = cls(name, folder / f"{AUTHORITY}.pem", folder / f"{name}.pem", folder / f"{name}.key")
         authority, certificate = _read(identity.authority), _read(identity.certificate)
         try:

@@ -44,6 +44,7 @@ class ZenohHub(Owned):
         grants: Sequence[Grant] = (),
         *,
         ports_tried: int = PORTS_TRIED,
+        root: str | None = None,
     ) -> None:
         """Listen at `endpoint`, or at the next free port above it.
 
@@ -52,6 +53,7 @@ class ZenohHub(Owned):
             identity: certificate of the hub; it then accepts only clients with a certificate of its authority.
             grants: rights of these clients, who have no others; without an identity all clients have all rights.
             ports_tried: number of ports to try, from that of `endpoint` on.
+            root: endpoint of another hub, whose clients and this one's are to reach each other; it may come later.
 
         Raises:
             TransportError: the endpoint is malformed or cannot be used, or none of the ports is free.
@@ -61,7 +63,9 @@ class ZenohHub(Owned):
         for candidate in range(port, min(port + ports_tried, 65_536)):
             self.endpoint = f"{address}:{candidate}"
             try:
-                session = zenoh.open(session_config("router", listen=self.endpoint, identity=identity, grants=grants))
+                session = zenoh.open(
+                    session_config("router", listen=self.endpoint, connect=root or (), identity=identity, grants=grants)
+                )
                 self._close = _when_dropped(self, Link(self.endpoint, session))
                 return
             except zenoh.ZError as error:
@@ -85,12 +89,18 @@ class ZenohTransport(Transport):
     """Client of a hub. It reconnects by itself; while the hub is away, all messages except retained values are lost."""
 
     def __init__(
-        self, endpoint: str, identity: Identity | None = None, *, connect_timeout_s: float = CONNECT_TIMEOUT_S
+        self,
+        endpoint: str,
+        identity: Identity | None = None,
+        *,
+        connect_timeout_s: float = CONNECT_TIMEOUT_S,
+        others: Sequence[str] = (),
     ) -> None:
         """Connect to the hub at `endpoint`.
 
         Args:
             endpoint: address of the hub.
+            others: addresses of other hubs of its tree, one of which is used while it does not answer.
             identity: certificate of the client, for a `tls/` endpoint.
             connect_timeout_s: seconds for which the connection is tried.
 
@@ -101,7 +111,8 @@ class ZenohTransport(Transport):
         split_endpoint(endpoint)
         self.endpoint = endpoint
         self._identity = secrets.token_bytes(STAMP_IDENTITY)
-        config = session_config("client", connect=endpoint, connect_timeout_s=connect_timeout_s, identity=identity)
+        targets = [endpoint, *others]
+        config = session_config("client", connect=targets, connect_timeout_s=connect_timeout_s, identity=identity)
         try:
             self._link = Link(endpoint, zenoh.open(config))
         except zenoh.ZError as error:

@@ -13,11 +13,13 @@ import numpy as np
 import onnxruntime
 
 from zsdist.common.cache_folder import VARIABLE, cache_folder
-from zsdist.errors import CacheError, WeightsError
+from zsdist.errors import CacheError, ConfigError, WeightsError
 
 if TYPE_CHECKING:
     import torch
 
+CPU_DEVICE = "cpu"
+_CPU, _GPU = "CPUExecutionProvider", "CUDAExecutionProvider"
 TOLERANCE = 1e-3
 """Largest difference allowed between the exported network and the original, per unit of its largest output."""
 
@@ -36,12 +38,13 @@ def files_sha256(paths: Sequence[Path]) -> str:
     return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
 
 
-def cached_session(name: str, build: Callable[[Path], None]) -> onnxruntime.InferenceSession:
+def cached_session(name: str, build: Callable[[Path], None], device: str = CPU_DEVICE) -> onnxruntime.InferenceSession:
     """Return a session of the network `name` from the cache; build it with `build(path)` if it is missing.
 
     Several processes may build at once: each writes its own file and renames it, so no process reads a partial file.
 
     Raises:
+        ConfigError: `device` asks for a GPU, as `vision.device` does, and none can be used.
         CacheError: the cache cannot be written or read.
         WeightsError: the cached file is damaged.
     """
@@ -56,32 +59,56 @@ def cached_session(name: str, build: Callable[[Path], None]) -> onnxruntime.Infe
         path.open("rb").close()
     except OSError as error:
         raise CacheError(f"cache {path.parent} cannot be used: {error.strerror or error}; {advice}") from error
-    return open_session(path)
+    return open_session(path, device)
 
 
 class _Session(onnxruntime.InferenceSession):
     """Session that a copy or a pickle opens anew from its file, on the machine that has it."""
 
     path: Path
+    device: str
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return open_session, (self.path,)
+        return open_session, (self.path, self.device)
 
 
-def open_session(path: Path) -> onnxruntime.InferenceSession:
-    """Return an onnxruntime session on one thread; raise `WeightsError` if the file is missing or damaged."""
+def open_session(path: Path, device: str = CPU_DEVICE) -> onnxruntime.InferenceSession:
+    """Return an onnxruntime session on one thread.
+
+    Args:
+        path: file of the network.
+        device: as the setting `vision.device`: `cpu`, `gpu`, or `auto` for a GPU where one can be used.
+
+    Raises:
+        ConfigError: `device` is `gpu` and none can be used.
+        WeightsError: the file is missing or damaged.
+    """
     if not path.exists():
         raise WeightsError(f"cached network {path} is missing; load the model from its weights")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 3  # errors only
     try:
-        session = _Session(str(path), options, providers=["CPUExecutionProvider"])
+        session = _Session(str(path), options, providers=_providers(device))
     except Exception as error:  # onnxruntime's errors share no narrower base class
         reason = " ".join(str(error).split())
         raise WeightsError(f"cached network {path} is damaged ({reason}); delete it to have it rebuilt") from error
-    session.path = path
+    session.path, session.device = path, device
+    if device == "gpu" and session.get_providers()[0] != _GPU:
+        raise ConfigError(
+            f"vision.device is 'gpu', and onnxruntime computes with {session.get_providers()[0]} here; allowed is a "
+            "machine with a GPU and the package onnxruntime-gpu in place of onnxruntime, or vision.device=cpu or auto"
+        )
     return session
+
+
+def _providers(device: str) -> list[str]:
+    """Return onnxruntime's names of what may compute, the best first."""
+    if device == CPU_DEVICE or _GPU not in onnxruntime.get_available_providers():
+        return [_CPU]
+    if hasattr(onnxruntime, "preload_dlls"):
+        onnxruntime.preload_dlls()  # CUDA's libraries from the packages that torch brought, where there are any
+    return [_GPU, _CPU]
 
 
 def export(

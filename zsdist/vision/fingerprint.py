@@ -16,13 +16,13 @@ class VisionHashes(Protocol):
 
 @dataclass(frozen=True)
 class VisionIdentity:
-    """Names and hashes of an encoder and of the head on it, or of a student.
+    """Names and hashes of an encoder and of the head on it, or of a network without an encoder.
 
     Attributes:
         encoder: name of the encoder.
         encoder_sha256: SHA-256 of the encoder's weights.
-        network: "head" or "student".
-        weights_sha256: SHA-256 of the weights of the head or the student.
+        network: name of the network, as in `config.vision.network`.
+        weights_sha256: SHA-256 of the network's weights.
     """
 
     encoder: str
@@ -51,20 +51,20 @@ class VisionIdentity:
     def check(self, policy: str, here: "VisionIdentity") -> str | None:
         """Compare the vision model that a policy was trained with (this identity) with the one loaded here.
 
-        Two students may differ in `encoder_sha256`, since a student has no encoder besides its own weights.
+        Two networks without an encoder may differ in `encoder_sha256`, since they are their own encoders.
 
         Args:
             policy: name of the policy, for messages.
             here: identity of the vision model loaded here, which the policy would use.
 
         Returns:
-            One line for the user if only the head or student differs; None if nothing differs.
+            One line for the user if only the weights of the network differ; None if nothing differs.
 
         Raises:
             WeightsError: the encoder here is another one.
         """
-        both_students = self.network == here.network == "student"
-        if self.encoder != here.encoder or (self.encoder_sha256 != here.encoder_sha256 and not both_students):
+        alone = self.network == here.network != "head"
+        if self.encoder != here.encoder or (self.encoder_sha256 != here.encoder_sha256 and not alone):
             raise WeightsError(
                 f"policy {policy} was trained on encoder {self.encoder!r} with weights {self.encoder_sha256[:16]}; "
                 f"the one here is {here.encoder!r} with {here.encoder_sha256[:16]}; allowed is the same encoder"

@@ -41,6 +41,16 @@ def soft_labels(distance_m: np.ndarray) -> np.ndarray:
     return (labels / labels.sum(-1, keepdims=True)).astype(np.float32)
 
 
+def exact_labels(distance_m: np.ndarray) -> np.ndarray:
+    """Return target distributions `(..., BINS)` float32 with all mass on the bin of each true distance in metres.
+
+    They need more pictures than `soft_labels`. A network trained on them keeps its quantiles calibrated where it is
+    sure, since no label is wider than its bin.
+    """
+    distance_m = np.asarray(distance_m, np.float32)
+    return np.eye(BINS, dtype=np.float32)[np.searchsorted(BIN_EDGES_M[1:], distance_m, side="right")]
+
+
 def quantile_m(probabilities: np.ndarray, share: float) -> np.ndarray:
     """Return the quantile `(...)` in metres at `share` of each distribution `(..., BINS)`.
 

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Callable
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Self, TypeVar
 
@@ -17,9 +18,9 @@ from zsdist.vision.encoders import open_encoder
 from zsdist.vision.encoders.base import Encoder, check_images, resample
 from zsdist.vision.exported import cached_session, export
 from zsdist.vision.labels import expected_openness, progress, reward_label
-from zsdist.vision.models import STUDENT_PX
+from zsdist.vision.models import COMPACT_PX, STUDENT_PX
 from zsdist.vision.rays import BIN_CENTRES_M, BIN_EDGES_M, RAYS, quantile_m, ray_angles_rad
-from zsdist.vision.weights_folder import HEAD_FILE, PROJECTION_FILE, STUDENT_FILE, WeightsFolder
+from zsdist.vision.weights_folder import COMPACT_FILE, HEAD_FILE, PROJECTION_FILE, STUDENT_FILE, WeightsFolder
 
 if TYPE_CHECKING:
     import torch
@@ -28,7 +29,9 @@ if TYPE_CHECKING:
 
 Made = TypeVar("Made")
 
-STUDENT_NAME = "student"
+ALONE = {"student": (STUDENT_FILE, STUDENT_PX), "compact": (COMPACT_FILE, COMPACT_PX)}
+"""File of weights and side of the pictures of each network that needs no encoder, by its name in `vision.network`."""
+
 READING_OUTPUTS = ["clearance", "dynamic", "rays"]
 OBSERVATION_OUTPUTS = ["attention", "embeddings"]
 
@@ -60,40 +63,45 @@ class Observation(NamedTuple):
 
 
 class VisualAct:
-    """Encoder and head, or the student, which needs no encoder. Use `VisualAct.load`.
+    """Encoder and head, or a network that needs no encoder. Use `VisualAct.load`.
 
-    The three attributes below identify the vision model that a policy is trained with. A student is its own encoder:
-    its name is `STUDENT_NAME`, and both hashes are those of its weights.
+    Encoder and head are opened when something asks for them: at once where they read the pictures, else for attention
+    and words.
+
+    The three attributes below identify the vision model that a policy is trained with. A network without an encoder is
+    its own encoder: its name is that of the network, and both hashes are those of its weights.
 
     Args:
-        weights: folder of weights; only the file of the network in use is read.
-        encoder: encoder of the head; None: the student is used.
-        ray_quantile: share of the quantile to which a distribution of the clearance is reduced.
+        weights: folder of weights; a file is read when it is needed.
+        config: network, encoder, quantile to which a distribution of the clearance is reduced, and device for readings.
 
     Attributes:
         encoder_name: name of the encoder.
         encoder_sha256: SHA-256 of the encoder's weights, hexadecimal.
-        weights_sha256: SHA-256 of the weights file of head or student, hexadecimal.
+        weights_sha256: SHA-256 of the weights file of the network, hexadecimal.
 
     Raises:
-        WeightsError: weights are missing, damaged, or of another network.
+        WeightsError: weights are missing, damaged, or of another network or encoder.
+        ConfigError: the device is a GPU, and none can be used.
     """
 
-    def __init__(self, weights: WeightsFolder, encoder: Encoder | None, ray_quantile: float) -> None:
-        file = STUDENT_FILE if encoder is None else HEAD_FILE
+    def __init__(self, weights: WeightsFolder, config: VisionConfig) -> None:
+        self._weights, self._network, self._spec = weights, config.network, config.encoder
+        self._alone = config.network != "head"
+        self._quantile = config.ray_quantile
+        file, self._px = ALONE.get(config.network, (HEAD_FILE, 0))
+        self.encoder_name = config.network if self._alone else self._encoder.name
         content = weights.content(file)
         self.weights_sha256 = weights.sha256(file)
-        self.encoder_name = STUDENT_NAME if encoder is None else encoder.name
-        self.encoder_sha256 = self.weights_sha256 if encoder is None else encoder.sha256
-        self._weights = weights
-        self._encoder = encoder
-        self._quantile = ray_quantile
+        self.encoder_sha256 = self.weights_sha256 if self._alone else self._encoder.sha256
         self._angles = ray_angles_rad(RAYS, _field_of_view_rad(weights))
         self._session = cached_session(
             f"{Path(file).stem}-{self.weights_sha256[:16]}-{_code()}",
-            lambda out: _build(weights, content, encoder, out),
+            partial(_build_alone, weights, content, config.network)
+            if self._alone
+            else partial(_build_head, weights, content, self._encoder),
+            config.device,
         )
-        self._attention_session: onnxruntime.InferenceSession | None = None
 
     @classmethod
     def load(cls, config: VisionConfig, camera: CameraConfig) -> Self:
@@ -104,11 +112,7 @@ class VisualAct:
         """
         weights = weights_folder.read(weights_folder.locate(config.weights))
         weights.check_camera(camera)
-        if config.network == "student":
-            return cls(weights, None, config.ray_quantile)
-        encoder = open_encoder(config.encoder)
-        weights.check_encoder(encoder)
-        return cls(weights, encoder, config.ray_quantile)
+        return cls(weights, config)
 
     def __call__(self, images: np.ndarray, goal_bearing_rad: np.ndarray, goal_distance_m: np.ndarray) -> list[View]:
         """Return the view of each image.
@@ -154,44 +158,50 @@ class VisualAct:
         Raises:
             ImageError: `images` has another shape or dtype.
         """
-        if self._encoder is None:
+        if self._alone:
             check_images(images)
-            return Reading(*self._session.run(READING_OUTPUTS, {"image": resample(images, STUDENT_PX)}))
+            return Reading(*self._session.run(READING_OUTPUTS, {"image": resample(images, self._px)}))
         return self.read_tokens(self._encoder.tokens(images))
 
     def read_tokens(self, tokens: np.ndarray) -> Reading:
         """Return the outputs of the head for tokens `(B, side, side, features)` float32 of the encoder.
 
         Raises:
-            WeightsError: the network is the student.
+            WeightsError: the network has no encoder.
         """
-        if self._encoder is None:
-            raise WeightsError("vision.network is 'student', which reads no tokens; allowed is 'head'")
+        if self._alone:
+            raise WeightsError(f"vision.network is {self._network!r}, which reads no tokens; allowed is 'head'")
         return Reading(*self._session.run(READING_OUTPUTS, {"tokens": tokens}))
 
     def observe(self, images: np.ndarray) -> Observation:
-        """Return attention and embeddings of images `(B, px, px, 3)` uint8; the network is loaded at first use.
+        """Return attention and embeddings of images `(B, px, px, 3)` uint8, always by encoder and head.
+
+        They are opened at first use.
 
         Raises:
             ImageError: `images` has another shape or dtype.
-            WeightsError: the network is the student, or the projection is missing from the folder or damaged.
+            WeightsError: the encoder is another one than that of the weights; or head or projection are missing from
+                the folder or damaged.
         """
-        if self._encoder is None:
-            raise WeightsError("vision.network is 'student', which has no word embeddings; allowed is 'head'")
-        if self._attention_session is None:
-            self._attention_session = self._open_attention_reader(self._encoder)
         return Observation(*self._attention_session.run(OBSERVATION_OUTPUTS, {"tokens": self._encoder.tokens(images)}))
 
-    def _open_attention_reader(self, encoder: Encoder) -> onnxruntime.InferenceSession:
-        weights, native = self._weights, encoder.native_projection()
-        head = weights.content(HEAD_FILE)
+    @cached_property
+    def _encoder(self) -> Encoder:
+        encoder = open_encoder(self._spec)
+        self._weights.check_encoder(encoder)
+        return encoder
+
+    @cached_property
+    def _attention_session(self) -> onnxruntime.InferenceSession:
+        weights, encoder = self._weights, self._encoder
+        native, head = encoder.native_projection(), weights.content(HEAD_FILE)
         projection: bytes | dict[str, np.ndarray]
         if weights.has(PROJECTION_FILE) or native is None:
             projection, projection_sha256 = weights.content(PROJECTION_FILE), weights.sha256(PROJECTION_FILE)
         else:
             projection, projection_sha256 = native, encoder.sha256
         return cached_session(
-            f"looking-{self.weights_sha256[:16]}-{projection_sha256[:16]}-{_code()}",
+            f"looking-{weights.sha256(HEAD_FILE)[:16]}-{projection_sha256[:16]}-{_code()}",
             lambda out: _build_attention_reader(weights, head, projection, encoder, out),
         )
 
@@ -207,19 +217,26 @@ def _field_of_view_rad(weights: WeightsFolder) -> float:
     return float(np.radians(weights.metadata["camera"]["field_of_view_deg"]))
 
 
-def _build(weights: WeightsFolder, content: bytes, encoder: Encoder | None, out: Path) -> None:
-    """Export head or student with probabilities as outputs, and check it against torch."""
+def _build_alone(weights: WeightsFolder, content: bytes, network: str, out: Path) -> None:
+    """Export a network that needs no encoder with probabilities as outputs, and check it against torch."""
+    from zsdist.vision.models.compact import Compact
     from zsdist.vision.models.head import Probabilities
     from zsdist.vision.models.student import Student
 
-    if encoder is None:
-        student = Student(_field_of_view_rad(weights))
-        _parse(student.load_state_dict, content, weights.path / STUDENT_FILE)
-        images = np.random.default_rng(0).integers(0, 256, (2, STUDENT_PX, STUDENT_PX, 3), np.uint8)
-        export(Probabilities(student), images, out, "image", READING_OUTPUTS)
-    else:
-        head = _load_head(weights, content, encoder)
-        export(Probabilities(head), _example_tokens(encoder), out, "tokens", READING_OUTPUTS)
+    file, px = ALONE[network]
+    field_of_view_rad = _field_of_view_rad(weights)
+    module: Student | Compact = Student(field_of_view_rad) if network == "student" else Compact(field_of_view_rad)
+    _parse(module.load_state_dict, content, weights.path / file)
+    images = np.random.default_rng(0).integers(0, 256, (2, px, px, 3), np.uint8)
+    export(Probabilities(module), images, out, "image", READING_OUTPUTS)
+
+
+def _build_head(weights: WeightsFolder, content: bytes, encoder: Encoder, out: Path) -> None:
+    """Export the head with probabilities as outputs, and check it against torch."""
+    from zsdist.vision.models.head import Probabilities
+
+    head = _load_head(weights, content, encoder)
+    export(Probabilities(head), _example_tokens(encoder), out, "tokens", READING_OUTPUTS)
 
 
 def _build_attention_reader(

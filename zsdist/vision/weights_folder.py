@@ -20,6 +20,7 @@ from zsdist.vision.encoders.base import Encoder
 METADATA_FILE = "visual_act.json"
 HEAD_FILE = "head.safetensors"
 STUDENT_FILE = "student.safetensors"
+COMPACT_FILE = "compact.safetensors"
 PROJECTION_FILE = "projection.safetensors"
 VOCABULARY_FILE = "vocabulary.safetensors"
 HISTORY_FILE = "training.jsonl"

@@ -103,15 +103,21 @@ def decode(payload: bytes, *, expect: type | tuple[type, ...] | None = None) -> 
     Raises:
         DecodeError: the bytes are not a valid message; `reason` gives the reason in a word.
     """
-    number = frame.read_kind(payload)
-    if number not in _BY_NUMBER:
-        raise DecodeError("kind", str(number))
-    message_type, kind = _BY_NUMBER[number]
+    message_type = type_of(payload)
     if expect is not None and not issubclass(message_type, expect):
         raise DecodeError("unexpected", message_type.__name__)
+    kind = _KINDS[message_type]
     meta, columns = frame.unpack(payload, kind.limit)
     kind.check(meta, columns)
     return kind.build(meta, columns)
+
+
+def type_of(payload: bytes) -> type[AnyMessage]:
+    """Return the type of a message without decoding it; raise `DecodeError` where its header or checksum is wrong."""
+    number = frame.read_kind(payload)
+    if number not in _BY_NUMBER:
+        raise DecodeError("kind", str(number))
+    return _BY_NUMBER[number]
 
 
 # Checks of single fields. All raise `DecodeError`.
@@ -389,4 +395,4 @@ _KINDS: Mapping[type, _Kind] = {
     Priorities: _Kind(11, MIB, _split_priorities, _check_priorities, _build_priorities, frame.PLAIN),
     Admission: _Kind(12, MIB, _plain, _check_admission, lambda meta, columns: Admission(**meta)),
 }
-_BY_NUMBER = {kind.number: (message_type, kind) for message_type, kind in _KINDS.items()}
+_BY_NUMBER = {kind.number: message_type for message_type, kind in _KINDS.items()}

@@ -66,12 +66,12 @@ def ack(run: str, actor: str) -> str:
     return _join(run, "ack", actor)
 
 
-def sample(run: str, level: Level | str, shard: int = 0) -> str:
+def sample(run: str, level: Level | str, shard: int | str = 0) -> str:
     """Return the key of requests for batches to a shard of the replay; shard 0 has the key of an unsharded replay."""
     return _join(run, "sample", level, *((shard,) if shard else ()))
 
 
-def priority(run: str, level: Level | str, shard: int = 0) -> str:
+def priority(run: str, level: Level | str, shard: int | str = 0) -> str:
     """Return the key of the priorities of sampled transitions, learner to a shard of the replay."""
     return _join(run, "priority", level, *((shard,) if shard else ()))
 
@@ -90,7 +90,7 @@ def candidate(run: str, level: Level | str, name: str) -> str:
 
 
 def evaluation(run: str, actor: str) -> str:
-    """Return the key of requests for greedy drives, scheduler to actor, and of their results, actor to scheduler."""
+    """Return the key of an actor's jobs, scheduler to actor, and of the results of its drives, actor to scheduler."""
     return _join(run, "evaluation", actor)
 
 

@@ -171,7 +171,7 @@ class Orders:
 
 @dataclass(frozen=True)
 class Jobs:
-    """Greedy drives that the scheduler wants from an actor: the complete wanted state as a JSON object."""
+    """Orders of the scheduler to one actor: the complete wanted state as a JSON object, sent from time to time."""
 
     sender_epoch: int
     actor: str

@@ -38,6 +38,12 @@ def test_every_item_is_worked_on_by_processes_that_have_begun(count):
     assert (os.getpid() in {process for _, process, *_ in made}) == (count == 1)
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_results_of_endless_items_come_in_order_where_work_goes_ahead(count):
+    with contextlib.closing(each(work, itertools.count(1), count, begin, (10,), ahead=3)) as made:
+        assert [value for value, *_ in itertools.islice(made, 7)] == [10, 20, 30, 40, 50, 60, 70]
+
+
 def test_workers_ignore_ctrl_c_and_use_one_thread_and_the_parent_is_left_as_it_was(monkeypatch):
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from zsdist.config import CameraConfig
-from zsdist.datasets.labelled import label, labelled_views
+from zsdist.datasets.labelled import boxes_of_any_height, fresh_views, label, labelled_views
 from zsdist.errors import SceneError
 from zsdist.sim.camera import make_camera
 from zsdist.sim.scenes.scene import Obstacle, Scene, Start
@@ -53,6 +53,24 @@ def test_the_same_arguments_give_the_same_views_and_another_seed_gives_others():
         once, again = views(varied=varied), views(varied=varied)
         assert all((a.image == b.image).all() and a.pose == b.pose for a, b in zip(once, again, strict=True))
     assert views(seed=6)[0].pose != views(seed=5)[0].pose
+
+
+def test_fresh_views_follow_from_their_seed_and_show_a_scene_several_times():
+    once, again, other = (list(fresh_views(["street", "varied"], "vision", 20, seed, CAMERA)) for seed in (1, 1, 2))
+    assert all((a.image == b.image).all() and a.pose == b.pose for a, b in zip(once, again, strict=True))
+    assert len({view.scene_hash for view in once}) == 2
+    assert not {view.image.tobytes() for view in once} & {view.image.tobytes() for view in other}
+
+
+def test_boxes_get_other_heights_on_the_same_ground_plan():
+    box, tree = Obstacle("box", 4.0, 0.0, None, (2.0, 1.0, 2.0), 30.0), Obstacle("tree", 0.0, 6.0, 1.0)
+    heights = []
+    for seed in range(40):
+        changed, same = boxes_of_any_height(scene(box, tree), np.random.default_rng(seed)).obstacles
+        assert same == tree and changed.size_m[:2] == box.size_m[:2]
+        assert (changed.x_m, changed.y_m, changed.heading_deg) == (4.0, 0.0, 30.0)
+        heights.append(changed.size_m[2])
+    assert min(heights) < 0.8 and max(heights) > 2.2
 
 
 def test_splits_share_no_scene():

@@ -14,7 +14,8 @@ def statuses(folder, endpoint=None):
 def test_certificates_are_looked_at_one_by_one_and_tried_out(tmp_path):
     certificates.make(tmp_path, permissions.HUB, permissions.client_names(1), ["127.0.0.1"], days=90)
     well = statuses(tmp_path)
-    names = {f"certificate {name}" for name in ("hub", "trusted", "monitor", "actor-0")}
+    roles = ("learner-high", "learner-low", "replay")
+    names = {f"certificate {name}" for name in ("hub", "trusted", "monitor", "actor-0", *roles)}
     assert set(well) == names | {"certificate of the hub's host", "zenoh over TLS"}
     assert set(well.values()) == {CheckStatus.OK}
     assert statuses(tmp_path, "tls/10.0.0.10:7447")["certificate of the hub's host"] is CheckStatus.FAIL
@@ -27,6 +28,7 @@ def test_certificates_are_looked_at_one_by_one_and_tried_out(tmp_path):
         "certificate actor-0": CheckStatus.WARN,
         "certificate monitor": CheckStatus.FAIL,
         "certificate trusted": CheckStatus.OK,
+        **{f"certificate {name}": CheckStatus.OK for name in roles},
     }
 
 

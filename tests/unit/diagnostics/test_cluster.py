@@ -1,30 +1,49 @@
 import socket
-import threading
 
 import pytest
+from ray_head import ray_head
 
 from zsdist.diagnostics import cluster
 from zsdist.diagnostics.result import CheckStatus
+from zsdist.errors import RunError
+from zsdist.run.placement import Node
+
+NODES = [Node("1", "10.0.0.1", {"CPU": 4.0}, {}, {}), Node("2", "10.0.0.2", {"CPU": 8.0, "GPU": 1.0}, {}, {})]
 
 
 @pytest.fixture
-def ray_port():
-    """Port at which one connection is answered as Ray's head answers it."""
-
-    def serve():
-        connection, _ = server.accept()
-        with connection:
-            connection.sendall(bytes([0, 0, 0, 4, 0, 0, 0, 0, 0]))
-            connection.recv(100)
-
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        threading.Thread(target=serve, daemon=True).start()
-        yield server.getsockname()[1]
+def ray_port(monkeypatch):
+    """Port of a head that asks for a token; to connect shows two nodes."""
+    for name in ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN_PATH", "RAY_ADDRESS"):
+        monkeypatch.setenv(name, "")
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("RAY_AUTH_TOKEN", "right")
+    monkeypatch.setattr(cluster, "survey", lambda address: NODES)
+    with ray_head("right") as port:
+        yield port
 
 
 @pytest.mark.parametrize("form", ["ray://127.0.0.1:{}", "127.0.0.1:{}"])
-def test_a_cluster_that_answers_is_well(ray_port, form):
-    assert cluster.check_address(form.format(ray_port)).status is CheckStatus.OK
+def test_a_cluster_that_accepts_this_machine_is_well_and_shows_its_nodes(ray_port, form):
+    result = cluster.check_address(form.format(ray_port))
+    assert result.status is CheckStatus.OK
+    assert "2 nodes: 10.0.0.1: 4 cores of Ray; 10.0.0.2: 8 cores of Ray and 1 GPU" in result.found
+
+
+def test_a_cluster_that_answers_and_refuses_the_token_is_not_well(ray_port, monkeypatch):
+    monkeypatch.setenv("RAY_AUTH_TOKEN", "wrong")
+    result = cluster.check_address(f"127.0.0.1:{ray_port}")
+    assert result.status is CheckStatus.FAIL and "refuses the token in RAY_AUTH_TOKEN" in result.found
+    assert "docs/security.md" in result.advice
+
+
+def test_one_that_cannot_be_connected_to_is_not_well(ray_port, monkeypatch):
+    def survey(address):
+        raise RunError("this machine is none of its nodes")
+
+    monkeypatch.setattr(cluster, "survey", survey)
+    result = cluster.check_address(f"127.0.0.1:{ray_port}")
+    assert result.status is CheckStatus.FAIL and "ray start --address" in result.advice
 
 
 def test_a_closed_address_and_a_wrong_one_are_not():

@@ -1,6 +1,9 @@
 """Receiving half alone: accepted frames, times of acknowledgements, and counts."""
 
 import json
+import random
+
+from operations import operations
 
 from zsdist.protocol.inbox import ACK_AFTER_S, ACK_EVERY_FRAMES, HEARTBEAT_S, Inbox
 from zsdist.types import MAX_REASON, Level
@@ -209,3 +212,44 @@ def test_only_what_is_missing_of_an_open_epoch_is_skipped():
     assert inbox.skip("a0", 1, 5, 5) is None and inbox.skip("a9", 2, 5, 5) is None
     assert inbox.skip("a0", 2, 5, 5, closed=True) == 4 and inbox.closed
     assert inbox.skip("a0", 2, 6, 6) is None
+
+
+def work_for_a_frame(actors: int) -> int:
+    """Return the operations for a frame of one of many actors, from its receipt to its acknowledgement."""
+    inbox = listening(**{f"a{index}": 1 for index in range(actors)})
+    assert len(inbox.acks(0.0, unlimited)) == actors
+
+    def once() -> None:
+        inbox.receive(frame(0), 0.01)
+        assert inbox.next_wake(0.01) == 0.01 + ACK_AFTER_S
+        assert [ack.actor for ack in inbox.acks(0.01 + ACK_AFTER_S, unlimited)] == ["a0"]
+        assert not inbox.closed
+
+    return operations(once)
+
+
+def test_a_frame_takes_as_much_work_among_many_actors_as_among_few() -> None:
+    assert work_for_a_frame(2048) < 1.1 * work_for_a_frame(8)
+
+
+def test_acknowledgements_are_due_when_a_look_at_every_actor_would_say_so() -> None:
+    rng, inbox, now = random.Random(0), Inbox(EPISODES), 0.0
+    sent, due = {}, {}  # frames by actor; times at which each is heard of at the latest
+    for _ in range(2000):
+        now += rng.choice((0.0, 0.005, 0.03))
+        actor = f"a{rng.randrange(12)}"
+        if actor not in sent or rng.random() < 0.02:
+            epoch = sent.get(actor, (0, 0))[0] + 1
+            inbox.issue(actor, epoch)
+            sent[actor], due[actor] = (epoch, 0), now
+        elif rng.random() < 0.6:
+            epoch, count = sent[actor]
+            assert len(inbox.receive(frame(count, epoch=epoch, actor=actor), now)) == 1
+            sent[actor], due[actor] = (epoch, count + 1), min(due[actor], now + ACK_AFTER_S)
+        told = {ack.actor: ack for ack in inbox.acks(now, unlimited)}
+        assert {actor for actor, at in due.items() if at <= now} <= told.keys()
+        for actor, ack in told.items():
+            assert (ack.epoch, ack.received) == sent[actor]
+            due[actor] = now + HEARTBEAT_S
+        wake_s = inbox.next_wake(now)
+        assert wake_s is not None and wake_s <= min(due.values())

@@ -1,10 +1,12 @@
 import json
+import random
 from fractions import Fraction
 
 import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from operations import operations
 
 from zsdist.errors import ConfigError, ProtocolError
 from zsdist.replay.limiter import Limiter
@@ -264,3 +266,93 @@ def test_calls_that_contradict_the_counts_are_rejected():
 def test_counts_out_of_range_are_refused_by_name(arguments, message):
     with pytest.raises(ConfigError, match=message):
         Limiter(*arguments)
+
+
+class PlainGrants:
+    """Credit by the rule of `zsdist.replay.limiter`, counted anew over all streams each time."""
+
+    def __init__(self, ratio, grain, band):
+        self.ratio, self.grain, self.band = Fraction(str(ratio)), grain, band
+        self.stored = self.updates = 0
+        self.inserted, self.granted = {}, {}
+
+    def ahead(self, name):
+        return max(self.granted[name] - self.inserted[name], 0)
+
+    def grant(self):
+        names = list(self.inserted)
+        room = int((self.updates + 1) / self.ratio) - self.stored + self.band
+        room += sum(self.grain - self.ahead(name) for name in names)
+        room -= self.top_up(self.grain, room)
+        beyond = sum(max(self.ahead(name) - self.grain, 0) for name in names)
+        self.top_up(self.grain + self.band // len(names), min(room, self.band - beyond))
+
+    def top_up(self, level, room):
+        lacking = {name: level - self.ahead(name) for name in self.inserted if self.ahead(name) < level}
+        wanted, granted = sum(lacking.values()), 0
+        for name, lack in lacking.items() if room > 0 else ():
+            more = lack if room >= wanted else lack * room // wanted
+            self.granted[name] = max(self.granted[name], self.inserted[name]) + more
+            granted += more
+        return granted
+
+
+@pytest.mark.parametrize("ratio", [0.1, 0.5, 1.7])
+def test_grants_are_those_of_a_count_over_all_streams(ratio):
+    rng, opened_in_all, changed = random.Random(int(10 * ratio)), 0, True
+    limiter, plain = Limiter(ratio, 30, 5, 40), PlainGrants(ratio, 5, 40)
+    for _ in range(1500):
+        names = sorted(plain.inserted)
+        draw = rng.random()
+        if not names or (draw < 0.03 and len(names) < 12):
+            name, opened_in_all = f"s{opened_in_all}", opened_in_all + 1
+            limiter.open(name)
+            plain.inserted[name] = plain.granted[name] = 0
+        elif draw < 0.05:
+            name = rng.choice(names)
+            assert limiter.close(name) == plain.ahead(name)
+            del plain.inserted[name], plain.granted[name]
+        elif draw < 0.5:
+            name = rng.choice(names)
+            most = plain.ahead(name) if limiter.limited else 9
+            stored = rng.randint(0, most)
+            limiter.count_inserts(name, stored, most - stored)
+            plain.inserted[name] += most
+            plain.stored += stored
+        elif limiter.allowed and draw < 0.9:
+            limiter.take_batch()
+            plain.updates += 1
+        elif limiter.limited:
+            if changed:
+                plain.grant()
+            assert {name: limiter.credit(name) for name in names} == plain.granted
+            changed = False
+            continue
+        changed = True
+    assert plain.updates > 20
+
+
+def work_for_a_grant(streams, updates):
+    """Return the operations for a grant after one of many streams has inserted; `updates` were made before."""
+    limiter = Limiter(1.0, 1, 8, 256)
+    for index in range(streams):
+        limiter.open(str(index))
+    limiter.count_inserts("0", 1)
+    for index in range(streams):
+        limiter.count_inserts(str(index), limiter.credit(str(index)) or 0)
+    for _ in range(updates):
+        limiter.take_batch()
+    limiter.credit("0")
+
+    def once():
+        limiter.count_inserts("0", 1)
+        limiter.take_batch()
+        limiter.credit("0")
+
+    return operations(once)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.9], ids=["a slow learner", "a quick learner"])
+def test_a_grant_takes_as_much_work_among_many_streams_as_among_few(share):
+    few, many = (work_for_a_grant(streams, int(share * 8 * streams)) for streams in (16, 2048))
+    assert many < 2 * few + 1000

@@ -13,7 +13,7 @@ from zsdist.roles.shapes import SHAPES
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import Ack, Level, Weights
 from zsdist.wire import codec, keys
-from zsdist.wire.messages import Orders, WeightsMessage
+from zsdist.wire.messages import Jobs, Orders, WeightsMessage
 
 RUN, CONFIG = "test", parse({})
 LOW = SHAPES[Level.LOW]
@@ -110,9 +110,8 @@ def test_a_record_that_would_be_refused_ends_the_run_at_once_with_its_value():
         message = WeightsMessage(1, 0, network.sha256(parameters), 1.0, Weights(level, 1, parameters))
         others.publish(keys.weights(RUN, level), codec.encode(message))
         others.publish(keys.ack(RUN, "actor-0"), codec.encode(Ack(1, "actor-0", 1, level, 0, None)))
-    orders = {"epochs": {"actor-0": 1}, "leases": {"actor-0": [1]}, "finished": 0, "merge": 1}
-    content = orders | {"closing": False, "cut": False}
-    others.publish(keys.control(RUN, "actor"), codec.encode(Orders(1, "actor", content)))
+    jobs = {"epoch": 1, "leases": [1], "finished": 0, "merge": 0, "drives": []}
+    others.publish(keys.evaluation(RUN, "actor-0"), codec.encode(Jobs(1, "actor-0", jobs)))
     with pytest.raises(RunError, match=r"actor-0: the record of an episode is out of range: .*return is 1e\+38"):
         for now in (0.0, 0.1, 0.2):
             actor.step(now)
@@ -123,12 +122,14 @@ def test_an_actor_that_is_told_to_leave_cuts_its_cars_and_closes_its_streams_wha
     bench.actor.cars = [car]
     bench.actor.perception = NoPictures()
     car.begin(None, {})
-    content = {"epochs": {"actor-0": 1}, "leases": {}, "finished": 0, "merge": 1, "closing": False, "cut": False}
+    content = {"finished": 0, "merge": 1, "closing": False, "cut": False}
+    jobs = {"epoch": 1, "leases": [], "finished": 0, "merge": 0, "drives": []}
     bench.actor.leave()
     bench.others.publish(keys.control(RUN, "actor"), codec.encode(Orders(1, "actor", content)))
+    bench.others.publish(keys.evaluation(RUN, "actor-0"), codec.encode(Jobs(1, "actor-0", jobs)))
     statistics = bench.statistics(1.0)
     assert car.idle and bench.actor.is_named and statistics["episodes_unacknowledged_frames"] == 1
-    bench.others.publish(keys.control(RUN, "actor"), codec.encode(Orders(1, "actor", content | {"epochs": {}})))
+    bench.others.publish(keys.evaluation(RUN, "actor-0"), codec.encode(Jobs(1, "actor-0", jobs | {"epoch": None})))
     bench.statistics(2.0)
     assert not bench.actor.is_named and not bench.actor.finished
     for stream in ("high", "low", "episodes", "evaluation"):

@@ -22,7 +22,7 @@ def test_each_actor_may_push_under_its_own_name_only():
 
 
 @pytest.mark.parametrize("name", ["hub", "monitor", "actor-0", "actor-2"])
-def test_only_trusted_roles_serve_request_or_publish_weights_and_orders(name):
+def test_neither_actors_nor_watchers_serve_request_or_publish_weights_and_orders(name):
     grant = GRANTS[name]
     assert grant.serve == ()
     assert grant.request == ((keys.join(keys.ANY, name),) if name.startswith("actor-") else ())
@@ -32,7 +32,37 @@ def test_only_trusted_roles_serve_request_or_publish_weights_and_orders(name):
 
 def test_each_actor_with_a_certificate_has_rights_once_and_nobody_else_gets_any():
     grants = permissions.access_list(2, ["actor-1", "actor-7", "actor-4096", "actor-07", "stranger", "hub", "actor-3"])
-    assert [grant.name for grant in grants] == ["trusted", "hub", "monitor", "actor-0", "actor-1", "actor-3", "actor-7"]
+    roles = ["trusted", "hub", "monitor", "replay", "learner-high", "learner-low"]
+    assert [grant.name for grant in grants] == [*roles, "actor-0", "actor-1", "actor-3", "actor-7"]
+
+
+@pytest.mark.parametrize("level", ["high", "low"])
+def test_a_learner_publishes_and_asks_for_its_own_level_only(level):
+    mine, other = GRANTS[f"learner-{level}"], {"high": "low", "low": "high"}[level]
+    for key, allowed in (
+        (keys.weights("run", level), mine.publish),
+        (keys.candidate("run", level, "best"), mine.serve),
+        (keys.priority("run", level, 3), mine.publish),
+        (keys.sample("run", level), mine.request),
+        (keys.sample("run", level, 3), mine.request),
+        (keys.control("run", f"learner-{level}"), mine.serve),
+    ):
+        assert covers(allowed, key)
+        assert not covers(allowed, key.replace(level, other))
+    everything = mine.publish + mine.serve + mine.request
+    for key in (keys.control("run", "actor"), keys.control("run", "scheduler"), keys.push("run", level, "actor-0", 1)):
+        assert not covers(everything, key)
+
+
+def test_the_replay_hears_pushes_and_answers_samples_but_publishes_no_weights_and_no_orders():
+    (grant,) = [grant for grant in permissions.access_list(3, shards=2) if grant.name == permissions.REPLAY]
+    assert covers(grant.subscribe, keys.push("run", "low", "actor-2", 7))
+    for shard in (0, 1):
+        assert covers(grant.serve, keys.sample("run", "low", shard))
+        assert covers(grant.serve, keys.control("run", f"replay-{shard}" if shard else "replay"))
+    assert not covers(grant.serve, keys.control("run", "replay-2"))
+    for key in (keys.weights("run", "low"), keys.control("run", "actor"), keys.episodes("run", "actor-0", 1)):
+        assert not covers(grant.publish + grant.serve, key)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import pytest
 
 from zsdist import config
 from zsdist.common import locks
-from zsdist.errors import RunError
+from zsdist.errors import CompleteError, RunError
 from zsdist.run import directory, opening
 from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.wire.messages import State
@@ -27,8 +27,9 @@ def test_a_run_is_resumed_unless_its_episodes_and_what_follows_them_are_complete
         with contextlib.ExitStack() as held:
             return opening.open_resumed(folder, overrides, lambda line: None, held).config.run.episodes
 
-    with pytest.raises(RunError, match="has finished 2 episodes"):
+    with pytest.raises(RunError, match="has finished 2 episodes") as refused:
         resumed_episodes(wanted - 1)
+    assert isinstance(refused.value, CompleteError) == (ended == "complete")
     assert resumed_episodes(wanted) == wanted
 
 

@@ -7,7 +7,7 @@ from guest_run import GuestRun, SlowCar
 
 from zsdist.roles.actor import Actor
 from zsdist.roles.scheduler.progress import Stage
-from zsdist.run.presence import WAITS_S, Presence
+from zsdist.run.presence import ABSENT_S, WAITS_S, Presence
 from zsdist.run.program import RoleSpec
 
 HERE, AWAY, REPLAY = (RoleSpec(role, number, 1) for role, number in (("actor", "0"), ("actor", "1"), ("replay", "0")))
@@ -55,6 +55,15 @@ def test_who_waits_long_is_told_once_for_each_incarnation():
         news = presence.update([HERE, replay], {"actor-0"}.__contains__, float(now))
         told += [(now, name) for name in news]
     assert told == [(WAITS_S, "replay-0"), (2.5 * WAITS_S, "replay-0")]
+
+
+def test_only_roles_that_a_run_cannot_be_saved_without_are_absent_and_only_after_a_while():
+    presence = Presence()
+    for now in (0.0, ABSENT_S - 0.1, ABSENT_S):
+        presence.update([REPLAY, HERE], {}.__contains__, now)
+        assert presence.absent(now) == (["replay-0"] if now == ABSENT_S else [])
+    presence.update([REPLAY, HERE], {"replay-0"}.__contains__, 2 * ABSENT_S)
+    assert presence.absent(2 * ABSENT_S) == []
 
 
 # -- whole runs -----------------------------------------------------------------------------------------------------
@@ -130,10 +139,10 @@ def test_the_episodes_of_a_lost_actor_are_driven_elsewhere_at_once(run):
     run.finish()
 
 
-@pytest.mark.parametrize("stage", [Stage.TRAIN, Stage.MERGE])
-def test_a_lost_actor_holds_up_no_merge_and_drives_once_it_is_back(run, stage):
+@pytest.mark.parametrize("merging", [False, True])
+def test_a_lost_actor_holds_up_no_merge_and_drives_once_it_is_back(run, merging):
     run = run(run={"episodes": 50}, **MERGES)
-    run.until(lambda: run.stage is stage and run.present["actor-1"].actions > 30)
+    run.until(lambda: run.merging is merging and run.present["actor-1"].actions > 30)
     run.lose("actor-1")
     lost_s, merges = run.now, run.merges
     run.until(lambda: run.merges == merges + 1)

@@ -1,5 +1,7 @@
 """Decisions of the Ray runner that need no cluster; whole runs are in tests/integration/test_launch.py."""
 
+import os
+import re
 import signal
 import threading
 from types import SimpleNamespace
@@ -13,13 +15,13 @@ from rehearsal import kinematic
 from zsdist.common import code_hash, signals
 from zsdist.config import parse
 from zsdist.errors import RunError
-from zsdist.run import program
+from zsdist.run import program, ray_cluster
 from zsdist.run.program import RoleSpec, RunSpec
-from zsdist.run.ray import RoleHost, connect, cores_here, stays_here
+from zsdist.run.ray_cluster import connect
+from zsdist.run.role_host import RoleHost
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.vision.fingerprint import VisionIdentity
 
-ROLES = ("hub", "scheduler", "replay", "learner", "actor")
 SPEC = RoleSpec("actor", "0", 7)
 
 
@@ -40,9 +42,9 @@ class MadeUpSpec:
     """Specification of a run with one made-up role."""
 
     def __init__(self, folder, role):
-        self.folder, self.role, self.closed = folder, role, threading.Event()
+        self.folder, self.role, self.closed, self.config = folder, role, threading.Event(), parse({})
 
-    def connect(self, role_spec, endpoint):
+    def connect(self, role_spec, endpoint, others=()):
         transport = MemoryTransport(MemoryBroker())
         transport.close = self.closed.set
         return transport
@@ -78,15 +80,6 @@ def test_a_stopped_host_steps_no_more(tmp_path):
     assert spec.role.steps == 0
 
 
-def test_roles_with_files_or_the_endpoint_stay_on_the_first_machine():
-    assert {role for role in ROLES if stays_here(RoleSpec(role, "0", 1), parse({}))} == {"hub", "scheduler", "replay"}
-
-
-def test_with_certificates_only_actors_live_on_other_machines(tmp_path):
-    config = parse({"transport": {"tls": str(tmp_path)}})
-    assert {role for role in ROLES if not stays_here(RoleSpec(role, "0", 1), config)} == {"actor"}
-
-
 CLUSTER = {"run": {"address": "head:6379"}, "transport": {"endpoint": "tls/10.0.0.1:7447", "tls": "certificates"}}
 
 
@@ -113,6 +106,17 @@ def test_whatever_ray_raises_at_its_start_is_one_line(monkeypatch, error, settin
         connect(parse(settings))
     text = str(refused.value)
     assert "\n" not in text and "\x1b" not in text and not text.endswith(": ")
+
+
+def test_ray_on_this_machine_has_a_token_of_its_own_and_so_writes_none_into_the_home_folder(monkeypatch, tmp_path):
+    monkeypatch.setenv("RAY_AUTH_TOKEN", "")
+    monkeypatch.delenv("RAY_AUTH_TOKEN")
+    monkeypatch.setenv("RAY_AUTH_TOKEN_PATH", str(tmp_path / "of-a-cluster"))  # Ray would prefer it, or write one
+    seen = []
+    monkeypatch.setattr(ray, "init", lambda **options: seen.append(os.environ["RAY_AUTH_TOKEN"]))
+    connect(parse({}))
+    connect(parse({}))
+    assert len(set(seen)) == 1 and re.fullmatch("[0-9a-f]{64}", seen[0])
 
 
 @pytest.mark.parametrize(("failures", "starts"), [(1, True), (2, True), (3, False)])
@@ -146,29 +150,29 @@ def test_the_handler_that_ray_sets_does_not_stay(monkeypatch):
     assert masks[0] >= set(signals.STOPPING)  # Ray's processes inherit this
 
 
-def test_a_cluster_with_too_few_cores_is_refused(monkeypatch):
-    monkeypatch.setattr(ray, "init", lambda **options: None)
-    monkeypatch.setattr(ray, "cluster_resources", lambda: {"CPU": 0.25})
-    with pytest.raises(RunError, match=r"the cluster has 0\.25; lower run.cpus_per_role or run.actors"):
-        connect(parse({**CLUSTER, "run": {"address": "head:6379", "cpus_per_role": 1.0}}))
+@pytest.fixture
+def cluster(monkeypatch):
+    """Cluster of a head of 5 cores and another node, which a test may change; `ray.init` connects to it."""
 
+    def shutdown():
+        nodes.clear()
 
-def test_a_machine_with_too_few_cores_for_the_roles_that_live_on_it_is_refused(monkeypatch):
+    nodes = {"head": {"CPU": 5.0}, "other": {"CPU": 95.0}}
     monkeypatch.setattr(ray, "init", lambda **options: None)
-    monkeypatch.setattr(ray, "cluster_resources", lambda: {"CPU": 100.0})
+    monkeypatch.setattr(ray, "shutdown", shutdown)
     monkeypatch.setattr(ray, "get_runtime_context", lambda: SimpleNamespace(get_node_id=lambda: "head"))
-    nodes = [{"NodeID": "head", "Resources": {"CPU": 5.0}}, {"NodeID": "other", "Resources": {"CPU": 95.0}}]
-    monkeypatch.setattr(ray, "nodes", lambda: nodes)
+    described = {"Alive": True, "Labels": {}}
+    rows = lambda: [{**described, "NodeID": name, "NodeName": name, "Resources": nodes[name]} for name in nodes]  # noqa: E731
+    monkeypatch.setattr(ray, "nodes", rows)
+    monkeypatch.setattr(ray_cluster, "available_resources_per_node", lambda: nodes)
+    return nodes
+
+
+def test_a_machine_with_too_few_cores_for_the_roles_that_live_on_it_is_refused_and_left(cluster):
     config = parse({**CLUSTER, "run": {"address": "head:6379", "cpus_per_role": 1.0}})
-    assert cores_here(config) == 6.0
-    with pytest.raises(RunError, match=r"on this machine ask for 6 cores of Ray, it has 5 of them; lower"):
+    with pytest.raises(RunError, match=r"on this machine ask for 6 cores of Ray .*, head has 5 cores of Ray; lower"):
         connect(config)
-    nodes[0]["Resources"]["CPU"] = 6.0
-    connect(config)
-
-
-def test_on_a_cluster_a_learner_stays_beside_the_state_that_it_keeps():
-    assert {role for role in ROLES if not stays_here(RoleSpec(role, "0", 1), parse(CLUSTER))} == {"actor"}
+    assert not cluster  # it is disconnected from
 
 
 def test_a_standby_has_read_all_code_before_it_becomes_an_actor(tmp_path):
@@ -180,3 +184,9 @@ def test_a_standby_has_read_all_code_before_it_becomes_an_actor(tmp_path):
     assert read == 1
     program.reading_fingerprint(settings, FakeVisualAct())
     assert code_hash.sha256.cache_info().misses == read
+
+
+def test_a_cluster_that_fits_gives_every_needed_role_a_node(cluster):
+    cluster["head"]["CPU"] = 6.0
+    plan = connect(parse({**CLUSTER, "run": {"address": "head:6379", "cpus_per_role": 1.0}}))
+    assert {node.id for node in plan.nodes.values()} == {plan.here} == {"head"} and len(plan.nodes) == 6

@@ -29,26 +29,37 @@ run.checkpoint_every_s run.checkpoints_kept run.standby run.address run.final_ev
 scenes.train scenes.train_scenes scenes.test
 sim.step_s sim.max_steps sim.success_radius_m
 camera.back_end camera.size_px camera.field_of_view_deg camera.range_m camera.height_m camera.forward_m
-vision.weights vision.encoder vision.network vision.rays vision.ray_quantile vision.cache_bytes
+cluster.hubs cluster.KIND.node cluster.KIND.labels cluster.KIND.cpus cluster.KIND.gpus cluster.KIND.memory_bytes
+vision.weights vision.encoder vision.network vision.rays vision.ray_quantile vision.cache_bytes vision.device
 reward.goal reward.collision reward.safe reward.step reward.literal
 agent.epsilon_decay agent.epsilon_min agent.guide_share agent.option_max_steps agent.shield_share agent.attraction
 agent.repulsion agent.influence_m agent.trail agent.high_policy agent.low_policy agent.explored_share
 LEVEL.learning_rate LEVEL.discount LEVEL.reward_scale LEVEL.double LEVEL.huber LEVEL.target_tau
 LEVEL.max_gradient_norm LEVEL.guide_margin LEVEL.guide_margin_weight LEVEL.min_size
-replay.shards replay.fsync_ms replay.n_step replay.prioritised replay.priority_exponent
+replay.shards replay.fsync_ms replay.journals replay.n_step replay.prioritised replay.priority_exponent
 replay.importance_exponent replay.adaptive
 replay.size_min replay.size_max replay.batch_min replay.batch_max replay.grow_rate replay.grow_threshold
 replay.shrink_rate replay.shrink_threshold replay.average_episodes replay.target_return replay.max_bytes
 merge.every_episodes merge.validation_scenes merge.drive_steps merge.distil_updates merge.drop_after_scenes
+merge.share
 transport.kind transport.endpoint transport.tls transport.mailbox_bytes transport.window_frames
 transport.resend_after_s transport.give_up_after_s
 """  # by the role that uses it; no state that is restored contains it or follows from it
-READ = {key.replace("LEVEL", level) for key in READ_AT_THE_START.split() for level in ("high", "low")}
+PLACED = ("learner", "replay", "actor")
+READ = {
+    key.replace("LEVEL", level).replace("KIND", kind)
+    for key in READ_AT_THE_START.split()
+    for level in ("high", "low")
+    for kind in PLACED
+}
 TOGETHER = {  # settings that are changed with another one, without which they would not be allowed
     "placement": ("transport.kind=memory",),
     "transport.kind": ("placement=inline",),
     "run.address": ("transport.tls=/made", "transport.endpoint=tls/h:1"),
     "transport.tls": ("transport.endpoint=tls/h:1",),
+    "cluster.replay.node": ("replay.journals=/made",),
+    "cluster.learner.labels": ("cluster.learner.node=any",),
+    "cluster.replay.labels": ("cluster.replay.node=any", "replay.journals=/made"),
 }
 OTHER = {
     "replay.fsync_ms": "5",
@@ -56,6 +67,9 @@ OTHER = {
     "transport.endpoint": "tcp/127.0.0.1:1",
     "scenes.train": "[iid]",
     "run.actors": "9",
+    "cluster.hubs": "[tls/h:1@rack=a]",
+    **{f"cluster.{kind}.labels": "rack=a" for kind in PLACED},
+    **{f"cluster.{kind}.cpus": "2" for kind in PLACED},
 }
 
 

@@ -275,6 +275,17 @@ def test_an_empty_mailbox_accepts_a_message_above_its_budget() -> None:
     assert box.append(Message("k", bytes(100)))
 
 
+def test_messages_in_process_count_until_the_mailbox_is_drained_again() -> None:
+    box = Mailbox(100)
+    assert box.append(Message("k", bytes(60)))
+    processed = box.drain()
+    assert box.append(Message("k", bytes(30)))
+    assert not box.append(Message("k", bytes(30)))  # 60 are processed, 30 wait
+    del processed
+    assert len(box.drain()) == 1
+    assert box.append(Message("k", bytes(30))) and box.append(Message("k", bytes(30)))
+
+
 @pytest.mark.parametrize(
     ("pattern", "key", "expected"),
     [
@@ -397,7 +408,8 @@ def test_the_token_of_a_killed_process_disappears(hub: ZenohHub, root: str) -> N
     try:
         assert [message.payload for message in box.wait(1, 30.0)] == [b"1"]
         process.send_signal(signal.SIGKILL)
-        assert [message.payload for message in box.wait(2)] == [b"1", b"0"]
+        told = [message.payload for message in box.wait(2)]  # some versions of zenoh say twice that a token is gone
+        assert told[0] == b"1" and set(told[1:]) == {b"0"}
     finally:
         process.kill()
         process.wait()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from zsdist.errors import CacheError, WeightsError
+from zsdist.errors import CacheError, ConfigError, WeightsError
 from zsdist.vision.exported import cached_session, export, file_sha256
 
 EXAMPLE = np.arange(6, dtype=np.float32).reshape(2, 3)
@@ -127,3 +127,13 @@ def test_nothing_of_the_use_of_networks_is_reported_to_others():
     code = "import os, zsdist.vision.exported; print(os.environ['ORT_DISABLE_TELEMETRY'])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "1\n"
+
+
+def test_where_there_is_no_gpu_one_that_is_asked_for_is_missed_and_one_that_would_be_nice_is_not():
+    session = copy.copy(cached_session("twice", build, "auto"))
+    assert session.device == "auto"
+    np.testing.assert_allclose(session.run(["y"], {"x": EXAMPLE})[0], 2 * EXAMPLE)
+    with pytest.raises(
+        ConfigError, match=r"vision.device is 'gpu', .* CPUExecutionProvider here; allowed is .*onnxruntime-gpu"
+    ):
+        cached_session("twice", build, "gpu")

@@ -27,12 +27,13 @@ def test_another_head_on_the_same_encoder_is_reported_in_one_line():
     assert "head bbbb" in line and "head dddd" in line and "\n" not in line
 
 
-def test_another_student_is_reported_and_a_student_in_place_of_a_head_is_refused():
-    student = VisionIdentity("student", "e" * 64, "student", "e" * 64)
-    other = replace(student, encoder_sha256="f" * 64, weights_sha256="f" * 64)
-    assert "student eeee" in student.check("runs/x", other)
-    with pytest.raises(WeightsError, match=r"'clip/b'.*'student'"):
-        TRAINED.check("runs/x", student)
+@pytest.mark.parametrize("network", ["student", "compact"])
+def test_other_weights_of_a_network_without_an_encoder_are_reported_and_one_in_place_of_a_head_is_refused(network):
+    alone = VisionIdentity(network, "e" * 64, network, "e" * 64)
+    other = replace(alone, encoder_sha256="f" * 64, weights_sha256="f" * 64)
+    assert f"{network} eeee" in alone.check("runs/x", other)
+    with pytest.raises(WeightsError, match=rf"'clip/b'.*'{network}'"):
+        TRAINED.check("runs/x", alone)
 
 
 def test_an_identity_reads_back_from_json():

@@ -3,7 +3,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zsdist.vision.rays import BIN_EDGES_M, BINS, NEAREST_M, RANGE_M, RAYS, quantile_m, ray_angles_rad, soft_labels
+from zsdist.vision.rays import (
+    BIN_EDGES_M,
+    BINS,
+    NEAREST_M,
+    RANGE_M,
+    RAYS,
+    exact_labels,
+    quantile_m,
+    ray_angles_rad,
+    soft_labels,
+)
 
 
 def certain(bin_):
@@ -32,6 +42,16 @@ def test_a_soft_label_is_a_distribution_around_the_true_bin(distance):
     assert label.sum() == pytest.approx(1, abs=1e-5)
     true_bin = np.clip(np.searchsorted(BIN_EDGES_M, distance, "right") - 1, 0, BINS - 1)
     assert abs(label.argmax() - true_bin) <= 1
+
+
+@given(st.floats(0.0, 20.0))
+def test_an_exact_label_has_all_mass_on_the_bin_that_holds_the_distance(distance):
+    label = exact_labels(np.array([distance]))[0]
+    (bin_,) = np.flatnonzero(label)
+    assert label[bin_] == 1.0 and label.dtype == np.float32
+    assert (bin_ == BINS - 1) == (np.float32(distance) >= np.float32(RANGE_M))
+    if NEAREST_M < distance < RANGE_M * 0.9999:
+        assert BIN_EDGES_M[bin_] <= np.float32(distance) <= BIN_EDGES_M[bin_ + 1]
 
 
 def test_only_what_is_beyond_the_range_is_free():

@@ -12,13 +12,24 @@ from zsdist.config import CameraConfig, VisionConfig
 from zsdist.datasets.labelled import labelled_views
 from zsdist.errors import ImageError, WeightsError
 from zsdist.vision.encoders.lite0 import FEATURES, INPUT_PX, SIDE, EfficientNetLite0
-from zsdist.vision.models import STUDENT_PX
+from zsdist.vision.models import COMPACT_PX, STUDENT_PX
+from zsdist.vision.models.compact import Compact
 from zsdist.vision.models.head import Probabilities, VisualActHead
 from zsdist.vision.models.projection import Projection, attended_embeddings, image_embedding, projection_of
 from zsdist.vision.models.student import Student
 from zsdist.vision.rays import BINS, RAYS
 from zsdist.vision.visual_act import VisualAct
-from zsdist.vision.weights_folder import HEAD_FILE, METADATA_FILE, PROJECTION_FILE, STUDENT_FILE, read, write
+from zsdist.vision.weights_folder import (
+    COMPACT_FILE,
+    HEAD_FILE,
+    METADATA_FILE,
+    PROJECTION_FILE,
+    STUDENT_FILE,
+    read,
+    write,
+)
+
+ALONE = {"student": (STUDENT_FILE, STUDENT_PX), "compact": (COMPACT_FILE, COMPACT_PX)}
 
 CAMERA = CameraConfig()
 
@@ -29,14 +40,14 @@ def made(tmp_path_factory):
     encoder = EfficientNetLite0()
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        head, student = VisualActHead(FEATURES, SIDE, np.pi / 2), Student(np.pi / 2)
+        head, student, compact = VisualActHead(FEATURES, SIDE, np.pi / 2), Student(np.pi / 2), Compact(np.pi / 2)
         projection = Projection(FEATURES, 6)
     folder = tmp_path_factory.mktemp("weights")
     metadata = {
         "encoder": {"name": encoder.name, "sha256": encoder.sha256},
         "camera": {"field_of_view_deg": 90.0, "range_m": 5.0, "height_m": 1.0},
     }
-    modules = {HEAD_FILE: head, STUDENT_FILE: student, PROJECTION_FILE: projection}
+    modules = {HEAD_FILE: head, STUDENT_FILE: student, COMPACT_FILE: compact, PROJECTION_FILE: projection}
     write(folder, {file: safetensors.torch.save(module.state_dict()) for file, module in modules.items()}, metadata)
     return folder
 
@@ -170,10 +181,10 @@ def empty_cache(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("content", [b"", b"no tensors", safetensors.torch.save({"weight": torch.zeros(2)})])
 def test_weights_of_another_network_are_refused_in_one_line(folder, empty_cache, content):
-    rewritten(folder, head=content, student=content, projection=content)
+    rewritten(folder, head=content, student=content, compact=content, projection=content)
     for stem, use in (
         ("head", lambda: load(folder)),
-        ("student", lambda: load(folder, network="student")),
+        *((network, lambda network=network: load(folder, network=network)) for network in ALONE),
     ):
         with pytest.raises(WeightsError, match=rf"{stem}\.safetensors are not those of a {stem}: ") as refusal:
             use()
@@ -219,19 +230,21 @@ def test_a_network_built_from_other_code_is_rebuilt(folder, empty_cache, monkeyp
     assert np.abs(first[2] - other[2]).max() > 1e-4
 
 
-def test_the_student_gives_views_without_any_encoder_at_any_resolution(made, monkeypatch):
+@pytest.mark.parametrize("network", ALONE)
+def test_a_network_without_an_encoder_gives_views_at_any_resolution(made, monkeypatch, network):
     monkeypatch.setattr("zsdist.vision.visual_act.open_encoder", pytest.fail)
-    model = load(made, network="student")
-    for px in (STUDENT_PX, INPUT_PX):
+    model, (file, own_px) = load(made, network=network), ALONE[network]
+    for px in (own_px, INPUT_PX):
         views = model(images(2, px), np.zeros(2), np.full(2, 6.0))
         assert len(views) == 2 and views[0].ray_probabilities.shape == (RAYS, BINS)
         np.testing.assert_allclose(views[0].ray_probabilities.sum(1), 1, atol=1e-5)
-    assert model.encoder_name == "student" and model.encoder_sha256 == model.weights_sha256
-    assert model.weights_sha256 == read(made).sha256(STUDENT_FILE) != read(made).sha256(HEAD_FILE)
+    assert model.encoder_name == network and model.encoder_sha256 == model.weights_sha256
+    assert model.weights_sha256 == read(made).sha256(file) != read(made).sha256(HEAD_FILE)
 
 
-def test_the_student_takes_a_picture_of_its_own_size_without_resampling(made, monkeypatch):
-    model, pictures = load(made, network="student"), images(1, STUDENT_PX)
+@pytest.mark.parametrize("network", ALONE)
+def test_a_picture_of_the_networks_own_size_is_not_resampled(made, monkeypatch, network):
+    model, pictures = load(made, network=network), images(1, ALONE[network][1])
     expected = model.read(pictures)
     monkeypatch.setattr("zsdist.vision.encoders.base._coverage", pytest.fail)
     for one, other in zip(model.read(pictures), expected, strict=True):
@@ -243,9 +256,19 @@ def test_the_student_ignores_the_encoder_of_the_weights(folder):
     assert load(folder, network="student").encoder_name == "student"
 
 
-def test_the_student_refuses_to_observe(made):
-    with pytest.raises(WeightsError, match=r"vision\.network is 'student'.*allowed is 'head'"):
-        load(made, network="student").observe(images(1))
+@pytest.mark.parametrize("network", ALONE)
+def test_a_network_without_an_encoder_reads_no_tokens_but_observes_as_the_head_does(made, network):
+    model, pictures = load(made, network=network), images(2)
+    with pytest.raises(WeightsError, match=rf"vision\.network is '{network}'.*allowed is 'head'"):
+        model.read_tokens(np.zeros((1, SIDE, SIDE, FEATURES), np.float32))
+    for one, other in zip(model.observe(pictures), load(made).observe(pictures), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_weights_of_another_encoder_are_refused_once_a_network_without_one_observes(folder):
+    rewrite(folder, lambda metadata: metadata["encoder"].update(name="resnet"))
+    with pytest.raises(WeightsError, match=r"'resnet'.*efficientnet-lite0"):
+        load(folder, network="compact").observe(images(1))
 
 
 def test_a_folder_without_a_student_or_a_projection_is_refused_by_name(folder):
@@ -284,7 +307,7 @@ def test_an_encoder_with_its_own_projection_needs_none_in_the_folder(folder, emp
     )
 
 
-@pytest.mark.parametrize("network", ["head", "student"])
+@pytest.mark.parametrize("network", ["head", *ALONE])
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -305,15 +328,15 @@ def test_arrays_that_are_no_images_are_refused_in_one_line(made, network, wrong)
         assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("network", ["head", "student"])
+@pytest.mark.parametrize("network", ["head", "compact"])
 def test_a_built_model_reads_and_observes_without_torch(made, network):
     load(made, network=network), load(made).observe(images(1))
-    look = "m.observe(i);" if network == "head" else ""
+
     code = (
         "import sys, numpy as np; from zsdist.config import CameraConfig, VisionConfig;"
         "from zsdist.vision.visual_act import VisualAct;"
         f"m = VisualAct.load(VisionConfig(weights={str(made)!r}, network={network!r}), CameraConfig());"
-        f"i = np.zeros((1, 224, 224, 3), np.uint8); m(i, np.zeros(1), np.ones(1)); {look}"
+        f"i = np.zeros((1, 224, 224, 3), np.uint8); m(i, np.zeros(1), np.ones(1)); m.observe(i);"
         "print('torch' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -26,7 +26,7 @@ from zsdist.vision.encoders import open_encoder
 from zsdist.vision.labels import nearest, openness, progress, reward_label
 from zsdist.vision.rays import RAYS, ray_angles_rad
 from zsdist.vision.scores import action_scores, depth_rays_m, ray_scores
-from zsdist.vision.visual_act import VisualAct
+from zsdist.vision.visual_act import ALONE, VisualAct
 
 FIGURES = ("best_action_accuracy", "regret", "mae", "miss_rate", "false_alarm_rate")
 YARDSTICKS = ("always_forward", "goal_only", "depth_oracle")
@@ -77,10 +77,10 @@ def check(
 
     def on_batch(batch: list[Sample]) -> None:
         depth_rays.extend(_depth_rays(sample.depth_m, config.camera) for sample in batch)
-        if observations is not None:
-            observations.add(batch)
 
     wild = predict(model, wilderness(images, seed, config.camera), config.vision.ray_quantile, rng, on_batch)
+    if observations is not None:
+        observations.add_wilderness(images, seed, config)
     log(f"wilderness: {images} pictures done")
     sets = {}
     for name in SETS:
@@ -164,11 +164,11 @@ def unseen_in_one_picture(predictions: Iterable[Predictions]) -> dict[str, Any]:
 def milliseconds(config: Config, seed: int, left_out: dict[str, str]) -> dict[str, float]:
     """Return the median milliseconds for one new picture at a time.
 
-    `trunk` is the encoder alone, `head` the prediction by encoder and head, `student` the prediction by the student.
+    `trunk` is the encoder alone, `head` the prediction by encoder and head, the others are networks without an encoder.
     """
     pictures = [sample.image[None] for sample in wilderness(_TIMED + _UNTIMED, seed + 1, config.camera)]
     times = {}
-    for name in ("head", "student"):
+    for name in ("head", *ALONE):
         try:
             network = VisionConfig(**config.vision.model_dump() | {"network": name})
             times[name] = _median_ms(VisualAct.load(network, config.camera).read, pictures)

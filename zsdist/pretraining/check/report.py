@@ -58,7 +58,9 @@ def _write(model: VisualAct, config: Config, images: int, seed: int, out: Path) 
     observations = words.Observations.create(model, config, left_out)
     quantile, rng = config.vision.ray_quantile, random_streams.check_goals(seed)
     samples = list(wilderness(images, seed, config.camera))
-    wild = predict(model, samples, quantile, rng, observations.add if observations is not None else lambda batch: None)
+    wild = predict(model, samples, quantile, rng)
+    if observations is not None:
+        observations.add_wilderness(images, seed, config)
     misses = worst_misses(wild, samples, WILDERNESS.title, _MISSES_OF_A_SET)
     sets = {}
     for name, pictures in SETS.items():

@@ -12,7 +12,7 @@ from zsdist.config import CameraConfig, Config
 from zsdist.datasets.captioned import captioned_views
 from zsdist.errors import WeightsError
 from zsdist.pretraining.batches import BATCH, batched
-from zsdist.pretraining.check.sets import Sample
+from zsdist.pretraining.check.sets import Sample, wilderness
 from zsdist.sim.scenes.kinds import KINDS
 from zsdist.sim.scenes.manifest import MANIFEST
 from zsdist.vision import weights_folder
@@ -20,7 +20,7 @@ from zsdist.vision.encoders import open_encoder
 from zsdist.vision.encoders.base import Encoder
 from zsdist.vision.rays import RAYS, ray_angles_rad
 from zsdist.vision.visual_act import VisualAct
-from zsdist.vision.weights_folder import PROJECTION_FILE, VOCABULARY_FILE
+from zsdist.vision.weights_folder import HEAD_FILE, PROJECTION_FILE, VOCABULARY_FILE
 from zsdist.vision.words.measures import LEFT_OUT, naming_accuracy, words_of_kinds
 from zsdist.vision.words.table3 import COLUMNS, background_share, directions_of, object_share, only_direction, table3
 from zsdist.vision.words.vocabulary import GROUND_WORDS, KIND_WORDS, TABLE3_WORDS, Vocabulary, shipped_words
@@ -75,6 +75,11 @@ class Observations:
         self._distances += [sample.truth["ray_clearance_m"] for sample in batch]
         self._grounds += [sample.scene.ground for sample in batch]
 
+    def add_wilderness(self, images: int, seed: int, config: Config) -> None:
+        """Add pictures of the wilderness, as the encoder takes them; the check has others where the camera's differ."""
+        for batch in batched(wilderness(images, seed, camera_for_words(config)), BATCH):
+            self.add(batch)
+
     def figures(self) -> dict[str, Any]:
         """Return `table3` with the paper's figures, and `attention` to objects and grounds."""
         embeddings = np.concatenate(self._embeddings)
@@ -105,6 +110,16 @@ class Observations:
                 },
             },
         }
+
+
+def camera_for_words(config: Config) -> CameraConfig:
+    """Return the camera whose pictures attention and words are measured on.
+
+    It is the car's, in the encoder's resolution if the car's network needs no encoder and has another one.
+    """
+    if config.vision.network == "head":
+        return config.camera
+    return config.camera.model_copy(update={"size_px": open_encoder(config.vision.encoder).input_px})
 
 
 def word_rows(config: Config) -> dict[str, np.ndarray]:
@@ -154,7 +169,7 @@ def naming(config: Config, seed: int, count: int, unseen_kinds: bool, left_out: 
     token_batches: list[np.ndarray] = []
     kinds: list[str] = []
     for batch in batched(
-        captioned_views(MANIFEST["word-training"].families, "test", count, seed, config.camera), BATCH
+        captioned_views(MANIFEST["word-training"].families, "test", count, seed, camera_for_words(config)), BATCH
     ):
         token_batches.append(encoder.tokens(np.stack([view.image for view in batch])).astype(np.float16))
         kinds += [view.dominant for view in batch]
@@ -242,10 +257,8 @@ def _word_examples(encoder: Encoder, count: int, seed: int, camera: CameraConfig
 
 def _reason_without_words(config: Config) -> str | None:
     """Return the reason why the weights have no words; None if they have words."""
-    if config.vision.network == "student":
-        return "the student has no attention and no words; allowed is vision.network=head"
     weights = weights_folder.read(weights_folder.locate(config.vision.weights))
-    missing = [file for file in (PROJECTION_FILE, VOCABULARY_FILE) if not weights.has(file)]
+    missing = [file for file in (HEAD_FILE, PROJECTION_FILE, VOCABULARY_FILE) if not weights.has(file)]
     return f"weights {weights.path} lack {' and '.join(missing)}" if missing else None
 
 

@@ -8,19 +8,21 @@ from typing import Any
 class Leases:
     """Assignment of training episodes to actors.
 
-    Numbers are granted in order up to a `barrier` (the next merge), so that no episode is in flight when the barrier is
-    reached. The numbers of a dead actor are granted again. Memory and time depend on the numbers that are not finished,
-    not on those that are.
+    Numbers are granted in order up to a `barrier`, so that no episode is in flight when the barrier is reached. The
+    numbers of a dead actor are granted again. Memory and time depend on the numbers that are not finished, not on those
+    that are.
 
     Attributes:
         holders: actor that holds each number.
         finished_count: count of finished numbers.
+        changed: actors whose numbers have changed since `take_changed`.
     """
 
     def __init__(self, finished: Iterable[int] = ()) -> None:
         done = set(finished)
         self.holders: dict[int, str] = {}
         self.finished_count = len(done)
+        self.changed: set[str] = set()
         self._held: dict[str, set[int]] = {}  # numbers that each actor holds
         self._next = max(done, default=0) + 1  # this and all higher numbers have never been granted
         self._free = [number for number in range(1, self._next) if number not in done]  # lower ones to grant: a heap
@@ -30,6 +32,10 @@ class Leases:
         """All finished numbers."""
         return set(range(1, self._next)) - self.holders.keys() - set(self._free)
 
+    def left(self, barrier: int) -> int:
+        """Return how many numbers may be granted; `barrier` as in `grant`."""
+        return max(0, barrier - self.finished_count - len(self.holders))
+
     def grant(self, actor: str, capacity: int, barrier: int) -> bool:
         """Grant the lowest free numbers to `actor` until it holds `capacity` of them; return whether any was granted.
 
@@ -38,14 +44,21 @@ class Leases:
         """
         held = self._held.setdefault(actor, set())
         before = len(held)
-        while len(held) < capacity and self.finished_count + len(self.holders) < barrier:
+        while len(held) < capacity and self.left(barrier):
             if self._free:
                 number = heapq.heappop(self._free)
             else:
                 number, self._next = self._next, self._next + 1
             self.holders[number] = actor
             held.add(number)
+        if len(held) > before:
+            self.changed.add(actor)
         return len(held) > before
+
+    def take_changed(self) -> set[str]:
+        """Return the actors whose numbers have changed since the last call."""
+        changed, self.changed = self.changed, set()
+        return changed
 
     def finish(self, number: int, actor: str) -> bool:
         """Mark `number` finished; return False, and change nothing, where `actor` does not hold it (any more)."""
@@ -53,11 +66,13 @@ class Leases:
             return False
         del self.holders[number]
         self._held[actor].remove(number)
+        self.changed.add(actor)
         self.finished_count += 1
         return True
 
     def give_back(self, actor: str) -> list[int]:
         """Free all numbers that `actor` holds, as after its death, and return them."""
+        self.changed.add(actor)
         numbers = sorted(self._held.pop(actor, ()))
         for number in numbers:
             del self.holders[number]

@@ -77,6 +77,7 @@ _GLASS = (0.10, 0.13, 0.16)
 _SKIN = (0.72, 0.54, 0.43)
 _TROUSERS = (0.18, 0.20, 0.28)
 _LIGHT = 1.4  # sunlight and ambient light together
+_DISGUISED_SHARE = 0.7  # share of the obstacles of a disguised scene that have the colours of the ground
 _ROAD_SHARE = 0.6  # share of varied appearances of a street that show its road; the rest have any ground
 _PAVEMENT = (0.78, 0.77, 0.74)
 _STREET_FURNITURE_M = 1.2  # boxes higher than this get bricks or windows
@@ -132,6 +133,18 @@ def varied(scene: Scene, primitives: Primitives, rng: np.random.Generator) -> Ap
         materials[:, 6:8] = Texture.PLAIN, 0.0
         ground[6:8], ground[12], sky[6] = (Pattern.NONE, 0.0), 0.0, 0.0
     return Appearance(materials, ground, sky, _light(rng, (0.35, 0.8), 0.25))
+
+
+def disguised(appearance: Appearance, primitives: Primitives, rng: np.random.Generator) -> Appearance:
+    """Return an appearance in which most obstacles have about the colours of the ground, and no figure of their own."""
+    materials = appearance.materials.copy()
+    for owner in np.unique(primitives.owners):
+        if rng.random() < _DISGUISED_SHARE:
+            rows = primitives.owners == owner
+            ground = appearance.ground[:3], appearance.ground[3:6]
+            materials[rows, :3], materials[rows, 3:6] = (_near(tuple(colour), rng, 0.03, 0.12) for colour in ground)
+            materials[rows, 6] = Texture.PLAIN
+    return Appearance(materials, appearance.ground, appearance.sky, appearance.light)
 
 
 def _natural_materials(obstacle: Obstacle, rng: np.random.Generator) -> dict[Part, np.ndarray]:

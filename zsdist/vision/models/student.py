@@ -55,7 +55,7 @@ class Student(nn.Module):
         # divisors of the logits; `training.calibration` fits them after the training
         self.register_buffer("clearance_temperature", torch.ones(()))
         self.register_buffer("rays_temperature", torch.ones(()))
-        self.register_buffer("allowed", _allowed(field_of_view_rad), persistent=False)
+        self.register_buffer("allowed", allowed_columns(field_of_view_rad), persistent=False)
 
     def forward(self, images: Tensor) -> HeadOutput:
         """Return the output for pictures `(B, 128, 128, 3)`, 0 to 255; the attention `(B, 3, RAYS)` is over columns."""
@@ -70,7 +70,7 @@ class Student(nn.Module):
         return HeadOutput(actions[..., :BINS], actions[..., BINS], self.ray_bins(columns).transpose(1, 2), weights)
 
 
-def _allowed(field_of_view_rad: float) -> Tensor:
+def allowed_columns(field_of_view_rad: float) -> Tensor:
     """Return the columns that each action may attend to, `(3, RAYS)` bool."""
     own = sectors(ray_angles_rad(RAYS, field_of_view_rad))
     near = np.abs(np.arange(RAYS)[:, None] - np.arange(RAYS)) <= MARGIN_COLUMNS

@@ -1,5 +1,6 @@
 """Encoded pictures with their truth, and batches of them with labels."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,7 +56,13 @@ class Targets:
     reward: torch.Tensor
 
 
-def targets(examples: Examples, index: np.ndarray, mirrored: np.ndarray, rng: np.random.Generator) -> Targets:
+def targets(
+    examples: Examples,
+    index: np.ndarray,
+    mirrored: np.ndarray,
+    rng: np.random.Generator,
+    labels: Callable[[np.ndarray], np.ndarray] = soft_labels,
+) -> Targets:
     """Return the views `index` `(B,)` with labels and random goals; they are mirrored where `mirrored` `(B,)` is true.
 
     The tokens of a mirrored image are nearly the mirrored tokens, so no image needs to be encoded twice.
@@ -72,8 +79,8 @@ def targets(examples: Examples, index: np.ndarray, mirrored: np.ndarray, rng: np
     reward = reward_label(openness(clearance_m, dynamic, goal_distance[:, None]), gain).astype(np.float32)
     parts = (
         tokens,
-        soft_labels(distance),
-        soft_labels(clearance_m),
+        labels(distance),
+        labels(clearance_m),
         dynamic.astype(np.float32),
         clearance_m < RANGE_M,
         goal_distance,

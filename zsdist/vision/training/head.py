@@ -14,7 +14,7 @@ from torch import nn
 
 from zsdist.vision.labels import expected_openness, reward_label
 from zsdist.vision.models.head import VisualActHead
-from zsdist.vision.rays import BIN_CENTRES_M
+from zsdist.vision.rays import BIN_CENTRES_M, soft_labels
 from zsdist.vision.training.examples import Examples, Targets, targets, token_spread
 from zsdist.vision.training.losses import action_losses, distance_loss, kind_loss, total_loss
 from zsdist.vision.training.trainer import Losses, Recipe, Trainer
@@ -96,7 +96,12 @@ def train(
     return Trainer(head, recipe, steps, losses, lambda: validate(head, validation, recipe.batch), rng, time_used)
 
 
-def validate(network: nn.Module, examples: Examples, batch: int) -> dict[str, float]:
+def validate(
+    network: nn.Module,
+    examples: Examples,
+    batch: int,
+    labels: Callable[[np.ndarray], np.ndarray] = soft_labels,
+) -> dict[str, float]:
     """Return the mean of each part of the loss over `examples`, with the same goals at each call."""
     network.eval()
     rng = np.random.default_rng(0)
@@ -104,7 +109,7 @@ def validate(network: nn.Module, examples: Examples, batch: int) -> dict[str, fl
     with torch.no_grad():
         for start in range(0, len(examples), batch):
             index = np.arange(start, min(start + batch, len(examples)))
-            _, parts = loss(network, targets(examples, index, np.zeros(len(index), bool), rng))
+            _, parts = loss(network, targets(examples, index, np.zeros(len(index), bool), rng, labels))
             for name, part in parts.items():
                 sums[name] = sums.get(name, 0.0) + part * len(index)
     return {name: value / len(examples) for name, value in sums.items()}

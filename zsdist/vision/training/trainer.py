@@ -30,6 +30,8 @@ class Recipe:
         learning_rate: peak of the learning rate, which rises and falls once.
         weight_decay: weight decay of AdamW.
         patience: number of epochs without a better validation loss after which the training stops.
+        average: decay of the moving average of the weights after each step; the average is validated and kept in place
+            of the weights themselves. 0: no average.
     """
 
     epochs: int = 30
@@ -37,6 +39,7 @@ class Recipe:
     learning_rate: float = 3e-3
     weight_decay: float = 0.02
     patience: int = 8
+    average: float = 0.0
 
 
 class Trainer(Iterator[dict[str, float]]):
@@ -83,6 +86,7 @@ class Trainer(Iterator[dict[str, float]]):
         self._time_used = time_used
         self._best_loss, self._best_epoch = math.inf, 0
         self._best: dict[str, Tensor] = {}
+        self._average: dict[str, Tensor] = self._weights() if recipe.average else {}
         self._parameters = [parameter for parameter in network.parameters() if parameter.requires_grad]
         self._optimiser = torch.optim.AdamW(self._parameters, lr=recipe.learning_rate, weight_decay=recipe.weight_decay)
 
@@ -97,13 +101,17 @@ class Trainer(Iterator[dict[str, float]]):
         with torch.random.fork_rng(devices=[]):  # torch's randomness, such as dropout, follows from `rng` too
             torch.manual_seed(int(self._rng.integers(2**63)))
             means, rate = self._train()
+        latest = self._weights()
+        if self._average:
+            self._network.load_state_dict(self._average)
         parts = self._validate()
         found = sum(parts.values())
         self._check("validation loss", found, parts)
         self.epoch += 1
         if found < self._best_loss:
             self._best_loss, self._best_epoch = found, self.epoch
-            self._best = {name: value.clone() for name, value in self._network.state_dict().items()}
+            self._best = self._weights()
+        self._network.load_state_dict(latest)
         return {
             "epoch": self.epoch,
             "learning_rate": rate,
@@ -143,10 +151,26 @@ class Trainer(Iterator[dict[str, float]]):
             total.backward()
             torch.nn.utils.clip_grad_norm_(self._parameters, LARGEST_GRADIENT)
             self._optimiser.step()
+            self._move_average(step)
             for name, value in {"loss": float(total.detach()), **parts}.items():
                 sums[name] = sums.get(name, 0.0) + value
             step, batches = step + 1, batches + 1
         return {name: value / batches for name, value in sums.items()}, rate
+
+    def _weights(self) -> dict[str, Tensor]:
+        """Return a copy of the network's present weights."""
+        return {name: value.clone() for name, value in self._network.state_dict().items()}
+
+    def _move_average(self, step: int) -> None:
+        """Move the average towards the weights after a step; early ones count less, as in a mean."""
+        if not self._average:
+            return
+        share = 1 - min(self._recipe.average, (1 + step) / (10 + step))
+        for name, value in self._network.state_dict().items():
+            if value.is_floating_point():
+                self._average[name].lerp_(value, share)
+            else:
+                self._average[name].copy_(value)
 
     def state(self) -> bytes:
         """Return the state of the training after the last epoch, for `restore`, in the format of safetensors."""
@@ -157,7 +181,8 @@ class Trainer(Iterator[dict[str, float]]):
             "rng": self._rng.bit_generator.state,
         }
         tensors = {"progress": torch.frombuffer(bytearray(json.dumps(progress).encode()), dtype=torch.uint8)}
-        for prefix, weights in (("now", self._network.state_dict()), ("best", self._best)):
+        groups = {"now": self._network.state_dict(), "best": self._best, "average": self._average}
+        for prefix, weights in groups.items():
             tensors |= {f"{prefix}.{name}": value.contiguous() for name, value in weights.items()}
         for number, moments in self._optimiser.state_dict()["state"].items():
             tensors |= {f"optimiser.{number}.{name}": value.contiguous() for name, value in moments.items()}
@@ -172,7 +197,7 @@ class Trainer(Iterator[dict[str, float]]):
         try:
             tensors = safetensors.torch.load(content)
             progress = json.loads(tensors.pop("progress").numpy().tobytes())
-            groups: dict[str, dict[str, Tensor]] = {"now": {}, "best": {}, "optimiser": {}}
+            groups: dict[str, dict[str, Tensor]] = {"now": {}, "best": {}, "average": {}, "optimiser": {}}
             for name, value in tensors.items():
                 group, _, rest = name.partition(".")
                 groups[group][rest] = value
@@ -185,6 +210,7 @@ class Trainer(Iterator[dict[str, float]]):
                 {"state": moments, "param_groups": self._optimiser.state_dict()["param_groups"]}
             )
             self._rng.bit_generator.state = progress["rng"]
+            self._average = groups["average"]
             self._best, self._best_loss = groups["best"], float(progress["best_loss"])
             self.epoch, self._best_epoch = int(progress["epoch"]), int(progress["best_epoch"])
         except (safetensors.SafetensorError, KeyError, ValueError, RuntimeError) as error:

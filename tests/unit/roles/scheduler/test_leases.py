@@ -55,6 +55,7 @@ def test_what_is_finished_takes_no_memory_and_no_time():
             granted += 4
             for number in leases.held_by(actor):
                 leases.finish(number, actor)
+        assert leases.take_changed() == set(actors)
     grown, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert leases.finished_count == granted

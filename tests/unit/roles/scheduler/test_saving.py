@@ -12,7 +12,7 @@ from zsdist.transport.base import Mailbox
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import Ack
 from zsdist.wire import codec, keys
-from zsdist.wire.messages import EPISODES, Orders, Records, State
+from zsdist.wire.messages import EPISODES, Jobs, Orders, Records, State
 
 RUN, ACTOR, EPOCH = "test", "actor-0", 7
 SETTINGS = {"run": {"actors": 1, "cars_per_actor": 2, "episodes": 40, "checkpoint_every_episodes": 3}}
@@ -86,10 +86,10 @@ class Bench:
         settings = parse(SETTINGS | {"merge": {"every_episodes": 0}})
         context = Context(settings, RUN, "scheduler", "0", 5, MemoryTransport(broker), background=self.thread)
         self.scheduler = Scheduler(context, self.log, folder)
-        self.asked, self.orders, self.acks = Mailbox(2**20), Mailbox(2**24), Mailbox(2**20)
+        self.asked, self.jobs, self.acks = Mailbox(2**20), Mailbox(2**24), Mailbox(2**20)
         for role in ("replay", "learner-high", "learner-low"):
             self.others.serve(keys.control(RUN, role), self.asked)
-        self.others.subscribe(keys.control(RUN, "actor"), self.orders)
+        self.others.subscribe(keys.evaluation(RUN, ACTOR), self.jobs)
         self.others.subscribe(keys.ack(RUN, ACTOR), self.acks)
         self.finished = 0
         self.supervise()
@@ -111,8 +111,8 @@ class Bench:
         self.others.publish(keys.episodes(RUN, ACTOR, EPOCH), codec.encode(frame))
         self.step()
         acks = [codec.decode(message.payload, expect=Ack) for message in self.acks.drain()]
-        orders = codec.decode(self.orders.drain()[-1].payload, expect=Orders)
-        return max(ack.received for ack in acks if ack.stream == EPISODES), orders.content["leases"][ACTOR]
+        jobs = codec.decode(self.jobs.drain()[-1].payload, expect=Jobs)
+        return max(ack.received for ack in acks if ack.stream == EPISODES), jobs.content["leases"]
 
     def answer(self):
         for request in self.asked.drain():

@@ -81,6 +81,35 @@ def test_a_resumed_training_continues_exactly_as_an_uninterrupted_one():
     assert same(weights(whole), weights(resumed))
 
 
+def test_an_average_of_the_weights_is_validated_and_kept_while_training_goes_on_with_the_weights():
+    validated = []
+
+    def validation():
+        for loss in (3.0, 2.0, 1.0):
+            validated.append(weights(network))
+            yield loss
+
+    losses = validation()
+    network, training = trainer(Recipe(epochs=3, average=0.9), losses)
+    alone, plain = trainer(Recipe(epochs=3), iter([3.0, 2.0, 1.0]))
+    for _ in range(3):
+        next(training), next(plain)
+        assert same(weights(network), weights(alone))
+    assert list(training) == []
+    assert same(weights(network), validated[2]) and not same(weights(network), weights(alone))
+
+
+def test_a_resumed_training_continues_its_average():
+    recipe = Recipe(epochs=4, average=0.9)
+    whole, training = trainer(recipe)
+    expected = list(training)
+    _, training = trainer(recipe)
+    next(training), next(training)
+    resumed, again = trainer(recipe, seed=9)
+    again.restore(training.state())
+    assert list(again) == expected[2:] and same(weights(whole), weights(resumed))
+
+
 def test_a_state_taken_after_the_last_epoch_gives_the_best_weights():
     done, training = trainer(Recipe(epochs=2), iter([1.0, 2.0]))
     next(training), next(training)
