@@ -17,7 +17,7 @@ ROWS = (  # a unit may import from rows above its own in this list; within a row
     {"evaluation", "run"},
     {"reporting", "diagnostics"},
     {"pretraining"},
-    {"launch", "evaluate", "pretrain", "monitor", "report", "doctor", "certs"},
+    {"launch", "evaluate", "pretrain", "monitor", "report", "doctor", "certs", "scenes"},
     {"__main__", "policy"},
 )
 STRANGERS = {  # units that do not import each other although the rows would allow it

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TimeElapsedColumn
 from rich.progress import TimeRemainingColumn as TimeLeftColumn
@@ -91,7 +92,7 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[str]], *, words: int 
         rows: texts of the cells, row by row.
         words: number of first columns that hold words instead of figures.
     """
-    made = Table()
+    made = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
     for index, heading in enumerate(headings):
         is_word = index < words
         made.add_column(heading, justify="left" if is_word else "right", overflow="fold", no_wrap=not is_word)

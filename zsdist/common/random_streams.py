@@ -31,6 +31,7 @@ Runs are repeatable only with the same numbers: a changed number changes every r
 | `check_names` | 1018 | seed |
 | `check_words` | 1019 | seed |
 | `fresh_pictures` | 1020 | seed, characters of the split's name |
+| `map_scenes` | 1030 | seed |
 """
 
 import numpy as np
@@ -84,6 +85,11 @@ def evaluated_episode(seed: int, index: int) -> Generator:
 def intervals(seed: int) -> Generator:
     """Return the stream that resamples episodes for bootstrap intervals."""
     return _generator(1009, seed)
+
+
+def map_scenes(seed: int) -> Generator:
+    """Return the stream that draws starts and goals on a map."""
+    return _generator(1030, seed)
 
 
 def scene(family: int, seed: int) -> Generator:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -28,8 +29,9 @@ def draw_rewards(methods: Sequence[Method], folder: Path) -> str:
     for colour, method in zip(_cycled(style.CYCLE, methods), methods, strict=True):
         if len(methods) == len(method.runs) == 1 and len(method.runs[0].episodes) <= MANY_EPISODES:
             values = returns(method.runs[0])
-            left.plot(np.arange(1, len(values) + 1), values, ".", color=colour, alpha=0.3, markersize=4)
-        draw_band(left, method.runs, per_episode, colour, _name(method))
+            numbers = np.arange(1, len(values) + 1)
+            left.plot(numbers, values, ".", color=colour, alpha=0.3, markersize=4, label="one episode")
+        draw_band(left, method.runs, per_episode, colour, f"{_name(method)}, mean")
         draw_band(middle, method.runs, per_action, colour, _name(method))
     window = methods[0].runs[0].settings.replay.average_episodes
     left.set(title="a   per training episode", ylabel=f"return, mean of the last {window} episodes")
@@ -39,7 +41,9 @@ def draw_rewards(methods: Sequence[Method], folder: Path) -> str:
         axes.set_xlabel("finished training episodes")
         style.whole_numbers(axes)
         axes.set_xlim(left=0)
-    middle.legend(loc="best")
+    for axes in (left, middle, right):
+        if axes.get_legend_handles_labels()[1]:
+            axes.legend(loc="best")
     return style.save(figure, folder, "fig09-rewards")
 
 
@@ -131,9 +135,11 @@ def draw_merges(runs: Sequence[Run], folder: Path) -> str:
                     linewidth=1,
                     label=name,
                     markersize=6,
+                    clip_on=False,
                 )
         chosen = [(merge["episode"], merge["scores"][merge["chosen"]]) for merge in merges]
-        (ring,) = one.plot(*zip(*chosen, strict=True), "o", linestyle="none", label="promoted", markersize=13)
+        ring_style: dict[str, Any] = {"linestyle": "none", "label": "promoted", "markersize": 13, "clip_on": False}
+        (ring,) = one.plot(*zip(*chosen, strict=True), "o", **ring_style)
         ring.set(markerfacecolor="none", markeredgecolor=style.BLACK)
         one.set(title=style.label(f"{run.method}, seed {run.settings.seed}"), xlabel="finished training episodes")
         one.set(ylim=(-1.15, 1.15))
@@ -160,7 +166,9 @@ def _draw_greedy(axes: Axes, methods: Sequence[Method]) -> None:
         for run in method.runs:
             points = [(merge["episode"], merge["scores"][merge["chosen"]]) for merge in run.merges]
             if points:
-                axes.plot(*zip(*points, strict=True), "o-", color=colour, linewidth=1, markersize=5, alpha=0.8)
+                label = None if run is not method.runs[0] else _name(method)
+                look: dict[str, Any] = {"linewidth": 1, "markersize": 5, "alpha": 0.8, "clip_on": False}
+                axes.plot(*zip(*points, strict=True), "o-", color=colour, label=label, **look)
     axes.set(title="c   greedy, at each merge", ylabel="success − collision, validation scenes", ylim=(-1.15, 1.15))
     if not axes.lines:
         axes.text(0.5, 0.5, "no merge yet", transform=axes.transAxes, ha="center", color=style.GREY)

@@ -23,7 +23,7 @@ from zsdist.evaluation.workers import Simulation, make_runner
 from zsdist.planning.footprint import ADVANCES
 from zsdist.planning.grid import Grid
 from zsdist.reporting import film_file, style
-from zsdist.reporting.attention import overlay
+from zsdist.reporting.attention import overlay, seen_share
 from zsdist.reporting.belief_view import BeliefView
 from zsdist.reporting.chase import ChaseCamera
 from zsdist.sim.camera import make_camera
@@ -64,8 +64,8 @@ def film(
 
     A film is whole or not there. Between decisions the poses are interpolated: first the turn, then the movement. The
     camera's pictures between decisions are rendered for a level car. Attention is that of the decision, on the picture
-    that the car then saw, and fades while it moves on. It is missing for networks without attention and for drivers
-    without a camera.
+    that the car then saw, as faint as the network believes that nothing is within its range there, and fades while it
+    moves on. It is missing for networks without attention and for drivers without a camera.
 
     Args:
         contender: contender that drives.
@@ -244,9 +244,10 @@ def _attention_of(visual_act: Any) -> Callable[[np.ndarray, Action], np.ndarray 
         return None
 
     def find(image: np.ndarray, action: Action) -> np.ndarray:
-        weights = visual_act.observe(image[None]).attention[0, _DIRECTION_OF[action]]
-        side = round(len(weights) ** 0.5)
-        return overlay(weights.reshape(side, side), PANEL_PX).astype(np.float32)
+        direction = _DIRECTION_OF[action]
+        weights = visual_act.observe(image[None]).attention[0, direction]
+        side, seen = round(len(weights) ** 0.5), seen_share(visual_act.read(image[None]).clearance)[0, direction]
+        return overlay(weights.reshape(side, side), PANEL_PX, float(seen)).astype(np.float32)
 
     if not hasattr(visual_act, "observe"):
         return missing

@@ -20,7 +20,7 @@ from zsdist.evaluation.drivers import ViewPredictor
 from zsdist.planning import forward_search
 from zsdist.planning.grid import HEADINGS, STEPS
 from zsdist.reporting import style
-from zsdist.reporting.maps import DrivenPath, draw_ends, draw_path, draw_scene, square
+from zsdist.reporting.maps import DrivenPath, add_legend, draw_ends, draw_path, draw_scene, square
 from zsdist.sim.scenes.scene import Scene
 from zsdist.types import LatticeState, Parameters, Pose
 from zsdist.vision.ray_ablation import ablate_rays
@@ -104,6 +104,7 @@ def draw_guidance(drives: Sequence[Drive], config: Config, folder: Path) -> str:
         _draw_blocks(right, config)
         draw_path(right, drive.path)
         right.legend(loc="lower right", frameon=True, framealpha=0.85, edgecolor="none", fontsize=7)
+    add_legend(figure, [drive.scene for drive in drives])
     return style.save(figure, folder, "fig10-guidance")
 
 

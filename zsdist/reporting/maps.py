@@ -1,13 +1,16 @@
 """Scenes from above: as grid maps (Figs. 8 and 11), and with driven paths (Fig. 12)."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Rectangle
 from matplotlib.transforms import Affine2D
@@ -20,6 +23,8 @@ from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Outcome, Pose
 
 COLUMNS = 3
+OUTLINE = 0.6  # width of the outline of obstacles in points, so that thin walls are seen
+LEGEND_ENTRY_IN = 1.35  # width of an entry of a legend below a figure
 BIRD_PX, BIRD_HEIGHT_M, BIRD_AWAY_M, BIRD_PITCH_DEG = 640, 17.0, 20.5, 42.0
 CELL_SHARE = 0.4  # a cell belongs to an obstacle that touches at least this share of its fine cells
 # The paper's colours where it has them: yellow sand, green trees, black people.
@@ -72,7 +77,7 @@ def draw_paths(panels: Sequence[tuple[Scene, Sequence[DrivenPath]]], arena_m: fl
     style.blank(grid[len(panels) :])
     labelled = [pair for axes in grid[: len(panels)] for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
     handles = {label: handle for handle, label in labelled}  # one of each: panels share most of their labels
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=len(handles))
+    add_legend(figure, [scene for scene, _ in panels], handles)
     return style.save(figure, folder, name)
 
 
@@ -96,13 +101,13 @@ def draw_scene(axes: Axes, scene: Scene, arena_m: float) -> None:
     for obstacle in scene.obstacles:
         colour = KIND_COLOURS[obstacle.kind]
         if obstacle.radius_m is not None:
-            axes.add_patch(Circle((obstacle.x_m, obstacle.y_m), obstacle.radius_m, color=colour, linewidth=0))
+            axes.add_patch(Circle((obstacle.x_m, obstacle.y_m), obstacle.radius_m, color=colour, linewidth=OUTLINE))
             if obstacle.walks:
                 axes.plot(*np.array(obstacle.path).T, ":", color=colour, linewidth=1.2)
         elif obstacle.size_m is not None:
             length, width, _ = obstacle.size_m
             turn = Affine2D().rotate_deg(obstacle.heading_deg).translate(obstacle.x_m, obstacle.y_m)
-            body = Rectangle((-length / 2, -width / 2), length, width, color=colour, linewidth=0)
+            body = Rectangle((-length / 2, -width / 2), length, width, color=colour, linewidth=OUTLINE)
             body.set_transform(turn + axes.transData)
             axes.add_patch(body)
     draw_ends(axes, scene)
@@ -114,9 +119,9 @@ def draw_ends(axes: Axes, scene: Scene) -> None:
     """Draw the paper's marks: a green circle at the start, with a tick for the heading, and a red star at the goal."""
     x, y, heading = scene.start.pose
     tip = (x + 1.3 * math.cos(heading), y + 1.3 * math.sin(heading))
-    axes.plot(*zip((x, y), tip, strict=True), color=START_COLOUR, linewidth=2, zorder=6)
-    axes.plot(x, y, "o", color=START_COLOUR, markeredgecolor="white", markersize=8, zorder=7)
-    axes.plot(*scene.goal, "*", color=GOAL_COLOUR, markeredgecolor="white", markersize=14, zorder=7)
+    axes.plot(*zip((x, y), tip, strict=True), color=START_COLOUR, linewidth=2, zorder=6, clip_on=False)
+    axes.plot(x, y, "o", color=START_COLOUR, markeredgecolor="white", markersize=8, zorder=7, clip_on=False)
+    axes.plot(*scene.goal, "*", color=GOAL_COLOUR, markeredgecolor="white", markersize=14, zorder=7, clip_on=False)
 
 
 def cells_by_kind(scene: Scene, grid: Grid) -> np.ndarray:
@@ -178,15 +183,37 @@ def draw_grid_maps(scenes: Sequence[Scene], grid: Grid, folder: Path, name: str,
         axes.set_axis_off()
         axes.set_title(style.label(f"{scenes[0].name}, rendered"))
     style.blank(panels[count:])
-    used = [kind for kind in KINDS if any(obstacle.kind == kind for scene in scenes for obstacle in scene.obstacles)]
-    marks = [
-        Line2D([], [], marker="o", color=START_COLOUR, markeredgecolor="white", linestyle="none", markersize=8),
-        Line2D([], [], marker="*", color=GOAL_COLOUR, markeredgecolor="white", linestyle="none", markersize=13),
-        *(Patch(facecolor=KIND_COLOURS[kind]) for kind in used),
-    ]
-    labels = ["start", "target", *(kind.replace("_", " ") for kind in used)]
-    figure.legend(marks, labels, loc="outside lower center", ncols=len(labels), handlelength=1.2, columnspacing=1.4)
+    add_legend(figure, scenes)
     return style.save(figure, folder, name)
+
+
+def add_legend(figure: Figure, scenes: Sequence[Scene], more: Mapping[str, Artist] | None = None) -> None:
+    """Add the legend of scenes below a figure: start, target, and each kind of obstacle that they have.
+
+    Args:
+        figure: figure with the scenes.
+        scenes: scenes that are drawn.
+        more: further marks by their labels.
+    """
+    used = [kind for kind in KINDS if any(obstacle.kind == kind for scene in scenes for obstacle in scene.obstacles)]
+    ends: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "white"}
+    marks: dict[str, Artist] = {
+        "start": Line2D([], [], marker="o", color=START_COLOUR, markersize=8, **ends),
+        "target": Line2D([], [], marker="*", color=GOAL_COLOUR, markersize=13, **ends),
+        **{kind.replace("_", " "): Patch(facecolor=KIND_COLOURS[kind]) for kind in used},
+    }
+    if any(obstacle.walks for scene in scenes for obstacle in scene.obstacles):
+        marks["way of a walking person"] = Line2D([], [], linestyle=":", color=KIND_COLOURS["person"], linewidth=1.2)
+    marks |= more or {}
+    columns = max(int(figure.get_figwidth() / LEGEND_ENTRY_IN), 2)
+    figure.legend(
+        list(marks.values()),
+        list(marks),
+        loc="outside lower center",
+        ncols=min(columns, len(marks)),
+        handlelength=1.6,
+        columnspacing=1.4,
+    )
 
 
 def bird_view(scene: Scene) -> np.ndarray:

@@ -39,9 +39,11 @@ def figure(file: str, caption: str) -> list[str]:
     return [f"![{first}]({file})", "", f"*{escaped(caption)}* ([SVG]({drawing}))", ""]
 
 
-def missing(reason: str) -> list[str]:
-    """Return a line that names what is not shown, and the reason."""
-    return [f"Left out: {escaped(reason)}.", ""]
+def missing(reason: str, command: str = "") -> list[str]:
+    """Return a line that names what is not shown, and the reason; and one with the command that adds it, if any."""
+    if not command:
+        return [f"Left out: {escaped(reason)}.", ""]
+    return [f"Left out: {escaped(reason)}. Added by:", "", f"    {plain(command)}", ""]
 
 
 def _cell(text: str) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 from zsdist.errors import RunError, SceneError, WeightsError
 from zsdist.evaluation.workers import Simulation
 from zsdist.planning.grid import Grid
-from zsdist.reporting import comparison, convergence, curves, drives, guidance, maps, tables
+from zsdist.reporting import additions, comparison, convergence, curves, drives, guidance, maps, tables
 from zsdist.reporting.markdown import code, escaped, figure, missing, table
 from zsdist.reporting.runs import Evaluation, Material, Method, Run
 from zsdist.run.checkpoint import Policy, load_policy
@@ -63,18 +63,21 @@ def _lines(material: Material, out: Path, on_step: Callable[[str], None], simula
     lines += _draw_drives(material, out, on_step, simulation)
     on_step("tables")
     reference = material.methods[0].name if material.methods else None
+    first = material.runs[0] if material.runs else None
     lines += [
         "## Unseen environments (Table 4)",
         "",
-        *tables.table_4(material.evaluations),
+        *tables.table_4(material.evaluations, additions.evaluate(first, "ood-layout")),
         INTERVALS,
         "",
         "## Baselines and ablations",
         "",
-        *_compare_policies(material.evaluations, reference, out),
+        *_compare_policies(material.evaluations, reference, out, first),
         "## What limits the policy: oracles",
         "",
-        *tables.oracles(material.evaluations, reference),
+        *tables.oracles(
+            material.evaluations, reference, additions.evaluate(first, "ood-layout", "--variant", "oracle-depth")
+        ),
         "## Size of replay and batch (Eqs. 21 to 23)",
         "",
         *_sizes(material.runs, out),
@@ -85,8 +88,13 @@ def _lines(material: Material, out: Path, on_step: Callable[[str], None], simula
     return lines
 
 
-def _compare_policies(evaluations: Sequence[Evaluation], reference: str | None, out: Path) -> list[str]:
-    compared = tables.every_policy(evaluations, reference)
+def _compare_policies(
+    evaluations: Sequence[Evaluation], reference: str | None, out: Path, first: Run | None
+) -> list[str]:
+    scenes = evaluations[0].scenes if evaluations else "ood-layout"
+    compared = tables.every_policy(
+        evaluations, reference, additions.evaluate_baseline(first, "potential-field", scenes)
+    )
     if len({evaluation.label for evaluation in evaluations}) < 2:
         return compared
     caption = (
@@ -125,12 +133,12 @@ def _list_runs(material: Material) -> list[str]:
                 f"**The runs of {escaped(method.name)} differ in more than the seed:** {_list(method.differing)}.",
                 "",
             ]
-    return lines if rows else missing("training, as no run directory was given")
+    return lines if rows else missing("training, as no run directory was given", additions.train())
 
 
 def _rewards(methods: Sequence[Method], out: Path) -> list[str]:
     if not methods:
-        return missing("no run with a finished episode was given")
+        return missing("no run with a finished episode was given", additions.train())
     blind = [method.name for method in methods if not _has_vision(method.runs[0])]
     seeing = [method.name for method in methods if _has_vision(method.runs[0])]
     seeds = ", ".join(f"{method.name} {len(method.runs)}" for method in methods)
@@ -144,7 +152,8 @@ def _rewards(methods: Sequence[Method], out: Path) -> list[str]:
     if blind and seeing:
         return [*lines, f"With vision: {_list(seeing)}. Without: {_list(blind)}.", ""]
     other = "without vision" if seeing else "with vision"
-    return [*lines, *missing(f"the comparison with and without vision, as no run {other} was given")]
+    adding = additions.train("vision.rays=none", "run.name=without-vision") if seeing else additions.train()
+    return [*lines, *missing(f"the comparison with and without vision, as no run {other} was given", adding)]
 
 
 def _list(names: Sequence[str]) -> str:
@@ -157,7 +166,7 @@ def _has_vision(run: Run) -> bool:
 
 def _singleton(methods: Sequence[Method], material: Material) -> list[str]:
     if not methods:
-        return missing("no run with a finished episode was given")
+        return missing("no run with a finished episode was given", additions.train())
     share, tenth = f"{convergence.BAND_SHARE:.0%}", f"{convergence.LAST_SHARE:.0%}"
     lines = [
         f"Final value: mean of the curve over the last {tenth} of the episodes. Converged: the episode from which the "
@@ -171,21 +180,19 @@ def _singleton(methods: Sequence[Method], material: Material) -> list[str]:
     other = [method.name for method in methods if method.runs[0].settings.scenes.train != (tables.SINGLETON,)]
     if other:
         lines += [f"Not trained in the singleton scenes: {_list(other)}.", ""]
-    short = [
-        str(run.folder.name)
-        for method in methods
-        for run in method.runs
-        if len(run.episodes) < convergence.LEAST_EPISODES
-    ]
+    least = convergence.LEAST_EPISODES
+    short = [run for method in methods for run in method.runs if len(run.episodes) < least]
     if short:
-        least = convergence.LEAST_EPISODES
-        lines += missing(f"values of {', '.join(short)}, which have fewer than {least} episodes")
+        names = ", ".join(run.folder.name for run in short)
+        lines += missing(
+            f"values of {names}, which have fewer than {least} episodes", additions.train_on(short[0], least)
+        )
     return lines
 
 
 def _outcomes(methods: Sequence[Method], out: Path) -> list[str]:
     if not methods:
-        return missing("no run with a finished episode was given")
+        return missing("no run with a finished episode was given", additions.train())
     caption = (
         f"Outcomes of training episodes, as shares of the last {curves.OUTCOME_WINDOW}. Exploration is included, and a "
         "share of the episodes is driven without the shield."
@@ -210,7 +217,11 @@ def _draw_drives(
         except (SceneError, WeightsError) as error:  # scenes or vision weights of its configuration are missing
             found, reason = None, str(error)
     if found is None:
-        return [line for heading in headings for line in (heading, "", *missing(reason))]
+        return [
+            line
+            for heading in headings
+            for line in (heading, "", *missing(reason, "" if material.runs else additions.train()))
+        ]
     drawn = zip(headings, files, captions, strict=True)
     return [line for heading, file, caption in drawn for line in (heading, "", *figure(file, caption))]
 
@@ -256,7 +267,7 @@ def _load_first_policy(runs: Sequence[Run], notify: Callable[[str], None]) -> tu
 def _sizes(runs: Sequence[Run], out: Path) -> list[str]:
     shown = [run for run in runs if any("replay_low_capacity" in row for row in run.metrics)]
     if not shown:
-        return missing("no run with figures of its replay was given")
+        return missing("no run with figures of its replay was given", additions.train())
     caption = (
         "Size of the replay buffer and of the batch over training. a: capacity of the buffer (solid) and transitions "
         "in it (dotted), low level; b: batch size; c: the mean return that sets both, with its target (dashed). Dotted "
@@ -268,7 +279,10 @@ def _sizes(runs: Sequence[Run], out: Path) -> list[str]:
 def _merges(runs: Sequence[Run], out: Path) -> list[str]:
     merged = [run for run in runs if run.merges]
     if not merged:
-        return missing("no run with a merge was given")
+        if not runs:
+            return missing("no run with a merge was given", additions.train())
+        episodes = max(len(runs[0].episodes), runs[0].settings.merge.every_episodes)
+        return missing("no run with a merge was given", additions.train_on(runs[0], episodes))
     caption = (
         "Merges: each candidate pair drives the same validation scenes greedily, and the best is promoted to the "
         "target network. A candidate that is clearly worse drives fewer scenes."

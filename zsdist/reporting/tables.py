@@ -55,8 +55,13 @@ class Rate:
         return f"{100 * self.mean:.1f}% ({self.note}{100 * self.low:.1f}-{100 * self.high:.1f})"
 
 
-def table_4(evaluations: Sequence[Evaluation]) -> list[str]:
-    """Return the paper's Table 4 with ours, one row for each kind of scene and each trained policy that drove it."""
+def table_4(evaluations: Sequence[Evaluation], adding: str = "") -> list[str]:
+    """Return the paper's Table 4 with ours, one row for each kind of scene and each trained policy that drove it.
+
+    Args:
+        evaluations: evaluations of all policies.
+        adding: command that adds ours, where there are none.
+    """
     trained = [
         evaluation for evaluation in evaluations if evaluation.variant in DEPLOYABLE and not _is_baseline(evaluation)
     ]
@@ -68,31 +73,32 @@ def table_4(evaluations: Sequence[Evaluation]) -> list[str]:
             rows.append([code(split), label, *(str(rate(seeds, key)) for key in RATES), _mean(seeds, "spl"), _n(seeds)])
     lines = [*table(("scenes", "policy", "success", "collision", "SPL", "n"), rows), NOT_THE_SAME_TEST, ""]
     if not _of(trained, *TABLE_4):
-        lines += missing(f"our figures, as no evaluation of a trained policy on {', '.join(TABLE_4)} was given")
+        lines += missing(f"our figures, as no evaluation of a trained policy on {', '.join(TABLE_4)} was given", adding)
     return lines
 
 
-def every_policy(evaluations: Sequence[Evaluation], reference: str | None) -> list[str]:
+def every_policy(evaluations: Sequence[Evaluation], reference: str | None, adding: str = "") -> list[str]:
     """Return success, collision and SPL of every policy on each kind of scenes that was driven, best first.
 
     Args:
         evaluations: evaluations of policies, baselines, ablations and variants.
         reference: label of the policy that the others are compared with, scene by scene; None: no comparison.
+        adding: command that adds a policy, where there are fewer than two.
     """
     compared = [evaluation for evaluation in evaluations if not evaluation.variant.startswith(ORACLE)]
     if len({evaluation.label for evaluation in compared}) < 2:
-        return missing("the comparison, as evaluations of fewer than two policies were given")
+        return missing("the comparison, as evaluations of fewer than two policies were given", adding)
     lines = []
     for split in dict.fromkeys(evaluation.scenes for evaluation in compared):
         lines += [f"### {code(split)}", "", *_compare(by_label(compared, split), reference)]
     return lines
 
 
-def oracles(evaluations: Sequence[Evaluation], reference: str | None) -> list[str]:
+def oracles(evaluations: Sequence[Evaluation], reference: str | None, adding: str = "") -> list[str]:
     """Return tables of a policy with one part replaced by an oracle; `hybrid` replaces the low level."""
     splits = dict.fromkeys(evaluation.scenes for evaluation in evaluations if evaluation.variant.startswith(ORACLE))
     if not splits:
-        return missing("oracles, as no evaluation with --variant oracle-... was given")
+        return missing("oracles, as no evaluation with --variant oracle-... was given", adding)
     lines = []
     for split in splits:
         shown = [

@@ -27,7 +27,7 @@ def on_a_terminal(show, encoding="utf-8"):
 
 def cells(text):
     """Return the text of a table of one column, put together from its lines."""
-    return "".join(line.strip("┃│|").removeprefix(" ").removesuffix(" ") for line in text.splitlines()[3:-1])
+    return "".join(line.removesuffix(" ") for line in text.splitlines()[2:])
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -64,6 +64,13 @@ def test_a_cell_shows_a_name_whole_and_keeps_the_figures_beside_it(name, width):
     alone = printed(lambda out: out.print(console.table(["name"], [(name,)])), width=width)
     squeezed = ["".join(shown.split()) for shown in (cells(alone), plain(name))]
     assert squeezed[0] == squeezed[1]
+
+
+def test_the_longest_names_and_figures_of_a_comparison_fit_beside_each_other_on_80_columns():
+    head = ("scenes", "policy", "n", "success", "collision", "timeout", "SPL")
+    row = ("ood-start-goal", "potential-field", "10", "0.20 (0.06-0.51)", "0.00", "0.80", "0.15")
+    text = printed(lambda out: out.print(console.table(head, [row], words=2)))
+    assert all(cell in text for cell in (*head, *row))
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -1,3 +1,5 @@
+import re
+
 import pytest
 from made_runs import make_run
 
@@ -25,6 +27,17 @@ def test_rewards_name_each_method_with_its_seeds(material, tmp_path):
     drawing = text_of(tmp_path, curves.draw_rewards(material.methods, tmp_path))
     assert ">full, 2 seeds<" in drawing and ">blind<" in drawing
     assert "mean of the last 50 episodes" in drawing
+
+
+def test_the_legend_of_the_first_panel_tells_single_episodes_from_their_mean(material, tmp_path):
+    drawing = text_of(tmp_path, curves.draw_rewards(material.methods[1:], tmp_path))
+    assert ">one episode<" in drawing and ">blind, mean<" in drawing
+
+
+def test_marks_at_the_edge_of_a_figure_of_merges_are_not_clipped(material, tmp_path):
+    drawing = text_of(tmp_path, curves.draw_merges(material.runs[:1], tmp_path))
+    rings = re.findall(r'<path id="\w+" d="M 0 6\.5.*?</defs>\s*<g( clip-path)?', drawing, re.DOTALL)
+    assert rings and not any(rings)
 
 
 def test_rewards_of_a_run_without_a_merge_say_so(material, tmp_path):

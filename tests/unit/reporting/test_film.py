@@ -29,7 +29,20 @@ SCENE = Scene(
 
 
 class Looking(FakeVisualAct):
-    """Vision model with attention at the upper left for forward, the lower left for left, the lower right for right."""
+    """Vision model with attention at the upper left for forward, the lower left for left, the lower right for right.
+
+    It believes the nearest obstacle of every direction in one bin.
+    """
+
+    def __init__(self, nearest_bin=0):
+        super().__init__()
+        self._nearest_bin = nearest_bin
+
+    def read(self, images):
+        reading = super().read(images)
+        clearance = np.zeros_like(reading.clearance)
+        clearance[..., self._nearest_bin] = 1.0
+        return reading._replace(clearance=clearance)
 
     def observe(self, images):
         attention = np.zeros((len(images), 3, 196), np.float32)
@@ -88,6 +101,11 @@ def test_attention_is_shown_where_the_network_attends_for_the_action_taken(momen
     }
     assert (row + 40 < half, column < half) == corners[directions[Action(moments[0].action)]]
     assert (panel(bare, 0) == panel(looked, 0)).all() and (panel(bare, 2) == panel(looked, 2)).all()
+
+
+def test_attention_fades_where_nothing_is_believed_to_be_in_range(moments):
+    bare, blank = (next(iter(film.frames(moments, CONFIG, eye))) for eye in (None, Looking(nearest_bin=-1)))
+    assert (panel(bare, 1) == panel(blank, 1)).all()
 
 
 def test_the_map_shows_seen_ground_and_grows(moments):

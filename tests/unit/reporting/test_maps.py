@@ -32,6 +32,21 @@ def test_paths_are_drawn_over_any_number_of_scenes(tmp_path, count):
     assert "one: success" in (tmp_path / "paths.svg").read_text()
 
 
+def test_the_legend_of_paths_names_the_obstacles_and_who_walks(tmp_path):
+    person = Obstacle("person", 0.0, 3.0, radius_m=0.3, path=((0.0, 3.0), (4.0, 3.0)), speed_mps=1.0)
+    scene = scene_of(Obstacle("rock", 0.0, 0.0, radius_m=1.0), person)
+    maps.draw_paths([(scene, [])], 25.0, tmp_path, "paths")
+    drawing = (tmp_path / "paths.svg").read_text()
+    assert all(f">{word}<" in drawing for word in ("start", "target", "rock", "person", "way of a walking person"))
+    assert ">tree<" not in drawing
+
+
+def test_start_and_target_at_the_edge_are_drawn_whole():
+    _, (axes,) = style.panels(1, 1, 3, 3)
+    maps.draw_ends(axes, scene_of())
+    assert axes.lines and not any(line.get_clip_on() for line in axes.lines)
+
+
 def test_a_paths_colour_shows_its_outcome(tmp_path):
     scene = families.draw("singleton", "test", 0)
     points = np.linspace((-10, 10), (10, 10), 50)

@@ -57,5 +57,9 @@ def test_a_figure_is_shown_with_its_caption_and_as_a_drawing():
     assert "*Paths. Of two cars.*" in lines[2] and "(paths.svg)" in lines[2]
 
 
+def test_what_is_missing_comes_with_the_command_that_adds_it():
+    assert missing("it", "python -m x 'a b'") == ["Left out: it. Added by:", "", "    python -m x 'a b'", ""]
+
+
 def test_what_is_missing_is_named_with_the_reason():
     assert missing("it, as there is none") == ["Left out: it, as there is none.", ""]

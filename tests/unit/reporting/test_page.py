@@ -1,4 +1,6 @@
+import importlib
 import re
+import shlex
 import shutil
 
 import pytest
@@ -58,6 +60,10 @@ def test_missing_material_is_named_and_not_filled_in(tmp_path):
     assert "fewer than two policies" in found["Baselines and ablations"]
     assert "no run with a merge was given" in found["The global policy's merges"]
     assert "fewer than 20 episodes" in found["The singleton case (Sec. 4.4)"]
+    commands = re.findall(r"^    \S+ -m (zsdist\.\w+) (.+)$", "".join(found.values()), re.MULTILINE)
+    for module, arguments in commands:  # what adds it is a command that its own parser takes
+        importlib.import_module(module).make_parser().parse_args(shlex.split(arguments))
+    assert {module for module, _ in commands} == {"zsdist.launch", "zsdist.evaluate"} and len(commands) >= 5
 
 
 def test_missing_scenes_leave_out_only_the_figures_that_are_driven_in_them(tmp_path):

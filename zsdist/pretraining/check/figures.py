@@ -74,26 +74,34 @@ def draw_losses(history: Sequence[Mapping[str, Any]], file: Path) -> None:
     _save(figure, file)
 
 
-def draw_attention(images: Sequence[np.ndarray], attention: np.ndarray, titles: Sequence[str], file: Path) -> None:
+def draw_attention(
+    images: Sequence[np.ndarray], attention: np.ndarray, seen: np.ndarray, titles: Sequence[str], file: Path
+) -> None:
     """Draw the attention of each action on pictures: one row per picture, the picture itself first.
+
+    It is faint, and said so, where the network believes that there is nothing to look at.
 
     Args:
         images: N pictures `(px, px, 3)` uint8.
         attention: `(N, 3, side * side)`, attention of each action.
+        seen: `(N, 3)`, probability that something is within range in the direction of each action.
         titles: title of each picture.
         file: JPEG to write.
     """
     side = round(attention.shape[-1] ** 0.5)
     figure = Figure(figsize=(8.4, 2.15 * len(images) + 0.3), layout="constrained")
     panels = figure.subplots(len(images), 4, squeeze=False)
-    for row, image, maps, title in zip(panels, images, attention, titles, strict=True):
+    for row, image, maps, shares, title in zip(panels, images, attention, seen, titles, strict=True):
         px = len(image)
         row[0].imshow(image)
         row[0].set_ylabel(title, fontsize=8)
         grey = image.mean(-1)
-        for axes, weights in zip(row[1:], maps, strict=True):
+        for axes, weights, share in zip(row[1:], maps, shares, strict=True):
             axes.imshow(grey, cmap="gray", vmin=0, vmax=330)
-            axes.imshow(overlay(weights.reshape(side, side), px), extent=(0, px, px, 0))
+            axes.imshow(overlay(weights.reshape(side, side), px, float(share)), extent=(0, px, px, 0))
+            if share < 0.5:
+                note = f"nothing within {RANGE_M:g} m: {1 - share:.0%}"
+                axes.text(0.5, 0.04, note, transform=axes.transAxes, ha="center", fontsize=7)
     for axes, title in zip(panels[0], ("picture", *ACTION_TITLES), strict=True):
         axes.set_title(title, fontsize=9, parse_math=True)
     for axes in panels.ravel():

@@ -15,6 +15,7 @@ from zsdist.pretraining.check.check import FIGURES, SET_FIGURES, summarise_sets
 from zsdist.pretraining.check.figures import Miss
 from zsdist.pretraining.check.predictions import Predictions, predict
 from zsdist.pretraining.check.sets import SETS, WILDERNESS, Sample, of_set, wilderness
+from zsdist.reporting.attention import seen_share
 from zsdist.reporting.markdown import Markup, escaped, missing, table
 from zsdist.vision import weights_folder
 from zsdist.vision.labels import DIRECTIONS
@@ -189,10 +190,9 @@ def _attention(model: VisualAct, samples: list[Sample], known: bool, left_out: d
     if not known:
         return ["## Attention of each action", "", *missing(left_out["attention"])]
     chosen = attention_examples(samples)
-    observed = model.observe(np.stack([sample.image for sample in chosen.values()]))
-    figures.draw_attention(
-        [sample.image for sample in chosen.values()], observed.attention, list(chosen), out / "vision-attention.jpg"
-    )
+    images = np.stack([sample.image for sample in chosen.values()])
+    attention, seen = model.observe(images).attention, seen_share(model.read(images).clearance)
+    figures.draw_attention(list(images), attention, seen, list(chosen), out / "vision-attention.jpg")
     return ["## Attention of each action", "", "![attention of each action](vision-attention.jpg)", ""]
 
 

@@ -209,17 +209,30 @@ def read_folder(folder: str | Path, grid: Grid = DEFAULT_GRID) -> list[Scene]:
     Raises:
         SceneError: there is no such folder, it has no scene file, or one of its files is invalid.
     """
-    folder = Path(folder)
-    if not folder.is_dir():
+    if not Path(folder).is_dir():
         raise SceneError(f"scene folder {folder} does not exist or is not a folder")
-    paths = [path for path in folders.visible(folder) if path.suffix in (".yaml", ".yml") and path.is_file()]
+    return [read(path, grid) for path in files(folder)]
+
+
+def files(path: str | Path) -> list[Path]:
+    """Return the scene files of a folder, as `read_folder` takes them, or the path of one file as a list.
+
+    Raises:
+        SceneError: there is no such path, or the folder has no scene file.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        if not path.exists():
+            raise SceneError(f"{path} does not exist; allowed is a scene file, or a folder of them")
+        return [path]
+    paths = [file for file in folders.visible(path) if file.suffix in (".yaml", ".yml") and file.is_file()]
     if not paths:
-        raise SceneError(f"scene folder {folder} has no scene file; allowed are files named *.yaml or *.yml")
-    return [read(path, grid) for path in paths]
+        raise SceneError(f"scene folder {path} has no scene file; allowed are files named *.yaml or *.yml")
+    return paths
 
 
-def write(scene: Scene, path: str | Path) -> None:
-    """Write a scene as a file from which `read` returns an equal scene."""
+def write(scene: Scene, path: str | Path, comment: str = "") -> None:
+    """Write a scene as a file from which `read` returns an equal scene; a comment becomes its first line."""
     head = {
         "version": 1,
         "name": scene.name,
@@ -227,7 +240,8 @@ def write(scene: Scene, path: str | Path) -> None:
         "start": {"x": scene.start.x_m, "y": scene.start.y_m, "heading_deg": scene.start.heading_deg},
         "goal": {"x": scene.goal[0], "y": scene.goal[1]},
     }
-    lines = [f"{key}: {_flow(value)}" for key, value in head.items()]
+    lines = [f"# {comment}"] if comment else []
+    lines += [f"{key}: {_flow(value)}" for key, value in head.items()]
     lines.append("obstacles:" if scene.obstacles else "obstacles: []")
     lines += [f"  - {_flow(_entry(obstacle))}" for obstacle in scene.obstacles]
     Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -251,6 +265,8 @@ def _flow(value: Any) -> str:
 
 
 def _scene(tree: Any) -> Scene:
+    if isinstance(tree, dict) and {"image", "resolution"} <= set(tree):
+        raise SceneError("this is a map of Nav2, not a scene; `python -m zsdist.scenes from-map` makes scenes of it")
     _keys(tree, "the file", ("version", "name", "ground", "start", "goal", "obstacles"))
     if tree["version"] not in ("1", 1) or isinstance(tree["version"], bool):
         raise SceneError(f"version is {show(tree['version'])}; allowed is 1")

@@ -33,7 +33,8 @@ def test_every_figure_is_drawn(tmp_path):
     image, side = np.full((32, 32, 3), 90, np.uint8), np.linspace(0.0, 1.0, 16)
     line = {"epoch": 1, "loss": 2.0, "validation_loss": 2.5}
     draw_losses([{"stage": stage, **line} for stage in ("words", "head")], tmp_path / "loss.png")
-    draw_attention([image], np.tile(side / side.sum(), (1, 3, 1)), ["tree"], tmp_path / "attention.png")
+    attention = np.tile(side / side.sum(), (1, 3, 1))
+    draw_attention([image], attention, np.full((1, 3), 0.4), ["tree"], tmp_path / "attention.png")
     draw_confusion({"a": (np.full(3, 1.0), np.full(3, 2.0))}, tmp_path / "confusion.png")
     draw_reliability({"a": (side, side), "b": (side, side**2)}, tmp_path / "reliability.png")
     miss = Miss(image, np.full(RAYS, 1.0), np.full(RAYS, RANGE_M), 3, "made up")

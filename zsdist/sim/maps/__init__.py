@@ -1,0 +1,1 @@
+"""Maps of Nav2 (map_server): read, written, and turned into scenes."""
