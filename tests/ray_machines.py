@@ -24,6 +24,8 @@ def environment(folder: Path, token: str) -> dict[str, str]:
     """Return the environment of the cluster, and of what knows its token."""
     paths = os.pathsep.join([*map(str, PATHS), os.environ.get("PYTHONPATH", "")])
     own = {"RAY_TMPDIR": str(folder), "RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": token, "PYTHONPATH": paths}
+    (folder / "steps").mkdir(exist_ok=True)
+    own["ZSDIST_CHAOS_STEPS"] = str(folder / "steps")  # in which cars count their actions
     kept = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
     # A busy machine takes longer than Ray's own 30 s, and starves workers that are nice to all others.
     patient = {"RAY_raylet_start_wait_time_s": "300", "RAY_worker_niceness": "0"}

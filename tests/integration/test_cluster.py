@@ -70,7 +70,7 @@ class Run:
     def __init__(self, root, cluster, *settings):
         found, tls, address, folder = cluster
         self.folder, self.endpoint = root / "run", free_endpoint("tls").replace("127.0.0.1", address)
-        (root / "steps").mkdir(parents=True)
+        root.mkdir(parents=True)
         fixed = (
             f"run.address={found.address}",
             f"transport.tls={tls}",
@@ -78,7 +78,7 @@ class Run:
             "run.cpus_per_role=1",
             "run.standby=false",
         )
-        known = environment(folder, TOKEN) | {"ZSDIST_CHAOS_STEPS": str(root / "steps")}
+        known = environment(folder, TOKEN)
         command = [sys.executable, str(CHAOS / "launcher.py"), str(self.folder), *fixed, *settings]
         self.process = subprocess.Popen(
             command, env=known, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
