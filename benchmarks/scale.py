@@ -129,9 +129,10 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="duration of each case")
     parser.add_argument("--points", type=Path, default=Path("scale.jsonl"), metavar="FILE", help="file of the figures")
     parser.add_argument("--fit", type=Path, metavar="FILE", help="print what runs need by the points of a file")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="with --fit: write a picture too")
     options = parser.parse_args()
     if options.fit is not None:
-        fit(options.fit)
+        fit(options.fit, options.plot)
     elif options.clients:
         measure_crowds(options)
     else:
@@ -151,7 +152,7 @@ def measure_crowds(options: argparse.Namespace) -> None:
     _crowd.run(cases, options.points, ENDPOINT)
 
 
-def fit(file: Path) -> None:
+def fit(file: Path, picture: Path | None) -> None:
     """Print the costs of each part by the points of a file, and what runs of several sizes need."""
     import _crowd
     import _scaling_model as model
@@ -160,8 +161,14 @@ def fit(file: Path) -> None:
     figures: dict[str, float] = {}
     for part in model.COSTS:
         costs = model.fit(points, part)
-        print(f"{part}: " + ", ".join(f"{name} {value:.3g}" for name, value in costs.items()))
-        figures |= {f"{part}_{name}": value for name, value in costs.items()}
+        error = costs.pop("error")
+        print(f"{part}: CPU microseconds, error {100 * error:.0f}%")
+        print("".join(f"  {name:20}{1e6 * value:12.3g}\n" for name, value in costs.items()), end="")
+        figures |= {f"{part}_{name}_us": 1e6 * value for name, value in costs.items()} | {f"{part}_error": error}
+    if picture is not None:
+        import _scaling_plot
+
+        _scaling_plot.draw(points, _crowd.WEIGHTS_BYTES, picture)
     rate = points[-1]["rate"]
     for clients in (10, 100, 1000, 10000):
         needed = model.needs(points, clients, rate, 1 / _crowd.WEIGHTS_EVERY_S, _crowd.WEIGHTS_BYTES)

@@ -95,7 +95,7 @@ class Flow:
     def order(self):
         """Publish the orders that actors may push and learners may learn."""
         sizes = {"buffer_size": self.config.replay.size_initial, "batch_size": self.config.replay.batch_initial}
-        learner = {"learning": True, "merge": 0, "phase": "", "candidates": [], "chosen": "", "stop": False}
+        learner = {"learning": True, "merge": 0, "candidates": [], "chosen": "", "stop": False}
         for role, content in (
             (shards.ROLE, {"epochs": self.epochs, "stop": False} | sizes),
             ("learner", learner),

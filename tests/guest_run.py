@@ -84,6 +84,10 @@ class GuestRun(WholeRun):
     def stage(self):
         return self.scheduler.stage
 
+    @property
+    def merging(self):
+        return self.scheduler.progress.merge is not None
+
     def ask(self, what, actor, joiner="one", process="first"):
         """Return the run's answer to a question."""
         content = {"ask": what, "joiner": joiner, "process": process}

@@ -25,7 +25,8 @@ def environment(folder: Path, token: str) -> dict[str, str]:
     paths = os.pathsep.join([*map(str, PATHS), os.environ.get("PYTHONPATH", "")])
     own = {"RAY_TMPDIR": str(folder), "RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": token, "PYTHONPATH": paths}
     kept = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
-    patient = {"RAY_raylet_start_wait_time_s": "300"}  # a busy machine takes longer than Ray's own 30 s
+    # A busy machine takes longer than Ray's own 30 s, and starves workers that are nice to all others.
+    patient = {"RAY_raylet_start_wait_time_s": "300", "RAY_worker_niceness": "0"}
     return kept | own | patient | {"RAY_USAGE_STATS_ENABLED": "0", "OMP_NUM_THREADS": "1"}
 
 

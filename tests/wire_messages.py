@@ -30,7 +30,7 @@ STATE_SIZE, ACTIONS = 12, 11
 # Valid contents of orders, jobs and records.
 ACTOR = {"finished": 0, "merge": 1, "closing": False, "cut": False}
 REPLAY = {"epochs": {"actor-0": 3}, "buffer_size": 1000, "batch_size": 16, "stop": False}
-LEARNER = {"learning": True, "merge": 1, "phase": "drive", "candidates": ["recent"], "chosen": "", "stop": False}
+LEARNER = {"learning": True, "merge": 1, "candidates": ["recent"], "chosen": "", "stop": False}
 SUPERVISION = {"epochs": {}, "restarts": {"actor": 1}, "interrupted": False}
 JOBS = {"epoch": 3, "leases": [1, 2], "finished": 0, "merge": 1, "drives": [["recent", 0], ["best", 3]]}
 DRIVE = {"actor": "actor-0", "scene": "s", "outcome": "success", "steps": 3, "return": -1.5, "epsilon": 0.5}

@@ -176,6 +176,7 @@ class MergeConfig(Section):
     drive_steps: Count = 150  # actions after which a validation drive is a timeout; the shortest path takes about 30
     distil_updates: Count = 200  # updates towards the guide's actions that make the distilled candidate
     drop_after_scenes: Count = 6  # scenes after which a candidate that is clearly behind is dropped
+    share: Annotated[float, Field(gt=0, le=1)] = 0.5  # most of the cars' actions for such drives beside training
 
 
 SHORT_FORMS = {"transport": "transport.kind"}  # settings that the name of their section alone stands for

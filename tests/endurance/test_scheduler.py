@@ -96,13 +96,13 @@ class FakeRun:
 
     def _learn(self, orders):
         merge = orders["merge"]
-        if orders["phase"] == "collect" and self.offered < merge:
+        if self.offered < merge:
             self.offered = merge
             for level in Level:
                 for name in orders["candidates"]:
                     key = keys.candidate(RUN, level, name)
                     self.others.publish(key, codec.encode(Candidate(1, level, merge, name, WEIGHTS)))
-        if orders["phase"] == "promote" and self.promoted < merge:
+        if orders["chosen"] and self.promoted < merge:
             self.promoted = merge
             for level in Level:
                 message = WeightsMessage(1, merge, "0" * 64, 0.0, Weights(level, merge, WEIGHTS))

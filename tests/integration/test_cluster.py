@@ -145,7 +145,8 @@ def test_a_launch_without_the_token_or_with_another_one_is_refused_in_one_line(c
     command += ["--actors", "1", *(word for setting in settings for word in ("--set", setting))]
     ended = subprocess.run(command, env=known, capture_output=True, text=True, timeout=PATIENCE_S)
     assert ended.returncode == 2 and ended.stdout == "" and not (tmp_path / "run").exists()
-    assert words in ended.stderr and found.address in ended.stderr and ended.stderr.count("\n") == 1
+    line = ended.stderr.splitlines()[-1]  # before it Matplotlib may say that it looks for fonts
+    assert line.startswith("zsdist.launch: error: Ray cluster") and words in line and found.address in line
 
 
 def test_the_doctor_connects_with_the_token_and_shows_the_nodes(cluster, monkeypatch):

@@ -146,6 +146,25 @@ def test_progress_without_a_terminal_is_plain_lines(folder, capsys, monkeypatch)
     assert lines[-1] == "astar: 2 of 2: success 2, collision 0, timeout 0"
 
 
+def test_evaluations_in_the_same_processes_say_what_each_says_alone(folder, capsys, monkeypatch):
+    monkeypatch.setattr(reports, "PLAIN_EVERY_S", -1.0)
+    short = Config(sim={"max_steps": 9})
+    contenders = {name: Contender(short, baseline=name) for name in ("random", "astar")}
+    trials = [
+        reports.Trial(name, contender, None, str(folder), 2, lasts=name == "astar")
+        for name, contender in contenders.items()
+    ]
+    together = reports.evaluate_all(trials, seed=3, workers=1)
+    assert "evaluation: 4 of 4: " in capsys.readouterr().err
+    for trial, report in zip(trials, together, strict=True):
+        about = {"policy": trial.name, "weights_sha256": None, "scenes": str(folder), "episodes": 2}
+        alone = reports.evaluate(trial.contender, **about, seed=3, workers=1)
+        assert [record.poses for record in report.records] == [record.poses for record in alone.records]
+        times = ("decision_ms",)  # of a real clock
+        found, expected = ({k: v for k, v in one.result.items() if k not in times} for one in (report, alone))
+        assert found == expected and report.scenes == alone.scenes
+
+
 def test_a_file_of_episodes_is_resumed_only_when_asked(folder, tmp_path, capsys):
     out, one, two = tmp_path / "episodes.jsonl", tmp_path / "one.json", tmp_path / "two.json"
     asked = ("random", "--scenes", str(folder), "--workers", "1", "--out", str(out))

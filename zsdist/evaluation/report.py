@@ -1,5 +1,6 @@
 """Whole evaluations: selection and driving of scenes with a progress display, and summaries as JSON and tables."""
 
+import contextlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,8 +19,9 @@ from zsdist.evaluation.metrics import spl, summarise_scenes
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.evaluation.selection import select
 from zsdist.evaluation.statistics import runs_95
-from zsdist.evaluation.workers import drive_all
+from zsdist.evaluation.workers import EvaluationDrive, drive_all, drive_each
 from zsdist.sim.scenes.families import FAMILIES
+from zsdist.sim.scenes.scene import Scene
 from zsdist.types import Outcome
 
 LABELS = {
@@ -97,6 +99,55 @@ class Report:
             console.say(note)
 
 
+@dataclass(frozen=True)
+class Trial:
+    """One evaluation of several: a contender and the scenes that it drives.
+
+    Attributes:
+        name: name of the policy.
+        contender: contender that drives.
+        sha256: hash of its networks; None for a baseline.
+        scenes: folder, family or split, as `selection.select` accepts them.
+        episodes: number of scenes.
+        lasts: whether most of its drives may last to the limit of actions; such drives begin first, so that in the end
+            no process waits for another.
+    """
+
+    name: str
+    contender: Contender
+    sha256: str | None
+    scenes: str
+    episodes: int
+    lasts: bool = False
+
+
+def evaluate_all(trials: Sequence[Trial], *, seed: int, workers: int) -> list[Report]:
+    """Drive several evaluations in the same processes, with one display of progress, and return their reports in order.
+
+    Args:
+        trials: the evaluations.
+        seed: seed of scenes and drivers.
+        workers: number of processes.
+    """
+    scenes = [select(trial.scenes, trial.contender.config, trial.episodes, seed) for trial in trials]
+    order = sorted(range(len(trials)), key=lambda number: not trials[number].lasts)
+    drives = [EvaluationDrive(number, index, scene) for number in order for index, scene in enumerate(scenes[number])]
+    records: list[dict[int, EpisodeRecord]] = [{} for _ in trials]
+    contenders, ended = [trial.contender for trial in trials], Counter[Outcome]()
+    with (
+        StepProgress("evaluation", len(drives)) as progress,
+        contextlib.closing(drive_each(contenders, drives, seed, workers)) as driven,
+    ):
+        for drive, record in driven:
+            records[drive.contender][drive.number] = record
+            ended[record.outcome] += 1
+            progress.step(_outcomes(ended))
+    return [
+        _report(trial.contender, trial.name, trial.sha256, trial.scenes, seed, chosen, [of[i] for i in range(len(of))])
+        for trial, chosen, of in zip(trials, scenes, records, strict=True)
+    ]
+
+
 def evaluate(
     contender: Contender,
     *,
@@ -137,11 +188,27 @@ def evaluate(
             if store is not None:
                 store.add(index, record)
             ended[record.outcome] += 1
-            progress.step(", ".join(f"{outcome} {ended[outcome]}" for outcome in Outcome))
+            progress.step(_outcomes(ended))
 
         records = drive_all(contender, chosen, seed, workers, on_record, known)
+    return _report(contender, policy, weights_sha256, scenes, seed, chosen, records)
+
+
+def _outcomes(ended: Counter[Outcome]) -> str:
+    return ", ".join(f"{outcome} {ended[outcome]}" for outcome in Outcome)
+
+
+def _report(
+    contender: Contender,
+    policy: str,
+    weights_sha256: str | None,
+    scenes: str,
+    seed: int,
+    chosen: Sequence[Scene],
+    records: Sequence[EpisodeRecord],
+) -> Report:
     about = {
-        "policy": name,
+        "policy": policy if contender.variant == FULL else contender.variant,
         "weights_sha256": weights_sha256,
         "scenes": scenes,
         "episodes": len(records),

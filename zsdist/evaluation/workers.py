@@ -2,9 +2,10 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import NamedTuple
 
 import gymnasium
 
@@ -51,13 +52,49 @@ def drive_all(
         RunError: a worker died.
     """
     records = dict(known)
-    drives = [(index, scene) for index, scene in enumerate(scenes) if index not in known]
-    driven = pool.each(_drive, drives, min(workers, len(drives)), _begin, (contender, seed))
-    with contextlib.closing(driven):
-        for index, record in driven:
-            records[index] = record
-            on_record(index, record)
+    drives = [EvaluationDrive(0, index, scene) for index, scene in enumerate(scenes) if index not in known]
+    with contextlib.closing(drive_each([contender], drives, seed, workers)) as driven:
+        for drive, record in driven:
+            records[drive.number] = record
+            on_record(drive.number, record)
     return [records[index] for index in range(len(scenes))]
+
+
+class EvaluationDrive(NamedTuple):
+    """Drive of an evaluation.
+
+    Attributes:
+        contender: index of the contender that drives.
+        number: index of the scene among those of the contender.
+        scene: scene to drive.
+    """
+
+    contender: int
+    number: int
+    scene: Scene
+
+
+def drive_each(
+    contenders: Sequence[Contender], drives: Sequence[EvaluationDrive], seed: int, workers: int
+) -> Generator[tuple[EvaluationDrive, EpisodeRecord], None, None]:
+    """Yield each drive with its record as it ends; the drives begin in their order, in the same processes.
+
+    A record depends neither on the number of workers nor on the other drives. Close the generator if it may not be
+    exhausted.
+
+    Args:
+        contenders: contenders to evaluate.
+        drives: drives to make; those of one contender should follow one another.
+        seed: seed of the drivers' randomness, combined with the index of the scene.
+        workers: number of processes; 1: only this one.
+
+    Raises:
+        ZsdistError: an episode raised it.
+        RunError: a worker died.
+    """
+    driven = pool.each(_drive, drives, min(workers, len(drives)), _begin, (tuple(contenders), seed))
+    with contextlib.closing(driven):
+        yield from driven
 
 
 def make_runner(contender: Contender, simulation: Simulation | None = None, images: bool = False) -> EpisodeRunner:
@@ -79,19 +116,36 @@ def make_runner(contender: Contender, simulation: Simulation | None = None, imag
 
 
 class _Worker:
-    """State of a worker process. The runner is made in the first episode, since errors of episodes are reported."""
+    """State of a worker process. Runners are made in their first episode, since errors of episodes are reported.
 
-    contender: Contender
+    Attributes:
+        contenders: all contenders.
+        seed: seed of the drivers' randomness.
+        runner: runner of the contender that drove last, and the contender's index.
+        vision: loaded vision models, by their settings.
+    """
+
+    contenders: Sequence[Contender]
     seed: int
-    runner: EpisodeRunner | None = None
+    runner: tuple[int, EpisodeRunner] | None
+    vision: dict[str, ViewPredictor]
 
 
-def _begin(contender: Contender, seed: int) -> None:
-    _Worker.contender, _Worker.seed, _Worker.runner = contender, seed, None
+def _begin(contenders: Sequence[Contender], seed: int) -> None:
+    _Worker.contenders, _Worker.seed, _Worker.runner, _Worker.vision = contenders, seed, None, {}
 
 
-def _drive(drive: tuple[int, Scene]) -> tuple[int, EpisodeRecord]:
-    index, scene = drive
-    if _Worker.runner is None:
-        _Worker.runner = make_runner(_Worker.contender)
-    return index, _Worker.runner.drive(scene, random_streams.evaluated_episode(_Worker.seed, index))
+def _drive(drive: EvaluationDrive) -> tuple[EvaluationDrive, EpisodeRecord]:
+    if _Worker.runner is None or _Worker.runner[0] != drive.contender:
+        _Worker.runner = None  # before the next one takes as much memory
+        simulation = Simulation(load_vision=_load_once)
+        _Worker.runner = drive.contender, make_runner(_Worker.contenders[drive.contender], simulation)
+    _, runner = _Worker.runner
+    return drive, runner.drive(drive.scene, random_streams.evaluated_episode(_Worker.seed, drive.number))
+
+
+def _load_once(config: Config) -> ViewPredictor:
+    settings = config.model_dump_json(include={"vision", "camera"})
+    if settings not in _Worker.vision:
+        _Worker.vision[settings] = Simulation().load_vision(config)
+    return _Worker.vision[settings]

@@ -6,7 +6,7 @@ Name and seed determine the content of a shard, so the number of processes and i
 import itertools
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +38,7 @@ def validation(job: Job) -> Examples:
     return _make(job, "validation", 0, min(VALIDATION, job.images))
 
 
-def epochs(job: Job, workers: int, first: int) -> Iterator[Examples]:
+def epochs(job: Job, workers: int, first: int) -> Generator[Examples, None, None]:
     """Yield the pictures of epoch `first` and of all later ones. Close the generator to end its processes."""
     shards = math.ceil(epoch_pictures(job) / SHARD)
     numbers = (number for number in itertools.count(first * shards))
@@ -77,9 +77,9 @@ def _make(job: Job, use: str, number: int, count: int) -> Examples:
     else:
         split: Split = PURPOSE.split if use == "train" else "validation"
         views = fresh_views(list(job.families), split, count, seed, camera)
-    columns = [(view.image[-COMPACT_ROWS:], view.ray_clearance_m, view.ray_dynamic) for view in views]
-    angles = ray_angles_rad(RAYS, math.radians(camera.field_of_view_deg))
-    return Examples(*(np.stack(column) for column in zip(*columns, strict=True)), angles)
+    rows = [(view.image[-COMPACT_ROWS:], view.ray_clearance_m, view.ray_dynamic) for view in views]
+    images, distance_m, dynamic = (np.stack(column) for column in zip(*rows, strict=True))
+    return Examples(images, distance_m, dynamic, ray_angles_rad(RAYS, math.radians(camera.field_of_view_deg)))
 
 
 def _photographs(job: Job, use: str, number: int, count: int, camera: CameraConfig) -> Iterator[CityView]:

@@ -138,9 +138,7 @@ class Stages:
     def _compact(self) -> nn.Module:
         """Return the compact network, trained on pictures that are made meanwhile."""
         network = of_compact.new_compact(self._field_of_view_rad, self._job.seed)
-        self._progress.log(
-            f"compact: pictures are made beside the training, {fresh.epoch_pictures(self._job)} an epoch"
-        )
+        self._progress.log(f"compact: makes {fresh.epoch_pictures(self._job)} new pictures for each epoch")
         unseen = fresh.validation(self._job)
         with contextlib.ExitStack() as opened:
 

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from zsdist.common.allowed_resources import allowed_cores
 from zsdist.common.console import PlainConsole, table
 from zsdist.config import Config
 from zsdist.evaluation.contenders import FULL, Contender
-from zsdist.evaluation.report import Report, evaluate
+from zsdist.evaluation.report import Report, Trial, evaluate_all
 from zsdist.evaluation.selection import select
 from zsdist.reporting import curves, runs
 from zsdist.reporting.maps import DrivenPath, draw_paths
@@ -24,25 +23,6 @@ PATHS_SHOWN = 6
 TRAINING_EPISODES_A_DRIVE = 5  # for each final drive of a policy, so that the evaluation stays short
 UNSEEN = "iid"  # family of unseen scenes, for a policy that was trained on the singleton family
 SINGLETON = "singleton"
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One line of the comparison: a policy and the scenes that it drives.
-
-    Attributes:
-        name: name of the policy in the table.
-        contender: contender that drives.
-        sha256: hash of its networks; None for a baseline.
-        scenes: name of a family or a split.
-        episodes: number of scenes.
-    """
-
-    name: str
-    contender: Contender
-    sha256: str | None
-    scenes: str
-    episodes: int
 
 
 def draw_training(folder: Path) -> None:
@@ -63,7 +43,8 @@ def compare(folder: Path, settings: Config, console: PlainConsole) -> None:
     trained = load_policy(folder, (), console.say)
     if note := check_vision(trained):
         console.say(note)
-    reports = [(trial, _drive(trial, settings.seed)) for trial in trials(trained, settings, episodes)]
+    compared = list(trials(trained, settings, episodes))
+    reports = list(zip(compared, evaluate_all(compared, seed=settings.seed, workers=allowed_cores()), strict=True))
     (folder / "evaluation.json").write_text(
         json.dumps([report.result for _, report in reports], indent=1) + "\n", encoding="utf-8"
     )
@@ -98,23 +79,12 @@ def trials(trained: Policy, settings: Config, episodes: int) -> Iterator[Trial]:
     seen = settings.scenes.train[0]
     on_seen = min(episodes, SINGLETON_SCENES) if seen == SINGLETON else episodes
     for name, variant in (("trained", FULL), ("untrained", "untrained")):
-        yield Trial(name, Contender(settings, trained.parameters, variant=variant), trained.sha256, seen, on_seen)
+        contender = Contender(settings, trained.parameters, variant=variant)
+        yield Trial(name, contender, trained.sha256, seen, on_seen, lasts=variant != FULL)
     unseen = UNSEEN if seen == SINGLETON else "test"
     yield Trial("trained", Contender(settings, trained.parameters), trained.sha256, unseen, episodes)
     for baseline in ("random", "potential-field"):
         yield Trial(baseline, Contender(settings, baseline=baseline), None, unseen, episodes)
-
-
-def _drive(trial: Trial, seed: int) -> Report:
-    return evaluate(
-        trial.contender,
-        policy=trial.name,
-        weights_sha256=trial.sha256,
-        scenes=trial.scenes,
-        episodes=trial.episodes,
-        seed=seed,
-        workers=allowed_cores(),
-    )
 
 
 def _table(reports: list[tuple[Trial, Report]]) -> Table:

@@ -13,6 +13,7 @@ from zsdist.errors import DecodeError, RunError, WeightsError
 from zsdist.roles import schemas
 from zsdist.roles.actor_outboxes import ActorOutboxes, CreditAccount
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
+from zsdist.roles.drive_share import DriveShare
 from zsdist.roles.schemas import ActorJobs, ActorOrders
 from zsdist.roles.shapes import SHAPES
 from zsdist.types import Level, Parameters
@@ -55,6 +56,7 @@ class Actor(Role):
         self._started_episodes = 0
         self._jobs = ActorJobs(epoch=None, leases=[], finished=0, merge=0, drives=[])
         self._driven: set[tuple[int, str, int]] = set()
+        self._share = DriveShare(context.config.merge.share, len(self.cars))
         self._run: ActorOrders | None = None  # progress of the run; it counts while this incarnation is named
         self._closing = False
         self._cut = False
@@ -130,6 +132,8 @@ class Actor(Role):
     def _take_jobs(self, jobs: ActorJobs) -> None:
         self.is_named = jobs.epoch == self.context.epoch
         if self.is_named:  # else they are meant for a predecessor of this process, or for its successor
+            if jobs.merge != self._jobs.merge:
+                self._share.begin_merge()
             self._jobs = jobs
             self._started.intersection_update(jobs.leases)  # a number that is not leased to it any more never returns
             self._driven = {job for job in self._driven if job[0] >= jobs.merge}
@@ -175,7 +179,7 @@ class Actor(Role):
             self._max_lag_s = max(self._max_lag_s, self._lags_s[level])
 
     def _assign(self) -> None:
-        """Give idle cars their next task: drives of candidates first, then leases."""
+        """Give idle cars their next task: drives of candidates within their share, and leases."""
         if self._closing or len(self._weights) < len(Level):
             return
         versions = {level: message.weights.version for level, message in self._weights.items()}
@@ -184,7 +188,15 @@ class Actor(Role):
                 car.begin(task, versions, self._candidate_q(task))
 
     def _next_task(self) -> EpisodeTask | None:
-        merge, agent = self._jobs.merge, self.config.agent
+        number = next((number for number in self._jobs.leases if number not in self._started), None)
+        driving = sum(not car.idle and not car.trains for car in self.cars)
+        trains = number is not None or (self._run is not None and self._run.leasing)
+        if (not trains or self._share.allows(driving)) and (task := self._next_drive()) is not None:
+            return task
+        return None if number is None else self._training(number)
+
+    def _next_drive(self) -> EpisodeTask | None:
+        merge = self._jobs.merge
         for candidate, index in self._jobs.drives:
             job = (merge, candidate, index)
             if job not in self._driven and len(self._candidates.get((merge, candidate), {})) == len(Level):
@@ -193,17 +205,17 @@ class Actor(Role):
                 seed = random_streams.candidate_drive(self.config.seed, merge, index)
                 most_steps = self.config.merge.drive_steps
                 return EpisodeTask(scene, index, 0.0, True, seed, candidate, merge, most_steps)
-        for number in self._jobs.leases:
-            if number not in self._started:
-                self._started.add(number)
-                self._started_episodes += 1
-                share = epsilon(self._jobs.finished, agent.epsilon_decay, agent.epsilon_min)
-                seed = random_streams.exploration(self.config.seed, number)
-                shielded = bool(
-                    random_streams.shielded_episodes(self.config.seed, number).random() < agent.shield_share
-                )
-                return EpisodeTask(self.schedule.training(number), number, share, shielded, seed)
         return None
+
+    def _training(self, number: int) -> EpisodeTask:
+        """Begin the training episode with a number."""
+        agent, seed = self.config.agent, self.config.seed
+        self._started.add(number)
+        self._started_episodes += 1
+        share = epsilon(self._jobs.finished, agent.epsilon_decay, agent.epsilon_min)
+        shielded = bool(random_streams.shielded_episodes(seed, number).random() < agent.shield_share)
+        exploration = random_streams.exploration(seed, number)
+        return EpisodeTask(self.schedule.training(number), number, share, shielded, exploration)
 
     def _may_act(self, car: ActorCar) -> bool:
         """Return whether a car may act: a step of a training episode needs credit for its transitions."""
@@ -213,7 +225,9 @@ class Actor(Role):
         for car, view in zip(cars, self.perception.views(cars), strict=True):
             ended = car.over
             car.advance(view, car.candidate_q or self._online_q())
-            self.actions += not ended
+            if not ended:
+                self.actions += 1
+                self._share.count(trains=car.trains)
             if car.trains:
                 if not ended:
                     self.env_steps += 1

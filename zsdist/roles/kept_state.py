@@ -14,6 +14,7 @@ from typing import NamedTuple, Self
 
 from zsdist.common import atomic_files, folders
 from zsdist.errors import DecodeError, RunError
+from zsdist.roles.schemas import CandidateName
 from zsdist.types import Parameters
 from zsdist.wire import codec
 from zsdist.wire.frame import PLAIN
@@ -26,7 +27,7 @@ DIGITS = 20  # of the epoch in names of files, so that they sort by it
 
 
 class MergeState(NamedTuple):
-    """Part of a kept state that no checkpoint has, since none is written while candidates compete.
+    """Part of a kept state that no checkpoint has: a run that is resumed from one begins its merge anew.
 
     Attributes:
         offered: index of the last merge for which candidates were made.
@@ -35,7 +36,7 @@ class MergeState(NamedTuple):
     """
 
     offered: int
-    candidates: dict[str, Parameters]
+    candidates: dict[CandidateName, Parameters]
     paused: bool
 
     @classmethod

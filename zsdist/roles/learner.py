@@ -13,8 +13,9 @@ from zsdist.errors import RunError
 from zsdist.roles import divergence
 from zsdist.roles.base import Context, Role
 from zsdist.roles.kept_state import KeptState, MergeState
+from zsdist.roles.promotion import promoted
 from zsdist.roles.rollback import Rollbacks, not_finite
-from zsdist.roles.schemas import BEST, DISTILLED, RECENT, CandidateName, LearnerOrders, Phase
+from zsdist.roles.schemas import BEST, DISTILLED, RECENT, CandidateName, LearnerOrders
 from zsdist.types import Batch, Level, Parameters, Weights
 from zsdist.wire import codec, keys
 from zsdist.wire.messages import (
@@ -88,7 +89,7 @@ class Learner(Role):
         self.waiting_data_s = 0.0
         self.waiting_reply_s = 0.0  # the part of `waiting_data_s` in which the replay had a batch to give
         self._best: Parameters | None = None
-        self._candidates: dict[str, Parameters] = {}
+        self._candidates: dict[CandidateName, Parameters] = {}
         self._offered = 0
         self._episodes = 0  # finished ones of the run, as far as is known here
         dqn.limit = divergence.value_limit(context.config, level)
@@ -296,8 +297,8 @@ class Learner(Role):
     def _follow(self, content: LearnerOrders, now: float) -> None:
         index, self._episodes = content.merge, content.finished
         self._paused = not content.learning
-        if content.phase in (Phase.COLLECT, Phase.DRIVE, Phase.PROMOTE) and index > self._offered:
-            if content.phase != Phase.COLLECT:  # the kept state of a predecessor was damaged
+        if index > self._offered:
+            if content.driven:  # the kept state of a predecessor was damaged
                 self.event(now, "candidates_made_again", level=self.level.value, merge=index)
             self._offered = index
             if DISTILLED in content.candidates and not self._recent_batches:  # just resumed: no checkpoint has them
@@ -305,13 +306,13 @@ class Learner(Role):
             self._candidates = self._make_candidates(content.candidates, now)
             self._keep(now)  # first: no successor may offer others under the same names
             self._publish_candidates(now)
-        if content.phase == Phase.PROMOTE and index > self.merge and content.chosen in self._candidates:
+        if index > self.merge and content.chosen in self._candidates:
             self._promote(index, content.chosen, now)
         self.finished = content.stop
         if self.finished and self._kept is not None:
             self._kept.discard()
 
-    def _make_candidates(self, names: Sequence[CandidateName], now: float) -> dict[str, Parameters]:
+    def _make_candidates(self, names: Sequence[CandidateName], now: float) -> dict[CandidateName, Parameters]:
         makers: dict[CandidateName, Callable[[], Parameters]] = {
             RECENT: self.dqn.parameters,
             DISTILLED: lambda: self._distilled(now),
@@ -339,9 +340,10 @@ class Learner(Role):
             key = keys.candidate(self.context.run, self.level, name)
             self.transport.publish(key, codec.encode(message), retained=True)
 
-    def _promote(self, index: int, chosen: str, now: float) -> None:
+    def _promote(self, index: int, chosen: CandidateName, now: float) -> None:
+        present = self._sound("network", self.dqn.parameters, now)
+        self.dqn.promote(promoted(chosen, self._candidates, present), reset_online=chosen != RECENT)
         self._best = self._candidates[chosen]
-        self.dqn.promote(self._best, reset_online=chosen != RECENT)
         self.merge, self._candidates = index, {}
         self._published_updates = -1  # the networks may have changed without an update
         self._keep(now)  # first: the scheduler goes on once it has heard of it

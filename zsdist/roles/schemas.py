@@ -6,7 +6,6 @@ bounded, so that sums of them stay finite.
 """
 
 from collections.abc import Sequence
-from enum import StrEnum
 from typing import Annotated, Any, Final, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
@@ -33,15 +32,6 @@ DISTILLED: Final = "distilled"  # the recent ones after updates that pull them t
 BEST: Final = "best"  # the winner of the last merge: the paper's "historical strategies"
 
 
-class Phase(StrEnum):
-    """Phases of a merge, in their order."""
-
-    COLLECT = "collect"  # waiting for the learners' candidates
-    DRIVE = "drive"  # actors drive the candidates
-    PROMOTE = "promote"  # waiting for the learners to promote the winner
-    DONE = "done"
-
-
 class Content(BaseModel):
     """Base of all models: exactly these fields, of exactly these types."""
 
@@ -49,8 +39,12 @@ class Content(BaseModel):
 
 
 class ActorOrders(Content):
-    """Orders to all actors: the progress of the run. They are as long for many actors as for one."""
+    """Orders to all actors: the progress of the run. They are as long for many actors as for one.
 
+    `leasing` tells whether there are episodes that nobody holds yet: whoever has none soon gets one.
+    """
+
+    leasing: bool = False
     finished: Count
     merge: Count
     closing: bool
@@ -68,13 +62,18 @@ class ReplayOrders(Content):
 
 
 class LearnerOrders(Content):
-    """Orders to the learners: whether to learn, the phase of the merge, and the progress of the run."""
+    """Orders to the learners: whether to learn, the merge under way, and the progress of the run.
+
+    `merge` is the index of the merge, 0 without one, and `candidates` names those that a learner has to offer in it.
+    `driven` counts their drives so far. `chosen` is the winner, which a learner has to promote; empty while there is
+    none.
+    """
 
     learning: bool
     finished: Count = 0
     merge: Count
-    phase: Annotated[Phase, Strict(False)] | Literal[""]
     candidates: Annotated[list[CandidateName], Field(max_length=8)]
+    driven: Count = 0
     chosen: CandidateName | Literal[""]
     stop: bool
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from zsdist.common import folders
 from zsdist.config import Config
+from zsdist.errors import RunError
 
 
 def ledger(folder: Path, start: str) -> Path:
@@ -29,10 +30,17 @@ def of_shard(config: Config, run: str, folder: Path, start: str, index: int) -> 
     return Path(config.replay.journals[index % len(config.replay.journals)]) / f"{run}-{which}-{start}-{index}"
 
 
-def begin(config: Config, run: str, folder: Path, start: str, index: int) -> Path:
-    """Return what `of_shard` returns, for the shard; on a disk of its own, those of earlier starts are removed."""
+def begin(config: Config, run: str, folder: Path, start: str, index: int, *, has_predecessor: bool = False) -> Path:
+    """Return what `of_shard` returns, for the shard; on a disk of its own, those of earlier starts are removed.
+
+    Raises:
+        RunError: the shard has a predecessor in this start of the run, and the journal on that disk is not there: it is
+            another disk, and what the predecessor has acknowledged would be lost in silence.
+    """
     own = of_shard(config, run, folder, start, index)
     if config.replay.journals:
+        if has_predecessor and not own.is_dir():
+            raise RunError(f"its journal {own} is not there; this machine or its disk is not the one it was written on")
         for old in folders.visible(own.parent, own.name.replace(start, "*")):
             if old != own:
                 shutil.rmtree(old, ignore_errors=True)

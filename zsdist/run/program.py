@@ -223,7 +223,9 @@ class RunSpec:
                 return Scheduler(context, log, ledger, self.states.get(role_spec.role))
             case shards.ROLE:
                 index = int(role_spec.id)
-                own = journals.begin(config, self.run, self.folder, self.start, index)
+                has_predecessor = self.launch > 0 and role_spec.epoch >= self.launch + epoch_count(config)
+                where = (config, self.run, self.folder, self.start, index)
+                own = journals.begin(*where, has_predecessor=has_predecessor)
                 return Replay(context, SHAPES, own, self.states.get(shards.state_name(index)))
             case "learner":
                 level = Level(role_spec.id)

@@ -72,7 +72,8 @@ class NodeHost(RoleHost):
 
     def labels(self) -> Mapping[str, str]:
         """See `RoleHost.labels`."""
-        return dict(ray.get_runtime_context().get_node_labels())
+        found: Any = ray.get_runtime_context().get_node_labels()  # Ray declares lists of texts, and gives texts
+        return dict(found)
 
 
 class _Supervisor:
@@ -301,7 +302,7 @@ class _Supervisor:
         others = [reference for reference, name in self.work.items() if name not in names and self._is_there(name)]
         if others:
             ray.wait(others, num_returns=len(others), timeout=LEAVE_WITHIN_S)
-        stopped = [self.hosts[name].stop.remote() for name in names if self._is_there(name)]
+        stopped: list[ray.ObjectRef] = [self.hosts[name].stop.remote() for name in names if self._is_there(name)]
         ray.wait(stopped, num_returns=len(stopped), timeout=LEAVE_WITHIN_S)
 
     def _ask(self, reference: ray.ObjectRef, name: str) -> str:

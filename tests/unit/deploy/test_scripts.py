@@ -20,6 +20,7 @@ STANDINS = {
 case "$*" in
     -c*) echo secret ;;
     *zsdist.certs*) touch "$3/ca.key" "$3/ca.pem" ;;
+    *await_cores*) until [ "$(grep -c ^srun "$CALLS")" = 2 ]; do sleep 0.02; done ;;
     *zsdist.launch*)
         trap 'echo saved >> "$CALLS"; exit 138' USR1
         trap 'echo saved >> "$CALLS"; exit 143' TERM

@@ -63,12 +63,15 @@ class Comparison:
             final_evaluation, "load_policy", lambda path, *_: make_policy(settings_of(), PARAMETERS, "x")
         )
         monkeypatch.setattr(final_evaluation, "check_vision", lambda policy: note)
-        monkeypatch.setattr(final_evaluation, "evaluate", self.evaluate)
+        monkeypatch.setattr(final_evaluation, "evaluate_all", self.evaluate_all)
 
-    def evaluate(self, contender, **options):
-        self.asked.append(options)
-        about = {"policy": options["policy"], "scenes": options["scenes"], "episodes": options["episodes"]}
-        return Report(contender, RESULT | about, [RECORD] * options["episodes"], ["x"] * options["episodes"])
+    def evaluate_all(self, trials, **options):
+        self.asked += [options | {"episodes": trial.episodes} for trial in trials]
+        return [self.report(trial) for trial in trials]
+
+    def report(self, trial):
+        about = {"policy": trial.name, "scenes": trial.scenes, "episodes": trial.episodes}
+        return Report(trial.contender, RESULT | about, [RECORD] * trial.episodes, ["x"] * trial.episodes)
 
     def compare(self, *overrides):
         console = PlainConsole(file=self.output, width=140)

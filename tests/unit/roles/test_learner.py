@@ -64,7 +64,7 @@ class Bench:
             request.reply(codec.encode(SampleReply(Level.LOW, found, held, waited_s, batches)))
 
     def order(self, learning):
-        content = {"learning": learning, "merge": 0, "phase": "", "candidates": [], "chosen": "", "stop": False}
+        content = {"learning": learning, "merge": 0, "candidates": [], "chosen": "", "stop": False}
         self.others.publish(keys.control(RUN, "learner"), codec.encode(Orders(1, "learner", content)))
 
 
@@ -174,7 +174,7 @@ def test_an_event_reports_a_distilled_candidate_that_equals_the_recent_one(learn
     if learned:
         bench.answer(bench.requests.drain())
         bench.step()
-    content = {"learning": False, "merge": 1, "phase": "collect", "candidates": ["recent", "distilled"]}
+    content = {"learning": False, "merge": 1, "candidates": ["recent", "distilled"]}
     orders = Orders(1, "learner", content | {"chosen": "", "stop": False})
     bench.others.publish(keys.control(RUN, "learner"), codec.encode(orders))
     bench.step()
@@ -208,12 +208,11 @@ def test_errors_of_rows_sampled_by_priority_go_to_the_shard_they_came_from():
     assert (found.errors > 0).all()
 
 
-def merge_orders(phase, merge, chosen=""):
+def merge_orders(merge, chosen=""):
     candidates = ["recent", "distilled", "best"] if merge > 1 else ["recent", "distilled"]
     return {
         "learning": False,
         "merge": merge,
-        "phase": phase,
         "candidates": candidates,
         "chosen": chosen,
         "stop": False,
@@ -224,8 +223,8 @@ def test_merges_leave_no_more_retained_values_or_tokens_than_the_second_one(benc
     transport = bench.learner.transport
     kept = []
     for merge in range(1, 30):
-        for phase, chosen in (("collect", ""), ("promote", "recent")):
-            content = merge_orders(phase, merge, chosen)
+        for chosen in ("", "recent"):
+            content = merge_orders(merge, chosen)
             bench.others.publish(keys.control(RUN, "learner"), codec.encode(Orders(1, "learner", content)))
             bench.step()
         kept.append((len(transport.kept), len(transport.tokens)))
@@ -235,8 +234,8 @@ def test_merges_leave_no_more_retained_values_or_tokens_than_the_second_one(benc
 
 def test_a_late_actor_gets_the_newest_candidate_of_each_name_alone(bench):
     for merge in range(1, 5):
-        for phase, chosen in (("collect", ""), ("promote", "distilled")):
-            content = merge_orders(phase, merge, chosen)
+        for chosen in ("", "distilled"):
+            content = merge_orders(merge, chosen)
             bench.others.publish(keys.control(RUN, "learner"), codec.encode(Orders(1, "learner", content)))
             bench.step()
     late = Mailbox(2**24)
@@ -270,7 +269,7 @@ def test_a_level_whose_values_leave_their_range_ends_the_run_with_the_cause(rewa
     bench = Bench(
         low={"reward_scale": 1e4, "hidden": [8], "huber": False, "max_gradient_norm": 1e30, "learning_rate": 0.5}
     )
-    content = merge_orders("", 0) | {"learning": True, "candidates": [], "finished": 12}
+    content = merge_orders(0) | {"learning": True, "candidates": [], "finished": 12}
     bench.others.publish(keys.control(RUN, "learner"), codec.encode(Orders(1, "learner", content)))
     bench.step()
     events = Mailbox(2**20)

@@ -38,13 +38,13 @@ def batch(rng, rows):
     )
 
 
-def merge_orders(phase, merge, chosen=""):
+def merge_orders(merge, chosen="", driven=0):
     candidates = ["recent", "distilled", "best"] if merge > 1 else ["recent", "distilled"]
-    orders = {"learning": False, "merge": merge, "phase": phase, "candidates": candidates}
+    orders = {"learning": True, "merge": merge, "driven": driven, "candidates": candidates}
     return orders | {"chosen": chosen, "stop": False}
 
 
-LEARNS = merge_orders("", 0) | {"learning": True, "candidates": []}
+LEARNS = merge_orders(0) | {"candidates": []}
 
 
 class Life:
@@ -146,42 +146,80 @@ def networks(offers):
     return found
 
 
-@pytest.mark.parametrize("killed_in", ["collect", "drive", "promote", "promoted", "never"])
+def differences(one, other):
+    return {name: one[name] - other[name] for name in one}
+
+
+@pytest.mark.parametrize("killed_in", ["offering", "driving", "training", "promoted", "never"])
 @pytest.mark.parametrize("chosen", ["recent", "distilled"])
-def test_a_merge_goes_on_in_its_phase_with_the_same_candidates(life, killed_in, chosen):
+def test_a_merge_goes_on_with_the_same_candidates_and_with_what_was_learned_meanwhile(life, killed_in, chosen):
     life.order(LEARNS)
     life.learn(20)
-    life.order(merge_orders("collect", 1))
-    if killed_in == "collect":
+    life.order(merge_orders(1))
+    if killed_in == "offering":
         life.kill()
     life.step()
-    life.order(merge_orders("drive", 1))
-    if killed_in == "drive":
+    life.order(merge_orders(1, driven=1))
+    if killed_in == "driving":
         life.kill()
+    life.learn(20)
     life.step(3.0)
     offers = networks(life.sent(Candidate))
     assert set(offers) == {(1, "recent"), (1, "distilled")}
-    if killed_in == "promote":
+    if killed_in == "training":
         life.kill()
-    life.order(merge_orders("promote", 1, chosen))
+    learned = differences(life.learner.dqn.parameters(), offers[1, "recent"])
+    assert any(change.any() for change in learned.values())
+    life.requests.drain()
+    life.order(merge_orders(1, chosen, driven=12))
     promoted = life.learner.dqn.target_parameters()
     if killed_in == "promoted":
         life.kill()
-    life.order(merge_orders("promote", 1, chosen))  # is repeated
+    life.order(merge_orders(1, chosen, driven=12))  # is repeated
     assert life.learner.merge == 1
     assert same_arrays(life.learner.dqn.target_parameters(), promoted)
-    assert same_arrays(promoted, offers[1, chosen])
-    assert same_arrays(life.learner.dqn.parameters(), offers[1, chosen])
+    assert same_arrays(life.learner.dqn.parameters(), promoted)
+    kept = differences(promoted, offers[1, chosen])
+    assert all(np.allclose(kept[name], learned[name], atol=1e-6) for name in kept)
     assert max(message.merge for message in life.sent(WeightsMessage)) == 1
-    life.order(merge_orders("collect", 2))
+    life.order(merge_orders(2))
     assert same_arrays(networks(life.sent(Candidate))[2, "best"], offers[1, chosen])
     assert life.event_names() in ([], ["distilled_is_recent"])  # after a promotion by a successor
 
 
-def test_a_successor_makes_no_update_in_a_merge(life):
+def test_where_the_last_winner_wins_again_what_was_learned_meanwhile_is_dropped(life):
     life.order(LEARNS)
     life.learn(20)
-    life.order(merge_orders("collect", 1))
+    life.order(merge_orders(1))
+    life.order(merge_orders(1, "recent"))
+    life.learn(20)
+    life.order(merge_orders(2))
+    life.learn(20)
+    best = networks(life.sent(Candidate))[2, "best"]
+    life.requests.drain()
+    for _ in range(3):
+        life.step()  # until no batch is left
+    life.order(merge_orders(2, "best"))
+    assert same_arrays(life.learner.dqn.parameters(), best)
+    assert same_arrays(life.learner.dqn.target_parameters(), best)
+
+
+@pytest.mark.parametrize("chosen", ["recent", "distilled"])
+def test_the_winner_is_promoted_bit_for_bit_where_nothing_was_learned_meanwhile(life, chosen):
+    life.order(LEARNS)
+    life.learn(20)
+    life.order(merge_orders(1) | {"learning": False})
+    life.learn(5)
+    offers = networks(life.sent(Candidate))
+    life.order(merge_orders(1, chosen) | {"learning": False})
+    assert same_arrays(life.learner.dqn.parameters(), offers[1, chosen])
+    assert same_arrays(life.learner.dqn.target_parameters(), offers[1, chosen])
+
+
+def test_a_successor_makes_no_update_in_the_last_merge_of_a_run(life):
+    life.order(LEARNS)
+    life.learn(20)
+    life.order(merge_orders(1) | {"learning": False})
     before = life.learner.updates
     life.others.kept.clear()  # the orders are on their way
     life.kill()
@@ -195,8 +233,8 @@ def test_a_successor_makes_no_update_in_a_merge(life):
 def test_damage_is_said_and_the_run_goes_on_even_in_a_merge(life):
     life.order(LEARNS)
     life.learn(20)
-    life.order(merge_orders("collect", 1))
-    life.order(merge_orders("drive", 1))
+    life.order(merge_orders(1))
+    life.order(merge_orders(1, driven=1))
     published = max(message.weights.version for message in life.sent(WeightsMessage))
     for path in life.folder.glob("journal/*/*.state"):
         path.write_bytes(path.read_bytes()[:-1])
@@ -205,7 +243,7 @@ def test_damage_is_said_and_the_run_goes_on_even_in_a_merge(life):
     assert life.learner.updates == 0  # there is no checkpoint
     assert life.learner.version > published
     assert life.event_names() == ["kept_state_damaged", "candidates_made_again", "distilled_is_recent"]
-    life.order(merge_orders("promote", 1, "distilled"))
+    life.order(merge_orders(1, "distilled", driven=12))
     assert life.learner.merge == 1
 
 

@@ -44,7 +44,7 @@ def test_valid_content_is_read_and_no_field_may_be_missing_or_of_another_type(mo
         (schemas.ActorOrders, ACTOR | {"merge": 2**62}),
         (schemas.ReplayOrders, REPLAY | {"buffer_size": 0}),
         (schemas.ReplayOrders, REPLAY | {"batch_size": "16"}),
-        (schemas.LearnerOrders, LEARNER | {"phase": "dance"}),
+        (schemas.LearnerOrders, LEARNER | {"chosen": "worst"}),
         (schemas.LearnerOrders, LEARNER | {"candidates": ["worst"]}),
         (schemas.StateRequest, {"ask": "money"}),
         (schemas.ActorJobs, JOBS | {"drives": [["recent"]]}),

@@ -108,7 +108,7 @@ def test_a_guest_that_was_given_up_and_wakes_does_no_harm_and_knows_it(run):
 def test_a_merge_goes_on_when_a_guest_goes(run, politely):
     run = run(**MERGES)
     guests = [run.join(number) for number in (3, 4)]
-    run.until(lambda: run.stage is Stage.MERGE and guests[0].actions > 30)
+    run.until(lambda: run.merging and guests[0].actions > 30)
     before = run.now
     run.leave(guests[0]) if politely else run.remove(guests[0])
     run.until(lambda: run.merges == 1)
@@ -119,7 +119,7 @@ def test_a_merge_goes_on_when_a_guest_goes(run, politely):
 def test_a_guest_that_joins_in_a_merge_drives_candidates_too(run):
     merge = MERGES["merge"] | {"validation_scenes": 30, "drop_after_scenes": 30}
     run = run(run={"episodes": 10}, merge=merge)
-    run.until(lambda: run.stage is Stage.MERGE and run.scheduler.statistics().get("drives_left", 0) > 40)
+    run.until(lambda: run.merging and run.scheduler.statistics().get("drives_left", 0) > 40)
     guest = run.join(3)
     run.until(lambda: run.merges == 1)
     assert guest.statistics()["evaluation_produced"] > 0
@@ -146,13 +146,13 @@ def test_guests_come_and_go_all_the_time_and_the_books_balance(run):
         number = int(rng.integers(1, 6))
         name, words = f"actor-{number}", words + 1
         present = run.actors.get(name)
-        if present is None and run.stage in (Stage.TRAIN, Stage.MERGE):
+        if present is None and run.stage is Stage.TRAIN:
             if run.ask("epoch", name, process=f"p{words}").epoch is not None:
                 run.join(number, process=f"p{words}").word = f"p{words}"
         elif present is not None and not present.finished:
             if rng.random() < 0.5:
                 run.remove(present)
-            elif run.stage in (Stage.TRAIN, Stage.MERGE):
+            elif run.stage is Stage.TRAIN:
                 run.leave(present, process=present.word)
             run.actors.pop(name)
         end_s = run.now + float(rng.uniform(0.1, 3.0))

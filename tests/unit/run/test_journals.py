@@ -1,6 +1,9 @@
 from pathlib import Path
 
+import pytest
+
 from zsdist.config import parse
+from zsdist.errors import RunError
 from zsdist.run import journals
 
 DISKS = ("/disks/a", "/disks/b")
@@ -30,3 +33,14 @@ def test_a_shard_removes_what_earlier_starts_of_its_run_have_left_and_nothing_el
     assert not old.exists() and other_shard.exists() and other_run.exists() and own.parent == tmp_path
     own.mkdir()
     assert journals.begin(config, "x", Path("/runs/x"), "s2", 0) == own and own.exists()
+
+
+def test_a_shard_that_comes_back_without_the_disk_of_its_predecessor_is_refused(tmp_path):
+    config = parse({"replay": {"journals": [str(tmp_path)]}})
+    where = (config, "x", Path("/runs/x"), "s1", 0)
+    with pytest.raises(RunError, match=r"its journal .*-s1-0 is not there"):
+        journals.begin(*where, has_predecessor=True)
+    journals.begin(*where).mkdir()
+    journals.begin(*where, has_predecessor=True)
+    in_the_run_directory = parse({})  # where the replay itself tells what is missing
+    journals.begin(in_the_run_directory, *where[1:], has_predecessor=True)

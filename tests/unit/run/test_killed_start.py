@@ -24,7 +24,7 @@ class KilledError(Exception):
 
 
 class Launch:
-    """One start of a run; it is killed after a number of rounds, or as soon as orders have a certain value."""
+    """One start of a run; it is killed after a number of rounds, or as soon as orders fulfil a condition."""
 
     def __init__(self, spec, fatal=None):
         self.spec, self.tap, self._fatal, self._rounds = spec, Tap(), fatal, 0
@@ -57,8 +57,11 @@ class Launch:
         if self._rounds == self._fatal:
             raise KilledError
         for message in self.tap.messages[before:]:
-            if "/control/" in message.key and self._fatal in codec.decode(message.payload).content.items():
+            if "/control/" in message.key and self._is_fatal(codec.decode(message.payload).content):
                 raise KilledError
+
+    def _is_fatal(self, orders):
+        return callable(self._fatal) and self._fatal(orders)
 
     def transitions(self, level):
         """Return the number of acknowledged transitions of a level."""
@@ -88,7 +91,19 @@ def ended(folder):
     return summary
 
 
-@pytest.mark.parametrize("fatal", [(60, 60), (("phase", "drive"),), (("phase", "promote"), ("closing", True))])
+def compares(orders):
+    return orders.get("driven") and not orders["chosen"]
+
+
+def promotes(orders):
+    return orders.get("chosen")
+
+
+def closes(orders):
+    return orders.get("closing")
+
+
+@pytest.mark.parametrize("fatal", [(60, 60), (compares,), (promotes, closes)])
 def test_no_acknowledged_transition_and_no_episode_is_lost_or_counted_twice(tmp_path, fatal):
     spec, launches = rehearsal.start(tmp_path / "run"), []
     for when in fatal:

@@ -139,10 +139,10 @@ def test_the_episodes_of_a_lost_actor_are_driven_elsewhere_at_once(run):
     run.finish()
 
 
-@pytest.mark.parametrize("stage", [Stage.TRAIN, Stage.MERGE])
-def test_a_lost_actor_holds_up_no_merge_and_drives_once_it_is_back(run, stage):
+@pytest.mark.parametrize("merging", [False, True])
+def test_a_lost_actor_holds_up_no_merge_and_drives_once_it_is_back(run, merging):
     run = run(run={"episodes": 50}, **MERGES)
-    run.until(lambda: run.stage is stage and run.present["actor-1"].actions > 30)
+    run.until(lambda: run.merging is merging and run.present["actor-1"].actions > 30)
     run.lose("actor-1")
     lost_s, merges = run.now, run.merges
     run.until(lambda: run.merges == merges + 1)

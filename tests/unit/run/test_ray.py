@@ -1,5 +1,7 @@
 """Decisions of the Ray runner that need no cluster; whole runs are in tests/integration/test_launch.py."""
 
+import os
+import re
 import signal
 import threading
 from types import SimpleNamespace
@@ -104,6 +106,17 @@ def test_whatever_ray_raises_at_its_start_is_one_line(monkeypatch, error, settin
         connect(parse(settings))
     text = str(refused.value)
     assert "\n" not in text and "\x1b" not in text and not text.endswith(": ")
+
+
+def test_ray_on_this_machine_has_a_token_of_its_own_and_so_writes_none_into_the_home_folder(monkeypatch, tmp_path):
+    monkeypatch.setenv("RAY_AUTH_TOKEN", "")
+    monkeypatch.delenv("RAY_AUTH_TOKEN")
+    monkeypatch.setenv("RAY_AUTH_TOKEN_PATH", str(tmp_path / "of-a-cluster"))  # Ray would prefer it, or write one
+    seen = []
+    monkeypatch.setattr(ray, "init", lambda **options: seen.append(os.environ["RAY_AUTH_TOKEN"]))
+    connect(parse({}))
+    connect(parse({}))
+    assert len(set(seen)) == 1 and re.fullmatch("[0-9a-f]{64}", seen[0])
 
 
 @pytest.mark.parametrize(("failures", "starts"), [(1, True), (2, True), (3, False)])

@@ -41,6 +41,7 @@ replay.importance_exponent replay.adaptive
 replay.size_min replay.size_max replay.batch_min replay.batch_max replay.grow_rate replay.grow_threshold
 replay.shrink_rate replay.shrink_threshold replay.average_episodes replay.target_return replay.max_bytes
 merge.every_episodes merge.validation_scenes merge.drive_steps merge.distil_updates merge.drop_after_scenes
+merge.share
 transport.kind transport.endpoint transport.tls transport.mailbox_bytes transport.window_frames
 transport.resend_after_s transport.give_up_after_s
 """  # by the role that uses it; no state that is restored contains it or follows from it

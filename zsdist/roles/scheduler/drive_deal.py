@@ -9,6 +9,8 @@ from zsdist.roles.schemas import CandidateName
 class DriveDeal:
     """Actor of each outstanding drive. A drive that was begun stays with its actor, as long as the actor stays.
 
+    Whoever has none left takes over drives that nobody has begun.
+
     Args:
         begun: number of drives that an actor may have begun, which is that of its cars; it begins them in order.
     """
@@ -42,7 +44,7 @@ class DriveDeal:
             dealt = {drive for drives in self._drives.values() for drive in drives}
             for drive in (drive for drive in outstanding if drive not in dealt) if present else ():
                 self._drives[min(present, key=self._count)].append(drive)
-            if before.keys() != self._drives.keys():
+            if before.keys() != self._drives.keys() or not all(self._drives.values()):
                 self._spread()
         self._merge = merge
         return self._drives

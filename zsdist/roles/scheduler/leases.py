@@ -8,9 +8,9 @@ from typing import Any
 class Leases:
     """Assignment of training episodes to actors.
 
-    Numbers are granted in order up to a `barrier` (the next merge), so that no episode is in flight when the barrier is
-    reached. The numbers of a dead actor are granted again. Memory and time depend on the numbers that are not finished,
-    not on those that are.
+    Numbers are granted in order up to a `barrier`, so that no episode is in flight when the barrier is reached. The
+    numbers of a dead actor are granted again. Memory and time depend on the numbers that are not finished, not on those
+    that are.
 
     Attributes:
         holders: actor that holds each number.

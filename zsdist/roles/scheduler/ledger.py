@@ -17,7 +17,7 @@ from zsdist.replay.journal import Journal, Record
 from zsdist.wire import codec
 from zsdist.wire.messages import State
 
-FORMAT = 1  # of bases and entries; a ledger of another one is not read
+FORMAT = 2  # of bases and entries; a ledger of another one is not read
 _NUMBER = struct.Struct("<I")  # before the content of each entry: its number since the base
 
 
@@ -27,7 +27,7 @@ class LedgerEntry(IntEnum):
     FRAME = 1  # a frame of records as it arrived, once all frames before it have arrived
     EPOCH = 2  # JSON: an actor and the epoch that was issued to it
     GRANT = 3  # JSON: arguments of `Leases.grant`
-    MERGED = 4  # empty: the merge has ended
+    MERGED = 4  # JSON: the seconds that the merge took, which has ended
     LEFT = 6  # JSON: an actor that is gone, and its last epoch
     STATUS = 5  # JSON: those fields of `RunProgress.status` that have changed
 

@@ -1,19 +1,28 @@
 """Merge of the global policy into the target network, as a state machine without messages or clocks.
 
-Every `every_episodes` finished episodes each learner offers candidates. The actors drive every pair of candidates
-greedily over the same validation scenes, and the best pair becomes the target network. Nothing is promoted without a
-comparison.
+Every `every_episodes` finished episodes each learner offers candidates. Beside training the actors drive every pair of
+candidates greedily over the same validation scenes, and the best pair becomes the target network. Nothing is promoted
+without a comparison.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self, TypedDict
 
-from zsdist.roles.schemas import CandidateName, Phase
+from zsdist.roles.scheduler.pairs import Pairs
+from zsdist.roles.schemas import BEST, CandidateName
 from zsdist.types import Outcome
 
-NO_MERGE: dict[str, Any] = {"merge": 0, "phase": "", "candidates": [], "chosen": ""}  # `Merge.orders` without one
+NO_MERGE: dict[str, Any] = {"merge": 0, "candidates": [], "driven": 0, "chosen": ""}  # `Merge.orders` without one
 Drive = tuple[CandidateName, int]  # a candidate, and the index of the validation scene that it drives
+
+
+class MergeCost(TypedDict):
+    """Cost of a merge: its time by the clock of the run, and the drives that were counted with their actions."""
+
+    seconds: float
+    drives: int
+    actions: int
 
 
 class MergeSummary(TypedDict):
@@ -24,6 +33,7 @@ class MergeSummary(TypedDict):
     chosen: str
     scores: dict[str, float]
     scenes_driven: dict[str, int]
+    cost: MergeCost
 
 
 @dataclass
@@ -32,14 +42,15 @@ class Merge:
 
     Attributes:
         index: number of the merge in its run, from 1.
-        episode: count of finished episodes at which it began.
+        episode: count of finished episodes at which it was due.
         candidates: names that are driven, each of a pair (high, low).
         scenes: number of validation scenes for each candidate.
         drop_after: number of scenes after which a candidate may be dropped.
-        phase: present phase.
+        began_s: time at which it began, seconds; None until that is known.
         results: outcome by candidate and index of the scene.
+        actions: number of actions of all drives.
         dropped: candidates that are out of the comparison.
-        chosen: name of the winner; empty until it is known.
+        chosen: name of the winner, which the learners then promote; None until it is known.
     """
 
     index: int
@@ -47,22 +58,23 @@ class Merge:
     candidates: tuple[CandidateName, ...]
     scenes: int
     drop_after: int
-    phase: Phase = Phase.COLLECT
+    began_s: float | None = None
     results: dict[CandidateName, dict[int, Outcome]] = field(default_factory=dict)
+    actions: int = 0
     dropped: set[CandidateName] = field(default_factory=set)
     chosen: CandidateName | None = None
 
     def __post_init__(self) -> None:
         self.results = {name: {} for name in self.candidates}
 
-    def start_drives(self, names_by_level: Sequence[set[str]]) -> None:
-        """Start the drives once every level has offered every candidate."""
-        if self.phase is Phase.COLLECT and all(set(self.candidates) <= names for names in names_by_level):
-            self.phase = Phase.DRIVE
+    @property
+    def drives(self) -> int:
+        """Number of drives that were counted."""
+        return sum(map(len, self.results.values()))
 
     def outstanding(self) -> list[Drive]:
         """Return the drives that are still wanted: all candidates on one scene before the next scene."""
-        if self.phase is not Phase.DRIVE:
+        if self.chosen is not None:
             return []
         return [
             (name, scene)
@@ -71,21 +83,15 @@ class Merge:
             if name not in self.dropped and scene not in self.results[name]
         ]
 
-    def add_result(self, name: CandidateName, scene: int, outcome: Outcome) -> None:
+    def add_result(self, name: CandidateName, scene: int, outcome: Outcome, actions: int) -> None:
         """Record one result; a repeated or unwanted one changes nothing."""
-        if self.phase is not Phase.DRIVE or name not in self.results or scene in self.results[name]:
+        if self.chosen is not None or name not in self.results or scene in self.results[name]:
             return
         self.results[name][scene] = outcome
+        self.actions += actions
         self._drop_losers()
         if not self.outstanding():
-            # On a tie the first candidate wins: the recent networks, where they are among the best.
-            winner = max(self._alive(), key=self._rank)
-            self.chosen, self.phase = winner, Phase.PROMOTE
-
-    def finish(self) -> None:
-        """End the merge: both learners have taken over the winner."""
-        if self.phase is Phase.PROMOTE:
-            self.phase = Phase.DONE
+            self.chosen = self._winner()
 
     def score(self, name: CandidateName) -> float:
         """Return the success rate minus the collision rate over the scenes driven so far."""
@@ -97,8 +103,8 @@ class Merge:
         """Return the part of the learners' orders that concerns this merge."""
         return {
             "merge": self.index,
-            "phase": self.phase.value,
             "candidates": list(self.candidates),
+            "driven": self.drives,
             "chosen": self.chosen or "",
         }
 
@@ -110,50 +116,76 @@ class Merge:
             "candidates": list(self.candidates),
             "scenes": self.scenes,
             "drop_after": self.drop_after,
-            "phase": self.phase.value,
+            "began_s": self.began_s,
         }
 
     def state(self) -> dict[str, Any]:
         """Return the whole merge as plain data, for `restored`."""
         results = {name: [[scene, outcome.value] for scene, outcome in of.items()] for name, of in self.results.items()}
-        return self.outline() | {"results": results, "dropped": sorted(self.dropped), "chosen": self.chosen}
+        about = {"results": results, "actions": self.actions, "dropped": sorted(self.dropped), "chosen": self.chosen}
+        return self.outline() | about
 
     @classmethod
     def restored(cls, state: dict[str, Any]) -> Self:
         """Return the merge of a `state`, or of an `outline`, to which its results are added then."""
-        about = {name: state[name] for name in ("index", "episode", "scenes", "drop_after")}
-        merge = cls(**about, candidates=tuple(state["candidates"]), phase=Phase(state["phase"]))
+        about = {name: state[name] for name in ("index", "episode", "scenes", "drop_after", "began_s")}
+        merge = cls(**about, candidates=tuple(state["candidates"]))
         for name, results in state.get("results", {}).items():
             merge.results[name] = {scene: Outcome(outcome) for scene, outcome in results}
-        merge.dropped, merge.chosen = set(state.get("dropped", ())), state.get("chosen")
+        merge.actions, merge.dropped = state.get("actions", 0), set(state.get("dropped", ()))
+        merge.chosen = state.get("chosen")
         return merge
 
-    def summary(self) -> MergeSummary:
-        """Return the entry of this merge in `summary.json`."""
+    def summary(self, seconds: float) -> MergeSummary:
+        """Return the entry of this merge in `summary.json`; it took `seconds`."""
         return {
             "episode": self.episode,
             "candidates": list(self.candidates),
             "chosen": self.chosen or "",
             "scores": {name: round(self.score(name), 4) for name in self.candidates},
             "scenes_driven": {name: len(self.results[name]) for name in self.candidates},
+            "cost": {"seconds": round(seconds, 3), "drives": self.drives, "actions": self.actions},
         }
 
-    def _rank(self, name: CandidateName) -> tuple[float, int]:
-        return self.score(name), -self.candidates.index(name)
+    def _winner(self) -> CandidateName:
+        """Return the winner: the best of what was learned, unless the last winner is better by more than chance.
 
-    def _alive(self) -> list[CandidateName]:
-        return [name for name in self.candidates if name not in self.dropped]
+        Of equal ones it is the first: the recent networks, where they are among the best.
+        """
+        learned = max(self._learned(), key=lambda name: (self.score(name), -self.candidates.index(name)))
+        return BEST if self._is_alive(BEST) and self._best_over(learned).are_more_than_chance() else learned
+
+    def _learned(self) -> list[CandidateName]:
+        return [name for name in self.candidates if name != BEST and self._is_alive(name)]
+
+    def _is_alive(self, name: CandidateName) -> bool:
+        return name in self.candidates and name not in self.dropped
+
+    def _best_over(self, name: CandidateName) -> Pairs:
+        return Pairs.of(self.results[BEST], self.results[name])
 
     def _drop_losers(self) -> None:
-        """Drop a candidate whose score so far is behind the leader's by more than the share of scenes it has left."""
-        alive = self._alive()
-        if min(len(self.results[name]) for name in alive) < self.drop_after:
+        """Drop candidates that have no prospect of winning.
+
+        One of those that were learned is dropped once its score so far is behind the leader's by more than the share of
+        scenes it has left. The last winner is dropped once it could win all scenes it has left without being better by
+        more than chance.
+        """
+        learned = self._learned()
+        if min(len(self.results[name]) for name in self.candidates if self._is_alive(name)) < self.drop_after:
             return
-        leader = max(alive, key=self.score)
-        for name in alive:
+        leader = max(learned, key=self.score)
+        for name in learned:
             left = self.scenes - len(self.results[name])
             if self.score(leader) - self.score(name) > left / self.scenes:
                 self.dropped.add(name)
+        if self._is_alive(BEST) and not any(self._may_win(name) for name in self._learned()):
+            self.dropped.add(BEST)
+
+    def _may_win(self, rival: CandidateName) -> bool:
+        """Return whether the last winner may still turn out better than a rival by more than chance."""
+        both = self.results[BEST].keys() & self.results[rival].keys()
+        return self._best_over(rival).are_more_than_chance(self.scenes - len(both))
 
 
 def next_merge_at(last: int, every: int, target: int) -> int:

@@ -13,12 +13,13 @@ from zsdist.config import Config
 from zsdist.replay.journal import Record
 from zsdist.roles.scheduler.checkpointing import CheckpointSchedule
 from zsdist.roles.scheduler.drive_deal import DriveDeal
+from zsdist.roles.scheduler.lease_queue import LeaseQueue
 from zsdist.roles.scheduler.leases import Leases
 from zsdist.roles.scheduler.ledger import LedgerContent, LedgerEntry
 from zsdist.roles.scheduler.merge import Drive, Merge
 from zsdist.roles.scheduler.records_inbox import RecordsInbox
 from zsdist.roles.scheduler.totals import RunTotals
-from zsdist.roles.schemas import BEST, DISTILLED, RECENT, Phase
+from zsdist.roles.schemas import BEST, DISTILLED, RECENT
 from zsdist.types import Outcome
 from zsdist.wire import codec
 from zsdist.wire.messages import EPISODES, EVALUATION, Records
@@ -29,8 +30,7 @@ Line = dict[str, Any]  # line of `episodes.jsonl`
 class Stage(StrEnum):
     """Stage of a run, as shown to watchers."""
 
-    TRAIN = "train"
-    MERGE = "merge"
+    TRAIN = "train"  # with its merges
     CLOSING = "closing"  # actors flush and close their epochs
     SAVING = "saving"
     DONE = "done"
@@ -48,7 +48,7 @@ class RunProgress:
         totals: totals of the run.
         leases: episodes that are finished, and those that actors drive.
         stage: present stage; a change of it is noted like one of any other attribute.
-        merge: present merge; None: there is none.
+        merge: merge under way, beside training; None: there is none.
         merge_index: index of the last merge that was begun.
         interrupted: whether the run was told to stop early.
         epochs: newest epoch of each actor.
@@ -76,15 +76,18 @@ class RunProgress:
         self.launch = 0
         self.entries: list[Record] = []
         self._deal = DriveDeal(config.run.cars_per_actor)
-        self._lacking: dict[str, int] = {}  # actors that may hold fewer leases than they have cars, with their places
-        self._places: dict[str, int] = {}  # of the actors in `epochs`
-        self._next_place = 0
+        self._queue = LeaseQueue(config.run.cars_per_actor)
         self._noted: dict[str, Any] = {}  # status in the ledger
 
     @property
     def finished(self) -> int:
         """Count of finished episodes."""
         return self.leases.finished_count
+
+    @property
+    def promotes(self) -> bool:
+        """True while the learners are taking over the winner of a merge."""
+        return self.merge is not None and self.merge.chosen is not None
 
     # -- changes ------------------------------------------------------------------------------------------------
 
@@ -94,7 +97,7 @@ class RunProgress:
         if replaced:
             self.leases.give_back(actor)
         self.epochs[actor] = epoch
-        self._place(actor)
+        self._queue.join(actor)
         for inbox in self.inboxes.values():
             inbox.issue(actor, epoch)
         self._note(LedgerEntry.EPOCH, [actor, epoch])
@@ -106,10 +109,10 @@ class RunProgress:
         for inbox in self.inboxes.values():
             inbox.close(actor, epoch)
         if self.epochs.get(actor, epoch) <= epoch:
-            for about in (self.epochs, self._places, self._lacking):
-                about.pop(actor, None)
+            self.epochs.pop(actor, None)
+            self._queue.leave(actor)
         if actor in self.epochs:
-            self._place(actor)
+            self._queue.join(actor)
         self._note(LedgerEntry.LEFT, [actor, epoch])
 
     def receive(self, records: Records, payload: bytes, now: float) -> list[Line]:
@@ -130,7 +133,7 @@ class RunProgress:
                 if frame.stream == EVALUATION:
                     self._add_drive(record)
                 elif self.leases.finish(record["episode"], frame.actor):
-                    self._lacking[frame.actor] = self._places[frame.actor]
+                    self._queue.note_finished(frame.actor)
                     self.totals.add_episode(record, self.finished)
                     lines.append(record | {"finished_as": self.finished})
                 # else the lease has been granted to another actor since
@@ -138,35 +141,13 @@ class RunProgress:
 
     def _add_drive(self, record: dict[str, Any]) -> None:
         if self.merge is not None and record["merge"] == self.merge.index:
-            self.merge.add_result(record["candidate"], record["scene_index"], Outcome(record["outcome"]))
+            outcome = Outcome(record["outcome"])
+            self.merge.add_result(record["candidate"], record["scene_index"], outcome, record["steps"])
 
     def grant(self, barrier: int, *, evenly: bool = False) -> None:
-        """Lease episodes to all actors, as many as they have cars; `barrier` as in `Leases.grant`.
-
-        Only those are looked at that may lack one, in the order in which they began, and none where there is none left.
-
-        Args:
-            barrier: number of episodes that are finished or granted in all, at most.
-            evenly: whether to lease one to each actor in turn, so that a few episodes reach all.
-        """
-        cars = self._config.run.cars_per_actor
-        if not self._lacking or not self.leases.left(barrier):
-            return
-        lacking = sorted(self._lacking, key=self._lacking.__getitem__)
-        for held in range(1 if evenly else cars, cars + 1):
-            for actor in lacking:
-                if not self.leases.left(barrier):
-                    return
-                arguments = (actor, held, barrier)
-                if self.leases.grant(*arguments):
-                    self._note(LedgerEntry.GRANT, arguments)
-        self._lacking.clear()  # there were enough for all
-
-    def _place(self, actor: str) -> None:
-        """Give an actor a place behind all others, unless it has one, and note that it lacks leases."""
-        if actor not in self._places:
-            self._places[actor], self._next_place = self._next_place, self._next_place + 1
-        self._lacking[actor] = self._places[actor]
+        """Lease episodes to all actors, as many as they have cars; arguments as in `LeaseQueue.grant`."""
+        for arguments in self._queue.grant(self.leases, barrier, evenly=evenly):
+            self._note(LedgerEntry.GRANT, arguments)
 
     def drives(self) -> dict[str, list[Drive]]:
         """Return the validation drives of each actor; they follow from the merge, and are not in the ledger."""
@@ -178,7 +159,7 @@ class RunProgress:
         """Go on under a runner; return whether it is another one than before.
 
         All actors of another one are gone: the episodes that they drove are free, and what they have not delivered is
-        lost. A run that was about to end goes on with what is left to do. An unfinished merge is held again, under an
+        lost. A run that was about to end goes on with what is left to do. A merge under way begins again, under an
         index of its own, since a learner may or may not remember its candidates.
         """
         if launch == self.launch:
@@ -188,29 +169,30 @@ class RunProgress:
             self.dismiss(actor, epoch)
         self.totals.begin_start()
         self.interrupted = False
-        self.stage = Stage.TRAIN if self.merge is None else Stage.MERGE
-        if self.merge is not None and self.merge.phase is not Phase.DONE:
-            self.begin_merge()
+        self.stage = Stage.TRAIN
+        if self.merge is not None:
+            self.begin_merge(self.merge.episode, None)
         return True
 
-    def begin_merge(self) -> None:
-        """Begin the next merge."""
+    def begin_merge(self, episode: int, began_s: float | None) -> None:
+        """Begin the merge that is due after `episode` finished episodes; `began_s` as in `Merge`."""
         settings = self._config.merge
         self.merge_index += 1
         self.merge = Merge(
             index=self.merge_index,
-            episode=self.finished,
+            episode=episode,
             candidates=(RECENT, DISTILLED, BEST) if self.totals.merges else (RECENT, DISTILLED),
             scenes=settings.validation_scenes,
             drop_after=settings.drop_after_scenes,
+            began_s=began_s,
         )
 
-    def end_merge(self) -> None:
-        """End the present merge, whose winner both learners have taken over and kept."""
+    def end_merge(self, seconds: float) -> None:
+        """End the present merge, whose winner both learners have taken over and kept; it took `seconds`."""
         assert self.merge is not None
-        self.totals.merges.append(self.merge.summary())
+        self.totals.merges.append(self.merge.summary(seconds))
         self.merge = None
-        self.entries.append((LedgerEntry.MERGED, b""))
+        self._note(LedgerEntry.MERGED, seconds)
 
     # -- the ledger ---------------------------------------------------------------------------------------------
 
@@ -241,7 +223,7 @@ class RunProgress:
     def base(self) -> dict[str, Any]:
         """Return all that `recover` needs to go on from here; the size depends little on the episodes finished."""
         return {
-            "totals": self.totals.state(self.totals.merges) | {"restarts": self.totals.restarts_before},
+            "totals": self.totals.state() | {"restarts": self.totals.restarts_before},
             "leases": self.leases.state(),
             "epochs": self.epochs,
             "inboxes": {stream: inbox.state() for stream, inbox in self.inboxes.items()},
@@ -259,7 +241,7 @@ class RunProgress:
         self.leases.restore(base["leases"])
         self.epochs = dict(base["epochs"])
         for actor in self.epochs:
-            self._place(actor)
+            self._queue.join(actor)
         for stream, inbox in self.inboxes.items():
             inbox.restore(base["inboxes"][stream])
         self._follow(base["status"])
@@ -274,7 +256,7 @@ class RunProgress:
                 case LedgerEntry.GRANT:
                     self.leases.grant(*json.loads(entry))
                 case LedgerEntry.MERGED:
-                    self.end_merge()
+                    self.end_merge(json.loads(entry))
                 case LedgerEntry.STATUS:
                     self._follow(json.loads(entry))
         self.entries.clear()  # the ledger has them already
@@ -300,7 +282,7 @@ class RunProgress:
         elif self.merge is None or self.merge.index != merge["index"]:
             self.merge = Merge.restored(merge)
         else:
-            self.merge.phase = Phase(merge["phase"])
+            self.merge.began_s = merge["began_s"]
 
     def _note(self, kind: LedgerEntry, content: Any) -> None:
         self.entries.append((kind, json.dumps(content).encode()))
@@ -308,10 +290,10 @@ class RunProgress:
     # -- checkpoints --------------------------------------------------------------------------------------------
 
     def state(self) -> dict[str, Any]:
-        """Return all that the next start of the run needs to resume, for `restore`."""
+        """Return all that the next start needs to resume, for `restore`; a merge under way begins anew there."""
         return {
             "finished": sorted(self.leases.finished),
-            **self.totals.state([*self.totals.merges, *([self.merge.summary()] if self.merge is not None else [])]),
+            **self.totals.state(),
             "max_lag_versions": self.max_lag_versions,
             "max_lag_s": self.max_lag_s,
             "wall_s": self.wall_s,

@@ -9,17 +9,18 @@ from zsdist.roles.replay import shards
 from zsdist.roles.scheduler.job_book import JobBook
 from zsdist.roles.scheduler.ledger import Ledger
 from zsdist.roles.scheduler.members import Members
-from zsdist.roles.scheduler.merge import NO_MERGE, Merge, next_merge_at
+from zsdist.roles.scheduler.merge import NO_MERGE, Drive, Merge
+from zsdist.roles.scheduler.merge_plan import MergePlan
 from zsdist.roles.scheduler.progress import RunProgress, Stage
 from zsdist.roles.scheduler.run_log import RunLog
 from zsdist.roles.scheduler.saving import Saving
 from zsdist.roles.scheduler.standstill import StandstillWatch
 from zsdist.roles.scheduler.summary import run_summary
-from zsdist.roles.schemas import Phase, Supervision
+from zsdist.roles.schemas import Supervision
 from zsdist.telemetry.snapshot import Fields, Snapshot
 from zsdist.types import Level
 from zsdist.wire import codec, keys
-from zsdist.wire.messages import Candidate, Jobs, Orders, Records, State
+from zsdist.wire.messages import Jobs, Orders, Records, State, WeightsMessage
 
 
 class Scheduler(Role):
@@ -38,10 +39,11 @@ class Scheduler(Role):
         self.snapshot = Snapshot()
         self.progress = RunProgress(context.config, context.epoch, self.refuse)
         self.ledger = Ledger(folder, context.epoch)
+        self._plan = MergePlan(context.config, self.progress)
         self._members = Members(context.config.run.actors)
         self._jobs = JobBook(context.epoch, self.progress)
-        self._advanced = False  # whether records have been accepted since the jobs were last published
-        self._offered: dict[Level, dict[str, int]] = {level: {} for level in Level}  # candidate -> its newest merge
+        self._drives: dict[str, list[Drive]] = {}  # of each actor, as they were last dealt
+        self._advanced = False  # whether drives have ended since then
         self._merged = dict.fromkeys(Level, 0)  # index of the last merge that each learner has taken over
         self._sits, self._last = False, self.target  # whether all roles close before the run's end; episodes until then
         self._saving = Saving(self)
@@ -57,7 +59,6 @@ class Scheduler(Role):
         self.transport.subscribe(keys.episodes(run, keys.ANY, keys.ANY), self._reports)
         self.transport.subscribe(keys.evaluation(run, keys.ANY), self._reports)
         self.transport.subscribe(keys.weights(run, keys.ANY), self._learners, retained=True)
-        self.transport.subscribe(keys.candidate(run, keys.ANY, keys.ANY), self._learners, retained=True)
         self.transport.subscribe(keys.stats(run, keys.ANY, keys.ANY), self._watch)
         self.transport.subscribe(keys.control(run, "scheduler"), self._commands, retained=True)
 
@@ -85,7 +86,7 @@ class Scheduler(Role):
             self._begins_as = ""
         self._follow_supervisor(now)
         self._receive_records(now)
-        self._receive_offers()
+        self._receive_promotions()
         self.snapshot.update(self._watch.drain())
         if now >= self._next_metrics_s and self.snapshot.of("scheduler"):
             self._next_metrics_s = now + 1.0
@@ -126,7 +127,7 @@ class Scheduler(Role):
 
     def _follow_supervisor(self, now: float) -> None:
         for content in self.orders(self._commands, {Orders: Supervision}):
-            admits = self.stage in (Stage.TRAIN, Stage.MERGE)
+            admits = self.stage is Stage.TRAIN
             for event, actor, epoch in self._members.changes(content, self.progress.epochs, admits=admits):
                 (self.progress.dismiss if event == "actor_left" else self.progress.issue)(actor, epoch)
                 if event:
@@ -139,12 +140,12 @@ class Scheduler(Role):
                 self._sits, self._last = True, min(content.until, self.target)
 
     def _receive_records(self, now: float) -> None:
-        lines, sizing = [], self.progress.totals.sizing
-        sizes = (sizing.size, sizing.batch_size)
+        lines, sizing, driven = [], self.progress.totals.sizing, self._plan.driven
+        before = (sizing.size, sizing.batch_size, self.progress.promotes)
         for message, records in self.messages(self._reports, Records, own=Jobs):
             lines += self.progress.receive(records, message.payload, now)
-        self._advanced |= bool(self.progress.entries)
-        if sizes != (sizing.size, sizing.batch_size):
+        self._advanced |= driven != self._plan.driven
+        if before != (sizing.size, sizing.batch_size, self.progress.promotes):
             self._next_orders_s = 0.0
         self.ledger.append(self.progress.take_entries())
         for line in lines:
@@ -153,60 +154,59 @@ class Scheduler(Role):
             for ack in inbox.acks(now, lambda actor, epoch: None):
                 self.transport.publish(keys.ack(self.context.run, ack.actor), codec.encode(ack))
 
-    def _receive_offers(self) -> None:
+    def _receive_promotions(self) -> None:
         for level, message in self.learner_news(self._learners):
-            if isinstance(message, Candidate):
-                self._offered[level][message.name] = message.merge
-            else:
+            if isinstance(message, WeightsMessage):
                 self._merged[level] = max(self._merged[level], message.merge)
 
     # -- decisions ----------------------------------------------------------------------------------------------
 
     def _conduct(self, now: float) -> None:
         """Advance the run: leases, merge, checkpoint, end."""
-        progress = self.progress
-        promoting = progress.merge is not None and progress.merge.phase in (Phase.PROMOTE, Phase.DONE)
-        if progress.interrupted and self.stage in (Stage.TRAIN, Stage.MERGE) and not promoting:
-            progress.merge = None
-            self._enter(Stage.CLOSING)
-        if progress.merge is not None:
-            self._conduct_merge(progress.merge, now)
-        elif self.stage is Stage.TRAIN:
+        if self.progress.merge is not None:
+            self._conduct_merge(self.progress.merge, now)
+        if self.stage is Stage.TRAIN:
             self._conduct_training(now)
         elif self.stage in (Stage.CLOSING, Stage.SAVING):
             self._conduct_end(now)
 
     def _conduct_training(self, now: float) -> None:
-        finished, merges = self.finished_episodes, self.progress.totals.merges
-        last = merges[-1]["episode"] if merges else 0
-        barrier = next_merge_at(last, self.config.merge.every_episodes, self.target)
-        if barrier <= finished:
-            self.progress.begin_merge()
-            self._enter(Stage.MERGE)
-        elif finished >= self._last:
+        progress, finished = self.progress, self.finished_episodes
+        if progress.interrupted:
+            if not progress.promotes:
+                progress.merge = None
+                self._enter(Stage.CLOSING)
+            return
+        if progress.merge is None and (due := self._plan.next_merge) <= finished:
+            progress.begin_merge(due, now)
+            self._next_orders_s = 0.0
+        if progress.merge is None and finished >= self._last:
             self._enter(Stage.CLOSING)
-        else:
-            self.progress.grant(min(barrier, self._last), evenly=self._sits)
-            if not self._sits and self.progress.schedule.is_due(finished, now):
-                self._save(now)
+            return
+        progress.grant(self._barrier, evenly=self._sits)
+        if not self._sits and not progress.promotes and progress.schedule.is_due(finished, now):
+            self._save(now)
+
+    @property
+    def _barrier(self) -> int:
+        """Number of episodes that are finished or granted in all, at most."""
+        return min(self._plan.training_ends, self._last)
 
     def _conduct_merge(self, merge: Merge, now: float) -> None:
-        before = merge.phase
-        offers = self._offered.values()
-        merge.start_drives([{name for name, index in names.items() if index == merge.index} for names in offers])
-        if merge.phase is Phase.PROMOTE and all(index >= merge.index for index in self._merged.values()):
-            merge.finish()
-        if merge.phase is not before:
-            self._next_orders_s = 0.0
-        if merge.phase is Phase.DONE:
-            self.progress.end_merge()
-            assert merge.chosen is not None  # else the phase is DRIVE still
-            self.event(now, "merge", merge=merge.index, chosen=merge.chosen, score=merge.score(merge.chosen))
-            self._enter(Stage.CLOSING if self.finished_episodes >= self._last else Stage.TRAIN)
-            if not self._sits:  # a sitting saves at its end
-                self.progress.schedule.demand()
-                if self.stage is Stage.TRAIN:
-                    self._save(now)
+        """End a merge once both learners have taken over its winner.
+
+        No checkpoint is made meanwhile, and no later one contains states that were requested before.
+        """
+        if merge.began_s is None:  # it has begun again under another runner
+            merge.began_s = now
+        if merge.chosen is None or any(index < merge.index for index in self._merged.values()):
+            return
+        self.progress.end_merge(round(max(0.0, now - merge.began_s), 3))
+        self.event(now, "merge", merge=merge.index, chosen=merge.chosen, score=merge.score(merge.chosen))
+        self._saving.restart()
+        self._next_orders_s = 0.0
+        if not self._sits:  # a sitting saves at its end
+            self.progress.schedule.demand()
 
     def _enter(self, stage: Stage) -> None:
         """Begin a stage, and publish it at once.
@@ -245,46 +245,51 @@ class Scheduler(Role):
     # -- output -------------------------------------------------------------------------------------------------
 
     def _publish(self, now: float) -> None:
-        """Publish the absolute state of all orders and jobs at each heartbeat, and jobs in between where they change.
+        """Publish the absolute state of all orders and jobs at each heartbeat, and what has changed in between.
 
-        An episode that ends concerns one actor: what is sent for it does not grow with the number of actors.
+        An episode that ends concerns one actor, learners and replay: what is sent for it does not grow with the number
+        of actors.
         """
         progress, run = self.progress, self.context.run
         changed, heartbeat = progress.leases.take_changed(), now >= self._next_orders_s
         if heartbeat:
             self._next_orders_s = now + HEARTBEAT_S
-            for role, orders in self._orders().items():
-                payload = codec.encode(Orders(self.context.epoch, role, orders))
-                self.transport.publish(keys.control(run, role), payload, retained=True)
-        due = heartbeat or self._advanced or bool(changed)
-        drives = progress.drives() if progress.merge is not None and due else {}
-        actors = [*progress.epochs, *self._members.left] if heartbeat or drives else sorted(changed)
-        renewed = self._jobs.renew(actors, drives)
+        for role, orders in self._orders(heartbeat).items() if heartbeat or self._advanced else ():
+            payload = codec.encode(Orders(self.context.epoch, role, orders))
+            self.transport.publish(keys.control(run, role), payload, retained=heartbeat)
+        if heartbeat or self._advanced:
+            self._drives = progress.drives() if progress.merge is not None else {}
+        deals = heartbeat or (self._advanced and bool(self._drives))
+        actors = [*progress.epochs, *self._members.left] if deals else sorted(changed)
+        renewed = self._jobs.renew(actors, self._drives)
         for actor, payload in self._jobs.payloads(actors) if heartbeat else renewed:
             self.transport.publish(keys.evaluation(run, actor), payload, retained=True)
         self._advanced = False
 
-    def _orders(self) -> dict[str, dict[str, Any]]:
-        progress, merge = self.progress, self.progress.merge
-        done = self.stage is Stage.DONE
+    def _orders(self, whole: bool) -> dict[str, dict[str, Any]]:
+        """Return the orders by role; unless `whole`, without what only a heartbeat says: it is as it was."""
+        progress, merge, done = self.progress, self.progress.merge, self.stage is Stage.DONE
         ending = self.stage in (Stage.CLOSING, Stage.SAVING, Stage.DONE)
-        return {
+        to_actors = {
             "actor": {
+                "leasing": self.stage is Stage.TRAIN and progress.leases.left(self._barrier) > 0,
                 "finished": self.finished_episodes,
                 "merge": merge.index if merge else progress.merge_index + 1,
                 "closing": ending,
                 "cut": ending and progress.interrupted,
-            },
+            }
+        }
+        return (to_actors if whole else {}) | {
             shards.ROLE: {
-                "epochs": progress.epochs,
-                "left": self._members.left,
+                "epochs": progress.epochs if whole else {},
+                "left": self._members.left if whole else {},
                 "buffer_size": progress.totals.sizing.size,
                 "batch_size": progress.totals.sizing.batch_size,
                 "stop": done,
             },
             "learner": {
-                # Not while candidates are compared, nor after the last comparison.
-                "learning": self.stage is Stage.TRAIN,
+                # The last comparison is of the networks with which the run ends.
+                "learning": self.stage is Stage.TRAIN and self.finished_episodes < self.target,
                 "finished": self.finished_episodes,
                 **(merge.orders() if merge else NO_MERGE),
                 "stop": done,

@@ -83,19 +83,15 @@ class RunTotals:
             fields["recent_collision"] = round(self._recent.count(Outcome.COLLISION) / len(self._recent), 3)
         return fields
 
-    def state(self, merges: list[MergeSummary]) -> dict[str, Any]:
-        """Return the totals as JSON, for `restore`.
-
-        Args:
-            merges: entries of all merges that the checkpoint contains, the one that it ends included.
-        """
+    def state(self) -> dict[str, Any]:
+        """Return the totals as JSON, for `restore`."""
         return {
             "outcomes": {outcome.value: count for outcome, count in self.outcomes.items()},
             "averages": self.averages.state(),
             "sizing": self.sizing.state(),
             "recent": [outcome.value for outcome in self._recent],
             "env_steps": self.env_steps,
-            "merges": merges,
+            "merges": list(self.merges),
             "restarts": self.restarts(),
         }
 

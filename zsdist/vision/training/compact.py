@@ -21,7 +21,7 @@ def new_compact(field_of_view_rad: float, seed: int) -> Compact:
     """Return a compact network with random weights."""
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        return Compact(field_of_view_rad).to(memory_format=torch.channels_last)
+        return Compact(field_of_view_rad)
 
 
 def train(

@@ -77,8 +77,9 @@ def costs(tmp_path):
 
 def test_the_end_of_an_episode_concerns_its_own_actor_alone(costs):
     for actors, cost in zip((FEW, MANY), costs, strict=True):
-        (jobs,) = cost.episode
+        *orders, jobs = cost.episode
         assert isinstance(jobs, Jobs) and jobs.actor == "actor-0"
+        assert {one.role for one in orders} == {"learner", "replay"} and "actor-1" not in str(orders)
         assert jobs.content["leases"] == [actors + 1] and jobs.content["finished"] == 1
 
 

@@ -1,67 +1,93 @@
 import pytest
 
 from zsdist.roles.scheduler.merge import Merge, deal_drives, next_merge_at
-from zsdist.roles.schemas import Phase
 from zsdist.types import Outcome
+
+ALL = ("recent", "distilled", "best")
 
 
 def make(candidates=("recent", "distilled"), scenes=6, drop_after=2) -> Merge:
-    merge = Merge(1, 100, candidates, scenes, drop_after)
-    merge.start_drives([set(candidates), set(candidates)])
+    return Merge(1, 100, candidates, scenes, drop_after)
+
+
+def drive_all(merge: Merge, outcome) -> Merge:
+    """Drive all that is wanted; `outcome` maps a candidate and a scene to the outcome."""
+    while merge.outstanding():
+        name, scene = merge.outstanding()[0]
+        merge.add_result(name, scene, outcome(name, scene), 10)
     return merge
 
 
-def drive_all(merge: Merge, good: str) -> None:
-    while merge.outstanding():
-        name, scene = merge.outstanding()[0]
-        merge.add_result(name, scene, Outcome.SUCCESS if name == good else Outcome.COLLISION)
+def only(good):
+    return lambda name, scene: Outcome.SUCCESS if name == good else Outcome.COLLISION
 
 
-@pytest.mark.parametrize("good", ["recent", "distilled", "best"])
+def fails_on(**scenes):
+    return lambda name, scene: Outcome.TIMEOUT if scene in scenes.get(name, ()) else Outcome.SUCCESS
+
+
+@pytest.mark.parametrize("good", ALL)
 def test_the_candidate_that_drives_best_is_chosen(good):
-    merge = make(("recent", "distilled", "best"))
-    drive_all(merge, good)
-    assert merge.phase is Phase.PROMOTE
+    merge = drive_all(make(ALL), only(good))
     assert merge.chosen == good
-
-
-def test_no_drive_is_wanted_until_both_levels_have_offered_every_candidate():
-    merge = Merge(1, 100, ("recent", "distilled"), 6, 2)
-    merge.start_drives([{"recent", "distilled"}, {"recent"}])
-    assert merge.phase is Phase.COLLECT
     assert merge.outstanding() == []
 
 
 def test_a_hopeless_candidate_is_dropped_early_and_never_chosen():
-    merge = make(scenes=20, drop_after=6)
-    drive_all(merge, "distilled")
+    merge = drive_all(make(scenes=20, drop_after=6), only("distilled"))
     assert merge.dropped == {"recent"}
     assert len(merge.results["recent"]) < 20
     assert merge.chosen == "distilled"
 
 
 def test_on_a_tie_the_recent_networks_stay():
-    merge = make()
-    for name, scene in merge.outstanding():
-        merge.add_result(name, scene, Outcome.TIMEOUT)
-    assert merge.chosen == "recent"
+    assert drive_all(make(), fails_on(recent={0}, distilled={1})).chosen == "recent"
+
+
+@pytest.mark.parametrize(("failures", "chosen"), [(1, "recent"), (4, "recent"), (5, "best"), (8, "best")])
+def test_the_last_winner_wins_again_only_where_it_is_better_by_more_than_chance(failures, chosen):
+    merge = drive_all(make(ALL, scenes=20, drop_after=20), fails_on(recent=range(failures), distilled=range(failures)))
+    assert merge.score("best") > merge.score("recent")
+    assert merge.chosen == chosen
+
+
+def test_what_was_learned_last_is_compared_by_its_score_alone():
+    assert drive_all(make(ALL, scenes=20), fails_on(recent={3})).chosen == "distilled"
+
+
+def test_the_last_winner_is_dropped_once_it_cannot_be_better_by_more_than_chance_any_more():
+    merge = drive_all(make(ALL, scenes=20), fails_on())
+    assert merge.dropped == {"best"} and merge.chosen == "recent"
+    assert len(merge.results["best"]) == 16  # with four scenes left, all wins would be chance still
+    assert len(merge.results["recent"]) == len(merge.results["distilled"]) == 20
 
 
 def test_a_repeated_result_counts_once():
     merge = make()
     for _ in range(3):
-        merge.add_result("recent", 0, Outcome.SUCCESS)
-    merge.add_result("recent", 0, Outcome.COLLISION)
+        merge.add_result("recent", 0, Outcome.SUCCESS, 7)
+    merge.add_result("recent", 0, Outcome.COLLISION, 7)
     assert merge.results["recent"] == {0: Outcome.SUCCESS}
+    assert (merge.drives, merge.actions) == (1, 7)
 
 
-def test_the_comparison_is_kept_in_the_summary():
-    merge = make()
-    drive_all(merge, "distilled")
-    summary = merge.summary()
+def test_the_comparison_and_its_cost_are_kept_in_the_summary():
+    summary = drive_all(make(), only("distilled")).summary(12.5)
     assert summary["chosen"] == "distilled"
     assert summary["scores"]["distilled"] == 1.0
     assert summary["scores"]["recent"] < 0
+    driven = sum(summary["scenes_driven"].values())
+    assert summary["cost"] == {"seconds": 12.5, "drives": driven, "actions": 10 * driven}
+
+
+@pytest.mark.parametrize("driven", [0, 5, 11, 60])
+def test_a_merge_goes_on_from_its_state_to_the_same_end(driven):
+    outcome, whole = fails_on(recent={1, 4, 6}, distilled={2}), make(ALL, scenes=20)
+    for name, scene in whole.outstanding()[:driven]:
+        whole.add_result(name, scene, outcome(name, scene), 3)
+    again = Merge.restored(whole.state())
+    assert again == whole
+    assert drive_all(again, outcome).summary(1.0) == drive_all(whole, outcome).summary(1.0)
 
 
 def merges(every, target):

@@ -10,7 +10,7 @@ from zsdist.transport.base import Mailbox
 from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.types import Ack, Level, Weights
 from zsdist.wire import codec, keys
-from zsdist.wire.messages import EPISODES, EVALUATION, Candidate, Jobs, Orders, Records, State, WeightsMessage
+from zsdist.wire.messages import EPISODES, EVALUATION, Jobs, Orders, Records, State, WeightsMessage
 
 RUN, ACTOR, EPOCH = "test", "actor-0", 7
 SETTINGS = {
@@ -130,13 +130,6 @@ class Bench:
         key = keys.episodes(RUN, actor, epoch) if stream == EPISODES else keys.evaluation(RUN, actor)
         self.others.publish(key, codec.encode(frame))
 
-    def offer(self, merge=1, names=("recent", "distilled")):
-        for level in Level:
-            for name in names:
-                message = Candidate(2, level, merge, name, WEIGHTS)
-                self.others.publish(keys.candidate(RUN, level, name), codec.encode(message))
-        self.step()
-
     def promote(self, merge=1):
         for level in Level:
             message = WeightsMessage(2, merge, "0" * 64, 0.0, Weights(level, 9, WEIGHTS))
@@ -156,20 +149,23 @@ class Bench:
             meta = {"high": level_replay, "low": level_replay} if role == "replay" else learner
             request.reply(codec.encode(State(role, meta, {})))
 
+    @property
+    def merging(self):
+        return self.scheduler.progress.merge is not None
 
-def merged(answered_before_the_barrier, promoted=True):
+
+def merged(answered_before_the_merge, promoted=True):
     """Bring a scheduler to a merge at episode 4, with the checkpoint of episode 3 requested and not written."""
     bench = Bench()
     bench.finish(1, 2, 3)
     early = bench.asked.drain()
     assert len(early) == 3
-    if answered_before_the_barrier:
-        bench.reply(early)
+    if answered_before_the_merge:
+        bench.reply(early[:2])
     bench.finish(4)
-    assert bench.scheduler.stage is Stage.MERGE
-    bench.offer()
-    if not answered_before_the_barrier:
-        bench.answer(early)
+    assert bench.merging
+    if not answered_before_the_merge:
+        bench.answer(early[:2])
     bench.drive("recent", "collision")
     bench.drive("distilled", "success")
     bench.step()
@@ -179,8 +175,8 @@ def merged(answered_before_the_barrier, promoted=True):
 
 
 def test_the_checkpoint_of_a_merge_holds_what_was_promoted_whatever_was_asked_before():
-    for answered_before_the_barrier in (True, False):
-        bench = merged(answered_before_the_barrier)
+    for answered_before_the_merge in (True, False):
+        bench = merged(answered_before_the_merge)
         assert bench.log.checkpoints == []
         bench.answer(bench.asked.drain(), merge=1)
         ((episodes, states),) = bench.log.checkpoints
@@ -190,23 +186,103 @@ def test_the_checkpoint_of_a_merge_holds_what_was_promoted_whatever_was_asked_be
         assert bench.scheduler.stage is Stage.TRAIN
 
 
-def test_no_episode_is_leased_beyond_the_next_merge():
-    bench = Bench(actors=("actor-0", "actor-1", "actor-2"))
-    leases = bench.leases()
-    assert sorted(number for numbers in leases.values() for number in numbers) == [1, 2, 3, 4]
-    assert all(len(numbers) <= 2 for numbers in leases.values())
+def test_training_goes_on_beside_a_merge_and_not_past_the_next_one():
+    bench = Bench(SETTINGS | {"run": SETTINGS["run"] | {"episodes": 20}})
+    bench.finish(1, 2, 3, 4)
+    assert bench.merging
+    orders = bench.orders()
+    assert orders["learner"]["learning"]
+    assert (bench.leases(), orders["actor"]["leasing"]) == ({ACTOR: [5, 6]}, True)
+    bench.finish(5, 6, 7, 8)
+    orders = bench.orders()
+    assert (bench.leases(), orders["actor"]["leasing"]) == ({ACTOR: []}, False)
+    assert (orders["learner"]["learning"], orders["learner"]["merge"]) == (True, 1)
+    decide(bench)
+    bench.promote()
+    orders = bench.orders()
+    assert orders["learner"]["merge"] == 2  # at once
+    assert (bench.leases(), orders["actor"]["leasing"]) == ({ACTOR: [9, 10]}, True)
+    assert [merge["episode"] for merge in bench.scheduler.progress.totals.merges] == [4]
+
+
+def decide(bench, merge=1):
+    bench.drive("recent", "collision", merge=merge)
+    bench.drive("distilled", "success", merge=merge)
+    bench.step()
+
+
+def test_a_merge_costs_what_its_drives_took():
+    bench = Bench()
+    bench.finish(1, 2, 3, 4)
+    began_s = bench.now
+    bench.now += 7.0
+    decide(bench)
+    bench.promote()
+    (merge,) = bench.scheduler.progress.totals.merges
+    assert merge["cost"] == {"seconds": round(bench.now - began_s, 3), "drives": 2, "actions": 6}
+
+
+def test_a_checkpoint_in_a_merge_knows_nothing_of_it_and_a_run_resumed_from_it_merges_at_once():
+    bench = Bench()
+    bench.finish(1, 2, 3)
+    bench.answer(bench.asked.drain())
+    bench.finish(4, 5, 6)
+    assert bench.merging
+    bench.answer(bench.asked.drain())
+    (_, (episodes, states)) = bench.log.checkpoints
+    assert (episodes, states["scheduler"].meta["merges"]) == (6, [])
+    resumed = Bench(restored=states["scheduler"])
+    orders = resumed.orders()
+    assert (orders["learner"]["merge"], orders["learner"]["candidates"]) == (2, ["recent", "distilled"])
+    assert resumed.leases() == {ACTOR: [7, 8]}
+    decide(resumed, merge=2)
+    resumed.promote(merge=2)
+    assert [merge["episode"] for merge in resumed.scheduler.progress.totals.merges] == [4]
+
+
+def test_no_checkpoint_is_made_while_a_winner_is_promoted():
+    bench = Bench()
+    bench.finish(1, 2, 3, 4)
+    decide(bench)
+    early = bench.asked.drain()
+    bench.finish(5, 6, 7)
+    bench.answer(early, merge=1)  # of one learner that has promoted, and one that has not
+    assert bench.log.checkpoints == [] and not bench.asked
+    bench.promote()
+    bench.answer(bench.asked.drain(), merge=1)
+    ((episodes, _),) = bench.log.checkpoints
+    assert episodes == 7
+
+
+def test_learning_stops_with_the_last_episode_so_that_the_run_ends_with_what_was_compared():
+    bench = Bench()
+    bench.finish(1, 2, 3, 4)
+    decide(bench)
+    bench.promote()
+    bench.finish(5, 6, 7)
+    assert bench.orders()["learner"]["learning"]
+    bench.finish(8)
+    orders = bench.orders()["learner"]
+    assert (orders["merge"], orders["learning"]) == (2, False)
+
+
+def test_merges_that_were_switched_on_late_are_held_once():
+    bench = Bench(NO_MERGES | {"run": SETTINGS["run"] | {"episodes": 40}})
+    bench.finish(*range(1, 12))
+    resumed = Bench(SETTINGS | {"run": SETTINGS["run"] | {"episodes": 40}}, restored=bench.scheduler.state())
+    assert resumed.merging
+    decide(resumed)
+    resumed.promote()
+    assert not resumed.merging
+    assert [merge["episode"] for merge in resumed.scheduler.progress.totals.merges] == [8]
 
 
 def test_the_drives_of_a_merge_go_to_all_actors_and_stop_when_it_is_decided():
     bench = Bench(SETTINGS | {"merge": SETTINGS["merge"] | {"validation_scenes": 2}}, actors=("actor-0", "actor-1"))
     bench.finish(1, 2)
     bench.finish(3, 4, actor="actor-1")
-    assert bench.scheduler.stage is Stage.MERGE
     orders = bench.orders()
-    assert (orders["actor-0"], orders["actor-1"]) == ([], [])  # no candidate has been offered
-    assert orders["learner"]["phase"] == "collect" and not orders["learner"]["learning"]
-    bench.offer()
-    orders = bench.orders()
+    assert (orders["learner"]["merge"], orders["learner"]["chosen"]) == (1, "")
     assert orders["actor-0"] == [["recent", 0], ["distilled", 1]]
     assert orders["actor-1"] == [["distilled", 0], ["recent", 1]]
     bench.drive("recent", "success", scene=0)
@@ -216,7 +292,7 @@ def test_the_drives_of_a_merge_go_to_all_actors_and_stop_when_it_is_decided():
     bench.drive("recent", "success", scene=1)
     orders = bench.orders()
     assert (orders["actor-0"], orders["actor-1"]) == ([], [])
-    assert (orders["learner"]["phase"], orders["learner"]["chosen"]) == ("promote", "recent")
+    assert (orders["learner"]["driven"], orders["learner"]["chosen"]) == (4, "recent")
 
 
 def ended(bench):
@@ -300,7 +376,6 @@ def test_an_interrupted_run_cuts_its_episodes_and_saves():
 def test_an_interrupted_comparison_is_given_up():
     bench = Bench()
     bench.finish(1, 2, 3, 4)
-    bench.offer()
     bench.drive("recent", "success")
     bench.supervise(interrupted=True)
     assert bench.orders()[ACTOR] == []
@@ -310,10 +385,10 @@ def test_an_interrupted_comparison_is_given_up():
 
 
 def test_an_interruption_while_the_winner_is_promoted_ends_the_run_after_the_merge():
-    bench = merged(answered_before_the_barrier=False, promoted=False)
+    bench = merged(answered_before_the_merge=False, promoted=False)
     bench.supervise(interrupted=True)
     bench.step()
-    assert bench.scheduler.stage is Stage.MERGE
+    assert bench.scheduler.stage is Stage.TRAIN
     bench.promote()
     bench.asked.drain()  # of the checkpoint of the merge, which the last one replaces
     (summary,) = ended(bench)
@@ -322,13 +397,13 @@ def test_an_interruption_while_the_winner_is_promoted_ends_the_run_after_the_mer
 
 
 def test_a_resumed_run_leases_what_is_left_and_merges_at_the_next_multiple():
-    bench = merged(answered_before_the_barrier=False)
+    bench = merged(answered_before_the_merge=False)
     bench.answer(bench.asked.drain(), merge=1)
     ((_, states),) = bench.log.checkpoints
     resumed = Bench(restored=states["scheduler"])
     assert resumed.leases() == {ACTOR: [5, 6]}
     resumed.finish(5, 6, 7, 8)
-    assert resumed.scheduler.stage is Stage.MERGE
+    assert resumed.merging
     assert resumed.orders()["learner"]["candidates"] == ["recent", "distilled", "best"]
 
 
@@ -348,7 +423,6 @@ def test_a_scheduler_that_works_until_a_number_closes_there_and_saves_once_and_b
 def test_a_scheduler_that_works_until_a_merge_saves_once_after_it_and_its_successor_goes_on_behind_it():
     bench = Bench(until=4)
     bench.finish(1, 2, 3, 4)
-    bench.offer()
     bench.drive("recent", "collision")
     bench.drive("distilled", "success")
     bench.step()
