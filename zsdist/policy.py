@@ -101,11 +101,11 @@ class DrivingPolicy:
     def _observed(self, observation: Mapping[str, Any]) -> Observed:
         pose = Pose(*np.asarray(observation["pose"], np.float64).tolist())
         x_m, y_m = np.asarray(observation["goal"], np.float64).tolist()
-        image = observation.get("image") if self._sees else None
-        side = self.config.camera.size_px
-        if self._sees and np.shape(image) != (side, side, 3):
+        image = np.asarray(observation["image"]) if self._sees and observation.get("image") is not None else None
+        side, shape = self.config.camera.size_px, () if image is None else image.shape
+        if self._sees and shape != (side, side, 3):
             raise RunError(
-                f"the observation's image has shape {np.shape(image)}; allowed is ({side}, {side}, 3): make the "
+                f"the observation's image has shape {shape}; allowed is ({side}, {side}, 3): make the "
                 "environment with config=policy.config"
             )
         state = flat_state(self._grid.lattice_state(pose), self._grid.cells)

@@ -298,8 +298,9 @@ def _config(given: Config | Mapping[str, Any] | str | os.PathLike[str] | None) -
     if isinstance(given, Config):
         return given
     if isinstance(given, str | os.PathLike):
-        preset = isinstance(given, str) and presets.find(given) is not None
-        return settings.load(given if preset else Path(given).expanduser())
+        if isinstance(given, str) and presets.find(given) is not None:
+            return settings.load(given)
+        return settings.load(Path(given).expanduser())
     if isinstance(given, Mapping):
         return settings.parse(dict(given))
     raise ConfigError(
