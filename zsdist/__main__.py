@@ -1,4 +1,4 @@
-"""`zsdist COMMAND`: all commands under one name. `python -m zsdist.COMMAND` is the same command.
+"""`zsdist COMMAND`: all commands under one name. Each is a module of its own, which `python -m` runs too.
 
 A command is a module of the package with `make_parser` and `main`. The first line of its docstring describes it.
 """
@@ -56,7 +56,7 @@ def _show(commands: dict[str, str]) -> None:
     for name, line in commands.items():
         say(f"  {name:10} {line}")
     say("")
-    say("zsdist COMMAND --help lists the options of a command; python -m zsdist.COMMAND is the same.")
+    say("zsdist COMMAND --help lists the options of a command.")
 
 
 if __name__ == "__main__":

@@ -62,7 +62,8 @@ def test_a_scheduler_of_many_actors_leases_merges_and_goes_on(tmp_path, report, 
     for merges in (1, 2):
         assert run.drive(merges, give_up_s=300.0) == merges
         report(actors=actors, merges=merges, virtual_s=run.now, processor_s=time.process_time() - began_s)
-    assert run.events["standstill"] == 0 and run.scheduler.finished_episodes == 4 * actors
+    assert run.events["standstill"] == 0
+    assert 4 * actors <= run.scheduler.finished_episodes <= 6 * actors  # training goes on beside a merge
 
 
 @pytest.mark.parametrize("merges", [8, pytest.param(MERGES, marks=MONTH)])

@@ -147,7 +147,7 @@ def test_progress_without_a_terminal_is_plain_lines(folder, capsys, monkeypatch)
 
 
 def test_evaluations_in_the_same_processes_say_what_each_says_alone(folder, capsys, monkeypatch):
-    monkeypatch.setattr(reports, "PLAIN_EVERY_S", -1.0)
+    monkeypatch.setattr(progress, "PLAIN_EVERY_S", -1.0)
     short = Config(sim={"max_steps": 9})
     contenders = {name: Contender(short, baseline=name) for name in ("random", "astar")}
     trials = [

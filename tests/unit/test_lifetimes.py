@@ -90,6 +90,7 @@ TESTED_WITH_THEIR_OWNER = {
     "Runner": "the transports of its roles",
     "Link": "ZenohTransport",
     "Fetcher": "ZenohTransport",
+    "Exporter": "its server, which holds no file (tests/unit/telemetry/test_prometheus.py)",
 }
 HOLDS_NOTHING = {  # `close` ends a stream, an epoch or a bar; or an interface; or a process of Ray
     "ActorOutboxes", "Camera", "CameraEnv", "Display", "Inbox", "Limiter", "Outbox", "PretrainingProgress", "Recorder",

@@ -35,7 +35,7 @@ class RolePlace(Section):
     node: Literal["launcher", "others", "any"] = "launcher"  # the launching machine, all but that one, or all
     labels: str = ""  # labels that a node must have, as `ray start --labels` takes them: NAME=VALUE,NAME=VALUE
     cpus: Annotated[float, Field(ge=0)] | None = None  # cores of Ray that each reserves; None: run.cpus_per_role
-    gpus: Annotated[float, Field(ge=0)] = 0.0  # GPUs of Ray that each reserves; below 1 several roles share one
+    gpus: Annotated[float, Field(ge=0, le=64)] = 0.0  # GPUs of Ray that each reserves; below 1 several roles share one
     memory_bytes: Annotated[int, Field(ge=0)] = 0  # memory of Ray that each reserves
 
     @field_validator("labels")

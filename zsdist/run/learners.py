@@ -1,18 +1,14 @@
 """Learner of a distributed run, which goes on where its predecessor was."""
 
-import hashlib
-import json
 import time
 from pathlib import Path
 
 from zsdist.dqn.base import BaseDqnLearner
-from zsdist.errors import DecodeError
 from zsdist.roles.base import Context
 from zsdist.roles.kept_state import KeptState
 from zsdist.roles.learner import Learner
-from zsdist.run import checkpoint_files
+from zsdist.run import checkpoint_states
 from zsdist.types import Level
-from zsdist.wire import codec
 from zsdist.wire.messages import State
 
 
@@ -34,7 +30,7 @@ def resumed(
     kept = KeptState(folder / "journal" / f"{start}-{context.name}", context.epoch)
     state, published = kept.recover()
     if state is None:
-        saved = [found for found in (newest_in_checkpoints(folder, context.name), restored) if found is not None]
+        saved = [found for found in (checkpoint_states.newest(folder, context.name), restored) if found is not None]
         state = max(saved, key=lambda found: found.meta["updates"], default=None)
     learner = Learner(context, level, dqn, state, kept, folder / "nan")
     learner.continue_after(published)
@@ -42,16 +38,3 @@ def resumed(
         files, now = " ".join(kept.damaged)[:200], time.time()
         learner.event(now, "kept_state_damaged", level=level.value, files=files, goes_on_at_update=learner.updates)
     return learner
-
-
-def newest_in_checkpoints(folder: Path, name: str) -> State | None:
-    """Return a role's newest sound state in the checkpoints of a run; the other roles' states are not read."""
-    for checkpoint in reversed(checkpoint_files.checkpoints(folder)):
-        try:
-            payload = (checkpoint / f"{name}.state").read_bytes()
-            wanted = json.loads((checkpoint / "manifest.json").read_text(encoding="utf-8"))["sha256"][name]
-            if hashlib.sha256(payload).hexdigest() == wanted:
-                return codec.decode(payload, expect=State)
-        except (OSError, ValueError, KeyError, TypeError, DecodeError):
-            continue  # damaged: the one before it is used
-    return None

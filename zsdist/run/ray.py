@@ -12,7 +12,7 @@ from ray.exceptions import GetTimeoutError, RayActorError, RayError
 
 from zsdist.errors import RunError
 from zsdist.roles.base import HEARTBEAT_S, HOST
-from zsdist.run import learners, program
+from zsdist.run import checkpoint_states, program
 from zsdist.run.directory import issue_epochs
 from zsdist.run.guests import Guests
 from zsdist.run.heartbeats import HUB, Heartbeats
@@ -293,7 +293,7 @@ class _Supervisor:
         """Return the specification for a process; a learner elsewhere gets its state from the newest checkpoint."""
         if role_spec.role != "learner" or self.nodes.lives_here(role_spec):
             return self.spec
-        found = learners.newest_in_checkpoints(self.spec.folder, role_spec.name)
+        found = checkpoint_states.newest(self.spec.folder, role_spec.name)
         return self.spec if found is None else replace(self.spec, states={**self.spec.states, role_spec.name: found})
 
     def _leave(self) -> None:
