@@ -2,7 +2,8 @@
 
 A role publishes statistics twice a second. One that is silent may be busy with a long step, so silence alone is no
 proof. Where its process can be seen, it counts as stopped if the process is stopped by a signal, or if the thread of
-the role has neither computed nor been woken for a while. A role that computes is never replaced.
+the role has neither computed nor been woken for a while. A role that computes is never replaced, nor one that waits
+for a processor on a busy machine.
 """
 
 from dataclasses import dataclass
@@ -24,10 +25,12 @@ class Pulse:
     Attributes:
         stopped: whether a signal or a debugger has stopped it.
         movement: number that changes whenever the role's thread computes or is woken.
+        wants_processor: whether that thread computes now, or would if others left it a processor.
     """
 
     stopped: bool
     movement: int
+    wants_processor: bool = False
 
 
 @dataclass
@@ -118,7 +121,7 @@ class Heartbeats:
             return f"nothing was heard of it for {silence_s:.0f} s" if lost else None
         if pulse.stopped:
             return f"its process was stopped for {silence_s:.0f} s" if silence_s >= STOPPED_S else None
-        if pulse.movement != role.movement:
+        if pulse.wants_processor or pulse.movement != role.movement:
             role.movement, role.moved_s = pulse.movement, now
             return None
         still_s = now - role.moved_s

@@ -15,7 +15,7 @@ ROLE_THREAD = "zsdist-role"  # name of the thread of a role, at most 15 characte
 GONE_WITHIN_S = 5.0  # longest wait for the end of a killed process
 _PROC = Path("/proc")
 _STATE, _USER_TICKS, _SYSTEM_TICKS, _STARTED = 0, 11, 12, 19  # fields of `/proc/PID/stat` after the name
-_STOPPED, _DEAD = b"Tt", b"ZX"
+_STOPPED, _DEAD, _RUNNABLE = b"Tt", b"ZX", b"R"
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,8 @@ class ProcessIdentity:
         fields = self._fields()
         if fields is None or fields[_STATE] in _DEAD:
             return None
-        return Pulse(fields[_STATE] in _STOPPED, self._movement(fields))
+        thread, switches = self._role_thread(fields)
+        return Pulse(fields[_STATE] in _STOPPED, switches + _ticks(thread), thread[_STATE] == _RUNNABLE)
 
     def kill(self) -> bool:
         """Kill it, also where it is stopped; return whether it is gone."""
@@ -63,15 +64,15 @@ class ProcessIdentity:
         fields = _stat(_PROC / str(self.pid) / "stat") if self.started else None
         return fields if fields and int(fields[_STARTED]) == self.started else None
 
-    def _movement(self, fields: list[bytes]) -> int:
-        """Return the ticks and context switches of the role's thread; without one, the ticks of the process."""
+    def _role_thread(self, fields: list[bytes]) -> tuple[list[bytes], int]:
+        """Return fields and context switches of the role's thread; without one, the fields of the process and 0."""
         for task in _tasks(self.pid):
             with contextlib.suppress(OSError):
                 if (task / "comm").read_text(encoding="utf-8").strip() == ROLE_THREAD:
                     status = (task / "status").read_text(encoding="utf-8").splitlines()
                     switches = sum(int(line.split()[1]) for line in status if "_ctxt_switches" in line)
-                    return switches + _ticks(_stat(task / "stat") or fields)
-        return _ticks(fields)
+                    return _stat(task / "stat") or fields, switches
+        return fields, 0
 
 
 def name_role_thread() -> None:

@@ -67,6 +67,11 @@ def test_a_role_whose_thread_hangs_is_found_within_nine_seconds(watch):
     assert reason == "it hung for 6 s"
 
 
+def test_a_role_that_waits_for_a_processor_is_never_replaced(watch):
+    watch.silent, watch.pulses = {"learner-low"}, {"learner-low": Pulse(False, 7, wants_processor=True)}
+    assert watch.ride(10 * HUNG_S) is None
+
+
 def test_a_role_that_computes_is_never_replaced(watch):
     watch.silent = {"learner-low", "actor-0"}
     assert watch.ride(3600.0) is None

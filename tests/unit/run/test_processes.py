@@ -72,3 +72,22 @@ def test_a_role_moves_when_its_thread_is_woken_and_not_when_others_are():
         woken.set()
         ended.set()
         thread.join()
+
+
+def test_a_thread_that_computes_wants_a_processor_and_one_that_waits_does_not():
+    ended = False
+
+    def work():
+        name_role_thread()
+        while not ended:
+            pass
+
+    identity = ProcessIdentity.here()
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        while not identity.pulse().wants_processor:  # but while it waits for the interpreter's lock
+            pass
+    finally:
+        ended = True
+        thread.join()
