@@ -159,7 +159,7 @@ def standby_waits() -> bool:
     """Return whether a standby process has warmed up."""
     for process in psutil.Process().children(recursive=True):
         with contextlib.suppress(psutil.Error):
-            if " ".join(process.cmdline()).strip() == "ray::RoleHost":
+            if " ".join(process.cmdline()).strip() == "ray::NodeHost":
                 return True
     return False
 

@@ -214,7 +214,7 @@ class Launcher:
         with contextlib.suppress(psutil.Error):
             for process in psutil.Process(self.process.pid).children(recursive=True):
                 with contextlib.suppress(psutil.Error, OSError):
-                    if " ".join(process.cmdline()).startswith("ray::RoleHost") and not _has_role(process.pid):
+                    if " ".join(process.cmdline()).startswith("ray::NodeHost") and not _has_role(process.pid):
                         return process.memory_info().rss // 1024 if self._rests(process) else None
         return None
 
