@@ -41,6 +41,7 @@ from zsdist.wire.messages import State
 if TYPE_CHECKING:
     from zsdist.dqn.base import BaseDqnLearner
 
+PORT_FREE_WITHIN_S = 10.0  # time for which a new hub waits for the port of one that was killed
 HUB_BACK_WITHIN_S = 20.0  # time for which a new role looks for the hub, which may be about to be replaced
 Watch = Callable[[Transport, float], None]  # called once a round with the runner's transport and the clock
 
@@ -155,14 +156,15 @@ class RunSpec:
 
     def open_hub(self, endpoint: str | None = None) -> ZenohHub:
         """Open the router at `endpoint`; None: at the configured one, or the next free port above it."""
-        tries = PORTS_TRIED if endpoint is None else 1
-        endpoint = endpoint or self.config.transport.endpoint
-        return ZenohHub(endpoint, self._identity(permissions.HUB), self._grants(), ports_tried=tries)
+        tries, patience_s = (PORTS_TRIED, 0.0) if endpoint is None else (1, PORT_FREE_WITHIN_S)
+        wanted = endpoint or self.config.transport.endpoint
+        identity = self._identity(permissions.HUB)
+        return ZenohHub(wanted, identity, self._grants(), ports_tried=tries, patience_s=patience_s)
 
     def open_branch(self, endpoint: str, root: str) -> ZenohHub:
         """Open the router of a rack or a site at `endpoint`, which connects to the run's own at `root`."""
         identity = self._identity(permissions.HUB)
-        return ZenohHub(endpoint, identity, self._grants(), ports_tried=1, root=root)
+        return ZenohHub(endpoint, identity, self._grants(), ports_tried=1, patience_s=PORT_FREE_WITHIN_S, root=root)
 
     def _grants(self) -> list[Grant]:
         config, tls = self.config, self.config.transport.tls

@@ -11,6 +11,7 @@ connection accepts a message above `MAX_MESSAGE_BYTES`, so that nobody can fill 
 
 import os
 import secrets
+import time
 import weakref
 from collections.abc import Callable, Sequence
 from typing import Any, Self
@@ -28,6 +29,7 @@ from zsdist.transport.session_config import MAX_WHOLE_BYTES, brief, session_conf
 
 CONNECT_TIMEOUT_S = 3.0
 PORTS_TRIED = 100
+TRY_PORT_EVERY_S = 0.05
 
 
 class ZenohHub(Owned):
@@ -44,6 +46,7 @@ class ZenohHub(Owned):
         grants: Sequence[Grant] = (),
         *,
         ports_tried: int = PORTS_TRIED,
+        patience_s: float = 0.0,
         root: str | None = None,
     ) -> None:
         """Listen at `endpoint`, or at the next free port above it.
@@ -53,6 +56,8 @@ class ZenohHub(Owned):
             identity: certificate of the hub; it then accepts only clients with a certificate of its authority.
             grants: rights of these clients, who have no others; without an identity all clients have all rights.
             ports_tried: number of ports to try, from that of `endpoint` on.
+            patience_s: time for which they are tried again if none is free; a process that was killed may hold its port
+                for a moment longer.
             root: endpoint of another hub, whose clients and this one's are to reach each other; it may come later.
 
         Raises:
@@ -60,17 +65,23 @@ class ZenohHub(Owned):
         """
         address, port = split_endpoint(endpoint)
         self._close: Callable[[], object] = lambda: None
-        for candidate in range(port, min(port + ports_tried, 65_536)):
-            self.endpoint = f"{address}:{candidate}"
-            try:
-                session = zenoh.open(
-                    session_config("router", listen=self.endpoint, connect=root or (), identity=identity, grants=grants)
-                )
-                self._close = _when_dropped(self, Link(self.endpoint, session))
-                return
-            except zenoh.ZError as error:
-                if "in use" not in str(error):
-                    raise TransportError(f"cannot listen at {self.endpoint}: {brief(error)}") from error
+        give_up_s = time.monotonic() + patience_s
+        while True:
+            for candidate in range(port, min(port + ports_tried, 65_536)):
+                self.endpoint = f"{address}:{candidate}"
+                roots = root or ()
+                try:
+                    session = zenoh.open(
+                        session_config("router", listen=self.endpoint, connect=roots, identity=identity, grants=grants)
+                    )
+                    self._close = _when_dropped(self, Link(self.endpoint, session))
+                    return
+                except zenoh.ZError as error:
+                    if "in use" not in str(error):
+                        raise TransportError(f"cannot listen at {self.endpoint}: {brief(error)}") from error
+            if time.monotonic() >= give_up_s:
+                break
+            time.sleep(TRY_PORT_EVERY_S)
         others = f" and the {ports_tried - 1} ports above it are" if ports_tried > 1 else " is"
         raise TransportError(f"cannot listen at {endpoint}: it{others} taken")
 

@@ -10,6 +10,7 @@ import threading
 import time
 import zlib
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
 import pytest
@@ -350,6 +351,15 @@ def test_a_malformed_endpoint_is_named(endpoint: str) -> None:
     for opening in (ZenohHub, ZenohTransport):
         with pytest.raises(TransportError, match="endpoint is"):
             opening(endpoint)
+
+
+def test_a_hub_waits_for_the_port_of_its_predecessor() -> None:
+    first = ZenohHub(free_endpoint())
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(ZenohHub, first.endpoint, ports_tried=1, patience_s=PATIENCE_S)
+        first.close()
+        with waiting.result() as second:
+            assert second.endpoint == first.endpoint
 
 
 def test_a_hub_whose_port_is_taken_listens_at_the_next_free_one(hub: ZenohHub) -> None:
