@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import pytest
+from episode_records import RECORD
 from operations import operations
 
 from zsdist.config import parse
@@ -14,20 +15,7 @@ from zsdist.wire import codec, keys
 from zsdist.wire.messages import EPISODES, Jobs, Orders, Records
 
 RUN, FEW, MANY = "many", 8, 512
-RECORD = {
-    "actor": "actor-0",
-    "episode": 1,
-    "scene": "made up",
-    "outcome": "success",
-    "steps": 3,
-    "return": 1.0,
-    "epsilon": 0.5,
-    "shielded": True,
-    "path_m": 1.0,
-    "start": [0.0, 0.0],
-    "goal": [1.0, 1.0],
-    "path": [[0.0, 0.0]],
-}
+EPISODE = RECORD | {"actor": "actor-0", "episode": 1}
 
 
 class NoFiles:
@@ -61,7 +49,7 @@ def cost_of_an_episode(actors, folder):
         scheduler.step(now)
     for key in (keys.control(RUN, keys.ANY), keys.evaluation(RUN, keys.ANY)):
         others.subscribe(key, sent)
-    frame = Records(EPISODES, "actor-0", 1, 0, 1, False, (RECORD,))
+    frame = Records(EPISODES, "actor-0", 1, 0, 1, False, (EPISODE,))
     others.publish(keys.episodes(RUN, "actor-0", 1), codec.encode(frame))
     work = operations(lambda: scheduler.step(0.1))
     assert scheduler.finished_episodes == 1

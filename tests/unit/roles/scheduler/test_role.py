@@ -2,6 +2,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from episode_records import RECORD
 
 from zsdist.config import parse
 from zsdist.roles.base import HEARTBEAT_S, Context
@@ -18,19 +19,7 @@ SETTINGS = {
     "merge": {"every_episodes": 4, "validation_scenes": 1, "drop_after_scenes": 1},
 }
 NO_MERGES = SETTINGS | {"merge": {"every_episodes": 0}}
-DRIVE = {
-    "actor": ACTOR,
-    "scene": "made up",
-    "outcome": "success",
-    "steps": 3,
-    "return": 1.0,
-    "epsilon": 0.5,
-    "shielded": True,
-    "path_m": 1.0,
-    "start": [0.0, 0.0],
-    "goal": [1.0, 1.0],
-    "path": [[0.0, 0.0]],
-}
+DRIVE = RECORD | {"actor": ACTOR}
 WEIGHTS = {"w": np.zeros(1, np.float32)}
 
 

@@ -3,6 +3,7 @@
 from concurrent.futures import Future
 
 import pytest
+from episode_records import RECORD
 
 from zsdist.config import parse
 from zsdist.errors import RunError
@@ -16,19 +17,7 @@ from zsdist.wire.messages import EPISODES, Jobs, Orders, Records, State
 
 RUN, ACTOR, EPOCH = "test", "actor-0", 7
 SETTINGS = {"run": {"actors": 1, "cars_per_actor": 2, "episodes": 40, "checkpoint_every_episodes": 3}}
-DRIVE = {
-    "actor": ACTOR,
-    "scene": "made up",
-    "outcome": "success",
-    "steps": 3,
-    "return": 1.0,
-    "epsilon": 0.5,
-    "shielded": True,
-    "path_m": 1.0,
-    "start": [0.0, 0.0],
-    "goal": [1.0, 1.0],
-    "path": [[0.0, 0.0]],
-}
+DRIVE = RECORD | {"actor": ACTOR}
 
 
 class SlowThread:
