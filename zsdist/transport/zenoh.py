@@ -13,7 +13,7 @@ import os
 import secrets
 import time
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Self
 
 import zenoh
@@ -65,23 +65,18 @@ class ZenohHub(Owned):
         """
         address, port = split_endpoint(endpoint)
         self._close: Callable[[], object] = lambda: None
-        give_up_s = time.monotonic() + patience_s
-        while True:
-            for candidate in range(port, min(port + ports_tried, 65_536)):
-                self.endpoint = f"{address}:{candidate}"
-                roots = root or ()
-                try:
-                    session = zenoh.open(
-                        session_config("router", listen=self.endpoint, connect=roots, identity=identity, grants=grants)
-                    )
-                    self._close = _when_dropped(self, Link(self.endpoint, session))
-                    return
-                except zenoh.ZError as error:
-                    if "in use" not in str(error):
-                        raise TransportError(f"cannot listen at {self.endpoint}: {brief(error)}") from error
-            if time.monotonic() >= give_up_s:
-                break
-            time.sleep(TRY_PORT_EVERY_S)
+        give_up_s, roots = time.monotonic() + patience_s, root or ()
+        for candidate in _repeated(range(port, min(port + ports_tried, 65_536)), give_up_s):
+            self.endpoint = f"{address}:{candidate}"
+            try:
+                session = zenoh.open(
+                    session_config("router", listen=self.endpoint, connect=roots, identity=identity, grants=grants)
+                )
+                self._close = _when_dropped(self, Link(self.endpoint, session))
+                return
+            except zenoh.ZError as error:
+                if "in use" not in str(error):
+                    raise TransportError(f"cannot listen at {self.endpoint}: {brief(error)}") from error
         others = f" and the {ports_tried - 1} ports above it are" if ports_tried > 1 else " is"
         raise TransportError(f"cannot listen at {endpoint}: it{others} taken")
 
@@ -245,6 +240,14 @@ class ZenohTransport(Transport):
         if self.is_foreign:
             raise TransportError(f"transport to {self.endpoint} was opened before a fork; open another one after it")
         return self._link.attempt(action, key)
+
+
+def _repeated(ports: range, give_up_s: float) -> Iterator[int]:
+    """Yield the ports in order, and again after a pause until a time, `time.monotonic`, has come."""
+    yield from ports
+    while time.monotonic() < give_up_s:
+        time.sleep(TRY_PORT_EVERY_S)
+        yield from ports
 
 
 def _when_dropped(owner: Owned, link: Link) -> Callable[[], object]:
