@@ -222,7 +222,7 @@ def test_distributions_are_those_of_the_network_at_its_temperatures(folder, empt
 
 def test_a_network_built_from_other_code_is_rebuilt(folder, empty_cache, monkeypatch):
     first = load(folder, network="student").read(images(1))
-    monkeypatch.setattr("zsdist.vision.models.student.LEVELS", 32.0)
+    monkeypatch.setattr("zsdist.vision.models.columns.LEVELS", 32.0)
     again = load(folder, network="student").read(images(1))
     monkeypatch.setattr("zsdist.vision.visual_act._code", lambda: "changed")
     other = load(folder, network="student").read(images(1))
