@@ -30,10 +30,10 @@ def tree(folder):
     """Open a hub of the tree, a client of one: both are closed at the end."""
     with ExitStack() as opened:
 
-        def hub(endpoint, root=None):
+        def hub(endpoint, root=None, **options):
             grants = permissions.access_list(2, hubs=3)
             identity = Identity.load(folder, permissions.HUB)
-            return opened.enter_context(ZenohHub(endpoint, identity, grants, ports_tried=1, root=root))
+            return opened.enter_context(ZenohHub(endpoint, identity, grants, ports_tried=1, root=root, **options))
 
         def client(name, endpoint, **options):
             identity = Identity.load(folder, name)
@@ -111,7 +111,7 @@ def test_a_hub_that_comes_again_is_joined_again_and_a_client_finds_another_one_m
     replay.subscribe(keys.push("r", keys.ANY, keys.ANY, keys.ANY), pushes)
     until_heard(pushes, lambda: actor.publish(PUSH, b"through its rack"))
     own.close()
-    hub(root)
+    hub(root, succeeds_root=True)
     pushes.seen.clear()
     until_heard(pushes, lambda: actor.publish(PUSH, b"through the new root"))
     branch.close()

@@ -31,7 +31,7 @@ from zsdist.transport import certificates
 from zsdist.transport.access import Grant
 from zsdist.transport.base import Transport
 from zsdist.transport.certificates import Identity
-from zsdist.transport.zenoh import PORTS_TRIED, ZenohHub, ZenohTransport
+from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 from zsdist.types import Level
 from zsdist.vision.fingerprint import VisionIdentity
 from zsdist.vision.reading_cache import ReadingCache
@@ -155,11 +155,12 @@ class RunSpec:
     launch: int = 0
 
     def open_hub(self, endpoint: str | None = None) -> ZenohHub:
-        """Open the router at `endpoint`; None: at the configured one, or the next free port above it."""
-        tries, patience_s = (PORTS_TRIED, 0.0) if endpoint is None else (1, PORT_FREE_WITHIN_S)
-        wanted = endpoint or self.config.transport.endpoint
-        identity = self._identity(permissions.HUB)
-        return ZenohHub(wanted, identity, self._grants(), ports_tried=tries, patience_s=patience_s)
+        """Open the router at the `endpoint` of its predecessor; None: at the configured one, or the next free port."""
+        identity, grants = self._identity(permissions.HUB), self._grants()
+        if endpoint is None:
+            return ZenohHub(self.config.transport.endpoint, identity, grants)
+        is_root = bool(self.config.cluster.hubs)
+        return ZenohHub(endpoint, identity, grants, ports_tried=1, patience_s=PORT_FREE_WITHIN_S, succeeds_root=is_root)
 
     def open_branch(self, endpoint: str, root: str) -> ZenohHub:
         """Open the router of a rack or a site at `endpoint`, which connects to the run's own at `root`."""

@@ -30,6 +30,7 @@ from zsdist.transport.session_config import MAX_WHOLE_BYTES, brief, session_conf
 CONNECT_TIMEOUT_S = 3.0
 PORTS_TRIED = 100
 TRY_PORT_EVERY_S = 0.05
+BRANCHES_FORGET_S = 0.5  # time in which the branches of a tree of hubs forget a root that has died, and its routes
 
 
 class ZenohHub(Owned):
@@ -48,6 +49,7 @@ class ZenohHub(Owned):
         ports_tried: int = PORTS_TRIED,
         patience_s: float = 0.0,
         root: str | None = None,
+        succeeds_root: bool = False,
     ) -> None:
         """Listen at `endpoint`, or at the next free port above it.
 
@@ -59,12 +61,17 @@ class ZenohHub(Owned):
             patience_s: time for which they are tried again if none is free; a process that was killed may hold its port
                 for a moment longer.
             root: endpoint of another hub, whose clients and this one's are to reach each other; it may come later.
+            succeeds_root: whether this hub takes the place of one that has just died and was the root of others. It
+                then waits before it listens: zenoh works out its routes 0.1 s after a change, and a branch that finds
+                the new root before it has forgotten the old one stays connected to it for good without any route.
 
         Raises:
             TransportError: the endpoint is malformed or cannot be used, or none of the ports is free.
         """
         address, port = split_endpoint(endpoint)
         self._close: Callable[[], object] = lambda: None
+        if succeeds_root:
+            time.sleep(BRANCHES_FORGET_S)
         give_up_s, roots = time.monotonic() + patience_s, root or ()
         for candidate in _repeated(range(port, min(port + ports_tried, 65_536)), give_up_s):
             self.endpoint = f"{address}:{candidate}"
