@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from zsdist.common.section import Section
-from zsdist.config import AgentConfig, CameraConfig, Config, GridConfig, SimConfig, VisionConfig
+from zsdist.config import Config, GridConfig
 from zsdist.planning.grid import Grid
 from zsdist.types import Level
 
