@@ -1,18 +1,28 @@
 """Bundle of an exported policy: its files, their hashes, and the manifest that says what they mean."""
 
+import hashlib
+import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from pydantic import Field
+from pydantic import ValidationError
 
-from zsdist.common.section import Section
-from zsdist.config import Config, GridConfig
+from zsdist import __version__
+from zsdist.config import Config
+from zsdist.errors import BundleError, ConfigError
 from zsdist.planning.grid import Grid
+from zsdist.runtime.manifest import (
+    FORMAT,
+    BundleAction,
+    BundleCamera,
+    BundleFootprint,
+    BundleManifest,
+    configuration,
+)
 from zsdist.types import Level
 
-FORMAT = 1
 MANIFEST_FILE = "manifest.json"
 VISION_FILE = "vision.onnx"
 NETWORK_FILES = {Level.HIGH: "high.onnx", Level.LOW: "low.onnx"}
@@ -21,119 +31,22 @@ CARD_FILE = "README.md"
 FILES = (VISION_FILE, *NETWORK_FILES.values(), PARITY_FILE, CARD_FILE)
 """Files of a bundle beside its manifest, which has the hash of each."""
 
-Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-
-
-class BundleCamera(Section):
-    """Camera that the policy expects: a pinhole without distortion, level, looking along the robot's heading.
-
-    Attributes:
-        width_px: width of a picture.
-        height_px: height of a picture, equal to the width.
-        field_of_view_deg: horizontal and vertical angle.
-        height_m: height of the lens above the ground.
-        forward_m: distance of the lens ahead of the robot's centre.
-        range_m: range of vision; what is farther counts as free.
-        encoding: layout of a pixel.
-    """
-
-    width_px: int
-    height_px: int
-    field_of_view_deg: float
-    height_m: float
-    forward_m: float
-    range_m: float
-    encoding: Literal["rgb8"] = "rgb8"
-
-
-class BundleFootprint(Section):
-    """Box that the policy keeps free of obstacles, around the robot's centre and along its heading.
-
-    Attributes:
-        length_m: length of the robot.
-        width_m: width of the robot.
-        margin_m: margin on every side.
-    """
-
-    length_m: float
-    width_m: float
-    margin_m: float
-
-
-class BundleAction(Section):
-    """One action: a turn in place, then an advance.
-
-    Attributes:
-        name: name of the action, as in `zsdist.types.Action`.
-        turn_deg: turn, counter-clockwise positive.
-        forward_m: advance after the turn, along an axis of the grid.
-        forward_diagonal_m: the same advance along a diagonal.
-    """
-
-    name: str
-    turn_deg: float
-    forward_m: float
-    forward_diagonal_m: float
-
-
-class GraphPort(Section):
-    """Input or output of a network.
-
-    Attributes:
-        name: name in the ONNX file.
-        shape: sizes of the axes; "batch" may be any.
-        dtype: type of the values, as numpy names it.
-        unit: unit of the values; empty: none.
-        meaning: what the values are, in order.
-    """
-
-    name: str
-    shape: tuple[int | str, ...]
-    dtype: str
-    unit: str
-    meaning: str
-
-
-class BundleGraph(Section):
-    """Network of a bundle, an ONNX file."""
-
-    file: str
-    inputs: tuple[GraphPort, ...]
-    outputs: tuple[GraphPort, ...]
-
-
-class BundleManifest(Section):
-    """Content of `manifest.json`."""
-
-    format: Literal[1] = 1
-    name: str
-    zsdist: str
-    weights_sha256: Sha256
-    files: dict[str, Sha256]
-    vision: dict[str, str]
-    camera: BundleCamera
-    frames: dict[str, str]
-    grid: GridConfig
-    footprint: BundleFootprint
-    actions: tuple[BundleAction, ...]
-    graphs: dict[str, BundleGraph]
-    settings: dict[str, Any]
-    limits: dict[str, float]
-    trained_on: dict[str, Any]
-    evaluated: dict[str, Any]
+_AGAIN = "export the policy again, or copy the whole folder again"
 
 
 @dataclass(frozen=True)
 class Bundle:
-    """Bundle in a folder, whose files have been checked.
+    """Bundle in a folder, whose files have been checked. Use `Bundle.load`.
 
     Attributes:
         folder: folder of the files.
         manifest: content of `manifest.json`.
+        config: configuration that the policy decides under; settings without influence on that have their defaults.
     """
 
     folder: Path
     manifest: BundleManifest
+    config: Config
 
     @classmethod
     def load(cls, folder: Path) -> "Bundle":
@@ -142,7 +55,16 @@ class Bundle:
         Raises:
             BundleError: the folder or a file is missing, damaged, or of another version of the format or of zsdist.
         """
-        raise NotImplementedError
+        manifest = _manifest(folder)
+        for name in FILES:
+            if name not in manifest.files:
+                raise BundleError(f"bundle {folder}: {MANIFEST_FILE} has no hash of {name}; {_AGAIN}")
+        for name, sha256 in manifest.files.items():
+            _check_file(folder, name, sha256)
+        try:
+            return cls(folder, manifest, configuration(manifest))
+        except ConfigError as error:
+            raise BundleError(f"bundle {folder}: settings in {MANIFEST_FILE}: {error}; {_AGAIN}") from error
 
     @property
     def camera(self) -> BundleCamera:
@@ -160,11 +82,56 @@ class Bundle:
         return self.manifest.actions
 
     @cached_property
-    def config(self) -> Config:
-        """Configuration that the policy drives under; sections without influence on a decision have their defaults."""
-        raise NotImplementedError
-
-    @cached_property
     def grid(self) -> Grid:
         """Planning grid, in the middle of the arena."""
         return Grid.from_config(self.config.grid)
+
+
+def _manifest(folder: Path) -> BundleManifest:
+    """Return the manifest of a bundle; raise `BundleError` where it is missing, damaged or of another version."""
+    file = folder / MANIFEST_FILE
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BundleError(
+            f"bundle {file} cannot be read: {error.strerror or error}; allowed is a folder that `zsdist export` made"
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise BundleError(f"bundle {file} is damaged: {error}; {_AGAIN}") from error
+    _check_versions(file, content)
+    try:
+        return BundleManifest.model_validate_json(json.dumps(content))
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise BundleError(f"bundle {file} is damaged: {key}: {first['msg']}; {_AGAIN}") from error
+
+
+def _check_versions(file: Path, content: Any) -> None:
+    found = content.get("format") if isinstance(content, dict) else None
+    if found != FORMAT or isinstance(found, bool):
+        raise BundleError(
+            f"bundle {file} has the format {found!r}; zsdist {__version__} reads format {FORMAT}: export the policy "
+            "with this version, or install the one that made the bundle"
+        )
+    maker = content.get("zsdist")
+    if maker != __version__:
+        raise BundleError(
+            f"bundle {file} was made by zsdist {maker}; this is zsdist {__version__}, which may decide otherwise: "
+            f"install zsdist {maker}, or export the policy with {__version__}"
+        )
+
+
+def _check_file(folder: Path, name: str, sha256: str) -> None:
+    if Path(name).name != name:
+        raise BundleError(f"bundle {folder}: {MANIFEST_FILE} names the file {name!r}; allowed is a name in the folder")
+    try:
+        with (folder / name).open("rb") as file:
+            found = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise BundleError(f"bundle {folder}: {name} cannot be read: {error.strerror or error}; {_AGAIN}") from error
+    if found != sha256:
+        raise BundleError(
+            f"bundle {folder}: {name} is damaged: its SHA-256 is {found[:16]}..., and {MANIFEST_FILE} has "
+            f"{sha256[:16]}...; {_AGAIN}"
+        )

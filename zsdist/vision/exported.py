@@ -85,11 +85,8 @@ def open_session(path: Path, device: str = CPU_DEVICE) -> onnxruntime.InferenceS
     """
     if not path.exists():
         raise WeightsError(f"cached network {path} is missing; load the model from its weights")
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3  # errors only
     try:
-        session = _Session(str(path), options, providers=_providers(device))
+        session = _Session(str(path), session_options(1), providers=_providers(device))
     except Exception as error:  # onnxruntime's errors share no narrower base class
         reason = " ".join(str(error).split())
         raise WeightsError(f"cached network {path} is damaged ({reason}); delete it to have it rebuilt") from error
@@ -100,6 +97,14 @@ def open_session(path: Path, device: str = CPU_DEVICE) -> onnxruntime.InferenceS
             "machine with a GPU and the package onnxruntime-gpu in place of onnxruntime, or vision.device=cpu or auto"
         )
     return session
+
+
+def session_options(threads: int) -> onnxruntime.SessionOptions:
+    """Return the options of every session: as many threads as given, and no messages but errors."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
+    options.log_severity_level = 3  # errors only
+    return options
 
 
 def _providers(device: str) -> list[str]:
