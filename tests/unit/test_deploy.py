@@ -1,5 +1,6 @@
 import copy
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,9 @@ from ray._private import ray_constants
 from ray.autoscaler._private.util import prepare_config, validate_config
 
 import zsdist
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "deploy"))
+import slim
 
 ROOT = Path(__file__).parents[2]
 DEPLOY = ROOT / "deploy"
@@ -148,3 +152,22 @@ def test_dockerfile_copies_only_existing_files():
 def test_readme_names_only_existing_files():
     for name in re.findall(r"(?:deploy|configs)/[\w.-]+", (DEPLOY / "README.md").read_text()):
         assert (ROOT / name).exists(), name
+
+
+def test_what_nothing_reads_is_listed_and_removed(tmp_path):
+    for name in (
+        "pybullet_data/plane.urdf",
+        "torch/test/a",
+        "torch/bin/protoc",
+        "torch/bin/torch_shm_manager",
+        "other/a",
+    ):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("1234")
+    found = slim.unread(tmp_path)
+    assert [str(path.relative_to(tmp_path)) for path in found] == ["pybullet_data", "torch/bin/protoc", "torch/test"]
+    assert sum(map(slim.size, found)) == 12
+    for path in found:
+        slim.remove(path)
+    assert slim.unread(tmp_path) == []
+    assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == ["a", "torch_shm_manager"]

@@ -19,7 +19,7 @@ from zsdist.config import Config
 from zsdist.errors import RunError
 from zsdist.roles.base import HEARTBEAT_S, HOST
 from zsdist.roles.replay import shards
-from zsdist.run import cluster_address, local_ray, program
+from zsdist.run import cluster_address, local_ray, program, ray_lean
 from zsdist.run.directory import issue_epochs
 from zsdist.run.guests import Guests
 from zsdist.run.heartbeats import HUB, Heartbeats
@@ -87,7 +87,7 @@ def connect(config: Config) -> None:
     for tries_left in reversed(range(STARTS_TRIED)):
         try:
             # Where Ray starts no process, a signal may end a long wait.
-            with signals.kept() if address is not None else signals.withheld():
+            with signals.kept() if address is not None else signals.withheld(), ray_lean.lean():
                 _init(config)
             break
         except Exception as error:  # Ray raises errors of a dozen classes, also built-in ones
