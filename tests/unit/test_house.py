@@ -22,7 +22,12 @@ AMOUNTS = re.compile(
 CACHES = re.compile(r"\b(ZSDIST_CACHE|NUMBA_CACHE_DIR|MPLCONFIGDIR|XDG_CACHE_HOME|getuser|getlogin)\b")
 PUBLIC_ALL_THE_SAME = {"os._exit", "sys._current_frames"}  # documented under these names
 INSIDE_RAY = {  # starts that have no switch; only in releases with which it was tried
-    "run/ray_lean.py": ["ray._private.node", "ray._private.ray_constants", "ray._private.services", "ray._raylet"]
+    "run/ray_lean.py": [
+        "ray._private.node",
+        "ray._private.ray_constants",
+        "ray._private.services",
+        "ray._raylet.persist_port",
+    ]
 }
 LIGHT_PACKAGES = ("driving", "agent", "planning")
 LIGHT_MODULES = ("zsdist.vision.visual_act", "zsdist.vision.reading_cache", "zsdist.vision.ray_ablation")

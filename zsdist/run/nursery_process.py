@@ -20,6 +20,7 @@ import sys
 from pathlib import Path
 from typing import Any, cast
 
+from zsdist.run import allocator
 from zsdist.run.nursery_shim import FORK, PREPARE, TAKEN
 
 PARTS = (  # loaded one by one, in the order in which a run needs them
@@ -57,7 +58,7 @@ class Nursery:
     def serve(self) -> Request | None:
         """Load all parts and answer requests until the launcher is gone; in a fork, return its request."""
         while True:
-            sources = [self._listener, self._lifeline, self._ended]
+            sources: list[Any] = [self._listener, self._lifeline, self._ended]
             readable, _, _ = select.select(sources, [], [], 0.0 if self._waiting else None)
             if self._ended in readable:
                 self._bury()
@@ -111,6 +112,7 @@ class Nursery:
         if (threads := sum(1 for _ in _THREADS.iterdir())) > 1:
             raise SystemExit(f"the nursery cannot be forked, since a library has started {threads - 1} threads in it")
         gc.collect()
+        allocator.return_freed_memory()
         gc.freeze()  # else the collector would write to all shared pages
         pid = os.fork()
         if pid:
@@ -134,7 +136,7 @@ def become(request: Request, streams: list[int]) -> None:
     os.chdir(request["folder"])
     resource.setrlimit(resource.RLIMIT_NOFILE, tuple(request["open_files"]))
     with contextlib.suppress(OSError):  # not all containers allow it
-        _LIKELIHOOD_OF_DEATH.write_text(_FIRST)
+        _LIKELIHOOD_OF_DEATH.write_text(_FIRST, encoding="utf-8")
 
 
 def prepared(settings: str) -> Request:

@@ -14,6 +14,7 @@ from typing import Any
 
 import ray
 from ray._private import node, ray_constants, services
+from ray._raylet import persist_port  # type: ignore[attr-defined]  # compiled
 
 from zsdist.run import nursery, nursery_shim, ray_agent
 
@@ -69,7 +70,7 @@ def raylet_command(command: list[str]) -> list[str]:
     """Return the raylet's command with stand-ins for its agents and, where there is a nursery, workers from there."""
     given = dict(argument.removeprefix("--").split("=", 1) for argument in command if "=" in argument)
     for name in _PORTS:
-        ray._raylet.persist_port(given["session_dir"], given["node_id"], name, _NO_PORT)
+        persist_port(given["session_dir"], given["node_id"], name, _NO_PORT)
     stand_in = subprocess.list2cmdline([sys.executable, "-I", "-S", str(Path(ray_agent.__file__))])
     new = {"dashboard_agent_command": stand_in, "runtime_env_agent_command": stand_in}
     if nursery.is_employed():
