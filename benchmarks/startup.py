@@ -13,6 +13,7 @@ processes together; they depend less on what else the machine does. `ray_alone` 
 """
 
 import argparse
+import contextlib
 import json
 import os
 import signal
@@ -89,10 +90,13 @@ def one_run(checkout: Path, settings: list[str], settle_s: float) -> dict[str, f
         began_s = time.monotonic()
         with (Path(name) / "log").open("w+") as log:
             run = subprocess.Popen(command, cwd=name, env=environment, stdout=log, stderr=subprocess.STDOUT)
+            latest: dict[str, dict] = {}
             try:
-                ends, cpu_s, names = watch(run, folder, Path(name) / "log", began_s)
-                time.sleep(settle_s)
-                memory = proportional_mb(run.pid, names)
+                with contextlib.ExitStack() as sessions:
+                    ends, cpu_s = watch(run, folder, Path(name) / "log", began_s, latest, sessions)
+                    time.sleep(settle_s)
+                names = {int(fields["pid"]): name for name, fields in dict(latest).items() if "pid" in fields}
+                memory, used_s = by_process(run.pid, names)
             finally:
                 run.send_signal(signal.SIGINT)
                 time.sleep(1.0)  # signals that follow at once count as one
@@ -106,48 +110,52 @@ def one_run(checkout: Path, settings: list[str], settle_s: float) -> dict[str, f
         figures[f"{part}_cpu_s"] = cpu_s[part] - (cpu_s[before] if before else 0.0)
         print(f"{part:12}{figures[f'{part}_s']:8.2f}{figures[f'{part}_cpu_s']:8.2f}")
     figures |= {"to_first_step_s": ends["episode"], "to_first_step_cpu_s": cpu_s["episode"]}
-    print(f"{'together':12}{ends['episode']:8.2f}{cpu_s['episode']:8.2f}\n\n{'process':24}{'PSS MB':>8}")
+    print(f"{'together':12}{ends['episode']:8.2f}{cpu_s['episode']:8.2f}\n\n{'process':24}{'PSS MB':>8}{'CPU s':>8}")
     for process, size in sorted(memory.items(), key=lambda item: -item[1]):
-        print(f"{process:24}{size:8.0f}")
-    print(f"{'together':24}{sum(memory.values()):8.0f}")
+        print(f"{process:24}{size:8.0f}{used_s[process]:8.1f}")
+    print(f"{'together':24}{sum(memory.values()):8.0f}{sum(used_s.values()):8.1f}")
     figures |= {f"pss_mb_{process.replace(' ', '_')}": size for process, size in memory.items()}
     return figures | {"pss_mb": sum(memory.values())}
 
 
 def watch(
-    run: subprocess.Popen, folder: Path, log: Path, began_s: float
-) -> tuple[dict[str, float], dict[str, float], dict[int, str]]:
-    """Return when each part ended, the processor time until then, and the names of the roles by process."""
+    run: subprocess.Popen,
+    folder: Path,
+    log: Path,
+    began_s: float,
+    latest: dict[str, dict],
+    sessions: contextlib.ExitStack,
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return when each part ended, and the processor time until then; `latest` gets the last statistics of each role.
+
+    The session that fills it ends with `sessions`.
+    """
     import zenoh
 
     ends: dict[str, float] = {}
     cpu_s: dict[str, float] = {}
-    latest: dict[str, dict] = {}
     session = None
-    try:
-        while "episode" not in ends:
-            if run.poll() is not None:
-                raise SystemExit(f"zsdist.launch ended with status {run.returncode}: {log.read_text()[-2000:]}")
-            if session is None and (folder / "endpoint").exists() and (endpoint := (folder / "endpoint").read_text()):
-                session = _session(zenoh, endpoint, latest)
-            reported = {name.partition("-")[0] for name in latest}
-            steps = sum(fields.get("env_steps", 0) for name, fields in latest.items() if name.startswith("actor"))
-            reached = {
-                "import": "preparing" in log.read_text(),
-                "compile": (folder / "config.yaml").exists(),
-                "ray": session is not None,
-                "roles": reported >= set(ROLES),
-                "episode": steps > 0 and reported >= set(ROLES),
-            }
-            for part, is_reached in reached.items():
-                if is_reached and part not in ends:
-                    ends[part] = time.monotonic() - began_s
-                    cpu_s[part] = sum(_cpu_s(pid) for pid in _family(run.pid))
-            time.sleep(LOOK_EVERY_S)
-    finally:
-        if session is not None:
-            session.close()
-    return ends, cpu_s, {int(fields["pid"]): name for name, fields in latest.items() if "pid" in fields}
+    while "episode" not in ends:
+        if run.poll() is not None:
+            raise SystemExit(f"zsdist.launch ended with status {run.returncode}: {log.read_text()[-2000:]}")
+        if session is None and (folder / "endpoint").exists() and (endpoint := (folder / "endpoint").read_text()):
+            session = sessions.enter_context(_session(zenoh, endpoint, latest))
+        seen = dict(latest)  # another thread adds to it
+        reported = {name.partition("-")[0] for name in seen}
+        steps = sum(fields.get("env_steps", 0) for name, fields in seen.items() if name.startswith("actor"))
+        reached = {
+            "import": "preparing" in log.read_text(),
+            "compile": (folder / "config.yaml").exists(),
+            "ray": session is not None,
+            "roles": reported >= set(ROLES),
+            "episode": steps > 0 and reported >= set(ROLES),
+        }
+        for part, is_reached in reached.items():
+            if is_reached and part not in ends:
+                ends[part] = time.monotonic() - began_s
+                cpu_s[part] = sum(_cpu_s(pid) for pid in _family(run.pid))
+        time.sleep(LOOK_EVERY_S)
+    return ends, cpu_s
 
 
 def _session(zenoh, endpoint: str, latest: dict[str, dict]):  # noqa: ANN001, ANN202 (a module that may be missing)
@@ -183,9 +191,10 @@ def ray_alone(checkout: Path) -> dict[str, float]:
     return {"ray_alone_s": float(line), "ray_alone_cpu_s": others, "ray_alone_processes": processes}
 
 
-def proportional_mb(launcher: int, names: dict[int, str]) -> dict[str, float]:
-    """Return the proportional set size of each process of a launcher's family, in MB."""
+def by_process(launcher: int, names: dict[int, str]) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the proportional set size in MB and the processor time of each process of a launcher's family."""
     sizes: dict[str, float] = defaultdict(float)
+    used_s: dict[str, float] = defaultdict(float)
     for pid in sorted(_family(launcher)):
         try:
             lines = (PROC / str(pid) / "smaps_rollup").read_text().splitlines()
@@ -193,8 +202,10 @@ def proportional_mb(launcher: int, names: dict[int, str]) -> dict[str, float]:
         except OSError:
             continue  # it has ended
         size = next((int(line.split()[1]) for line in lines if line.startswith("Pss:")), 0) * 1024 / MB
-        sizes["launcher" if pid == launcher else names.get(pid) or _title(command)] += size
-    return dict(sizes)
+        title = "launcher" if pid == launcher else names.get(pid) or _title(command)
+        sizes[title] += size
+        used_s[title] += _cpu_s(pid)
+    return dict(sizes), dict(used_s)
 
 
 def _title(command: list[bytes]) -> str:
