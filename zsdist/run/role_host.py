@@ -7,7 +7,7 @@ import time
 import traceback
 from contextlib import nullcontext
 
-from zsdist.common import output_files
+from zsdist.common import output_files, search_path
 from zsdist.errors import ZsdistError
 from zsdist.roles.base import HOST, Role
 from zsdist.run import profiling, program
@@ -22,6 +22,7 @@ class RoleHost:
     """Content of a Ray actor, which builds one role and steps it until it has finished."""
 
     def __init__(self, spec: RunSpec) -> None:
+        search_path.apply()
         keep_freed_memory()
         self.spec = spec
         self.wake = threading.Event()
