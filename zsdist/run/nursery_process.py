@@ -1,6 +1,6 @@
-"""Process of the nursery, `python -m zsdist.run.nursery_process FD`: it loads modules and forks itself on request.
+"""Process of the nursery, whose argument is the number of a listening socket: it loads modules and forks on request.
 
-`FD` is a listening socket. A request begins with a byte: `FORK`, with the streams of the new process and a JSON object
+A request begins with a byte: `FORK`, with the streams of the new process and a JSON object
 (`nursery_shim.ask`), or `PREPARE`, with the configuration of a run. Between requests it loads one part after the other.
 It has one thread, since a fork would wait for ever for what another thread holds. When its standard input ends, its
 launcher is gone, and it kills its forks.

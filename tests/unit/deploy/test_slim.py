@@ -1,10 +1,11 @@
 """What an image leaves out: files that nothing reads."""
 
-import sys
-from pathlib import Path
+import runpy
+from types import SimpleNamespace
 
-sys.path.insert(0, str(Path(__file__).parents[3] / "deploy"))
-import slim
+from deployments import DEPLOY
+
+slim = SimpleNamespace(**runpy.run_path(str(DEPLOY / "slim.py")))
 
 
 def test_what_nothing_reads_is_listed_and_removed(tmp_path):
