@@ -32,7 +32,7 @@ if TYPE_CHECKING:  # each role imports what it needs when it is built: a car tak
     from zsdist.run.scene_schedule import SceneSchedule
 
 PORT_FREE_WITHIN_S = 10.0  # time for which a new hub waits for the port of one that was killed
-HUB_BACK_WITHIN_S = 20.0  # time for which a new role looks for the hub, which may be about to be replaced
+HUB_BACK_WITHIN_S = 60.0  # time for which a new role looks for the hub, which may be about to be replaced
 Watch = Callable[[Transport, float], None]  # called once a round with the runner's transport and the clock
 
 
