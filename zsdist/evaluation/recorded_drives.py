@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -51,7 +51,7 @@ class RecordingJob:
     manifest: SetManifest
     folder: Path
     seed: int
-    simulation: Simulation = Simulation()
+    simulation: Simulation = field(default_factory=Simulation)
 
 
 def makes_transitions(contender: Contender) -> bool:
