@@ -13,11 +13,11 @@ ROWS = (  # a unit may import from rows above its own in this list; within a row
     {"planning", "vision", "dqn", "replay", "protocol", "wire", "transport"},
     {"agent", "sim", "telemetry"},
     {"driving", "datasets", "recording"},
-    {"roles"},
+    {"roles", "runtime"},
     {"evaluation", "run"},
-    {"reporting", "diagnostics"},
+    {"reporting", "diagnostics", "exporting"},
     {"pretraining"},
-    {"launch", "evaluate", "pretrain", "monitor", "report", "doctor", "certs", "scenes", "record"},
+    {"launch", "evaluate", "pretrain", "monitor", "report", "doctor", "certs", "scenes", "export", "record"},
     {"__main__", "policy"},
 )
 STRANGERS = {  # units that do not import each other although the rows would allow it
