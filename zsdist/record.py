@@ -23,7 +23,7 @@ from zsdist.evaluation.recorded_drives import RecordedDrive, RecordingJob
 from zsdist.evaluation.selection import BUILT_IN, select
 from zsdist.planning.grid import Grid
 from zsdist.recording import log
-from zsdist.recording.contract import TransitionContract
+from zsdist.recording.contract import TransitionContract, flat
 from zsdist.recording.episode import read_episode
 from zsdist.recording.minari_export import MinariSet, require_minari, set_name
 from zsdist.recording.recorded_set import MANIFEST, RecordedSet, SetManifest, write_manifest
@@ -148,16 +148,14 @@ def _manifest(options: argparse.Namespace, policy: NamedPolicy) -> SetManifest:
 
 def _common(before: SetManifest, now: SetManifest, folder: Path) -> SetManifest:
     """Return the manifest of a set that is resumed, in its own form of pictures; what else differs is refused."""
-    free = {"pictures", "zsdist", "policy"}  # a policy may be named by another path; its hash counts
-    ours, others = (manifest.model_dump(exclude=free) for manifest in (before, now))
-    for name, value in ours.items():
-        if others[name] != value:
+    free = {"pictures", "zsdist"} | ({"policy"} if before.weights_sha256 else set())  # their hash names the networks
+    ours, others = (flat(manifest.model_dump(mode="json", exclude=free)) for manifest in (before, now))
+    for name in [*ours, *others]:
+        if ours.get(name) != others.get(name):
             raise RunError(
-                f"--resume: the set in {folder} was recorded with {name} {value!r} and this is {others[name]!r}; "
-                "allowed is the same policy, scenes and seed, or another folder"
+                f"--resume: the set in {folder} was recorded with {name} {ours.get(name)} and this is "
+                f"{others.get(name)}; allowed is the same policy, scenes and seed, or another folder"
             )
-    if before.weights_sha256 is None and before.policy != now.policy:
-        raise RunError(f"--resume: the set in {folder} is of {before.policy!r} and this is {now.policy!r}")
     return before
 
 

@@ -17,8 +17,8 @@ ROWS = (  # a unit may import from rows above its own in this list; within a row
     {"evaluation", "run"},
     {"reporting", "diagnostics", "exporting"},
     {"pretraining"},
-    {"launch", "evaluate", "pretrain", "monitor", "report", "doctor", "certs", "scenes", "export", "record"},
-    {"__main__", "policy"},
+    {"launch", "evaluate", "pretrain", "monitor", "report", "doctor", "certs", "scenes", "export"},
+    {"__main__", "policy", "record"},  # the last two take policies by the names that `evaluate` knows
 )
 STRANGERS = {  # units that do not import each other although the rows would allow it
     ("sim", "vision"),

@@ -76,8 +76,8 @@ class TransitionContract(BaseModel):
             DataError: they differ; the message names the first difference with both values.
         """
         recorded, wanted = (
-            _flat(self.model_dump(mode="json")),
-            _flat(TransitionContract.of(config).model_dump(mode="json")),
+            flat(self.model_dump(mode="json")),
+            flat(TransitionContract.of(config).model_dump(mode="json")),
         )
         for name in [*wanted, *recorded]:
             found, needed = recorded.get(name), wanted.get(name)
@@ -88,7 +88,7 @@ class TransitionContract(BaseModel):
                 )
 
 
-def _flat(tree: Any, path: str = "") -> dict[str, Any]:
+def flat(tree: Any, path: str = "") -> dict[str, Any]:
     """Return the leaves of nested dictionaries and lists by their paths."""
     if isinstance(tree, dict):
         items = [(f"{path}.{key}" if path else str(key), value) for key, value in tree.items()]
@@ -96,4 +96,4 @@ def _flat(tree: Any, path: str = "") -> dict[str, Any]:
         items = [(f"{path}[{index}]", value) for index, value in enumerate(tree)]
     else:
         return {path: tree}
-    return {name: leaf for key, value in items for name, leaf in _flat(value, key).items()}
+    return {name: leaf for key, value in items for name, leaf in flat(value, key).items()}

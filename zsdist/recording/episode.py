@@ -66,8 +66,10 @@ class EpisodeFile:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._log.close()
-        self._partial.unlink(missing_ok=True)  # after `keep` it has another name
+        try:
+            self._log.close()
+        finally:
+            self._partial.unlink(missing_ok=True)  # after `keep` it has another name
 
     def act(self, sight: Sight, action: int) -> None:
         """Write a decision; `result` follows once it was carried out."""
