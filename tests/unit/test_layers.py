@@ -12,12 +12,12 @@ ROWS = (  # a unit may import from rows above its own in this list; within a row
     {"__init__", "types", "errors", "config", "common"},
     {"planning", "vision", "dqn", "replay", "protocol", "wire", "transport"},
     {"agent", "sim", "telemetry"},
-    {"driving", "datasets"},
+    {"driving", "datasets", "recording"},
     {"roles", "runtime"},
     {"evaluation", "run"},
     {"reporting", "diagnostics", "exporting"},
     {"pretraining"},
-    {"launch", "evaluate", "pretrain", "monitor", "report", "doctor", "certs", "scenes", "export"},
+    {"launch", "evaluate", "pretrain", "monitor", "report", "doctor", "certs", "scenes", "export", "record"},
     {"__main__", "policy"},
 )
 STRANGERS = {  # units that do not import each other although the rows would allow it
@@ -27,6 +27,7 @@ STRANGERS = {  # units that do not import each other although the rows would all
     ("driving", "sim"),
     ("roles", "sim"),
     ("roles", "datasets"),
+    ("recording", "sim"),
     ("evaluation", "datasets"),
 }
 OWNERS = {
@@ -35,6 +36,8 @@ OWNERS = {
     "ray": ("run/ray.py", "run/ray_cluster.py"),
     "zenoh": ("transport/zenoh.py", "transport/link.py", "transport/session_config.py"),
     "cryptography": "transport/certificates.py",
+    "mcap": "recording/",
+    "minari": "recording/minari_export.py",
     "pybullet": "sim/",
     "pybullet_data": "sim/",
     "efficientnet_lite_pytorch": "vision/encoders/",

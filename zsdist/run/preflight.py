@@ -10,7 +10,7 @@ from zsdist.errors import ConfigError
 from zsdist.planning.grid import Grid
 from zsdist.replay.buffer import row_bytes
 from zsdist.roles import permissions
-from zsdist.roles.replay import shards
+from zsdist.roles.replay import shards, start
 from zsdist.roles.shapes import SHAPES, initial_weights
 from zsdist.run import placement, program
 from zsdist.run.program import ActorParts, simulation
@@ -58,6 +58,15 @@ def check_certificates(config: Config) -> None:
             here[permissions.certificate_of(role_spec.role, role_spec.id)] = None
     for name in here:
         Identity.load(config.transport.tls, name)
+
+
+def check_recorded(config: Config) -> None:
+    """Check the recorded sets from which a new run starts.
+
+    Raises:
+        DataError: one is not there, or does not fit the configuration.
+    """
+    start.recorded_sets(config)
 
 
 def check_shards(config: Config, states: Mapping[str, State]) -> None:

@@ -19,7 +19,7 @@ from zsdist.roles import permissions
 from zsdist.roles.actor import Actor
 from zsdist.roles.base import Context, Role
 from zsdist.roles.hub import Hub
-from zsdist.roles.replay import shards
+from zsdist.roles.replay import shards, start
 from zsdist.roles.replay.role import Replay
 from zsdist.roles.scheduler.role import Scheduler
 from zsdist.roles.shapes import SHAPES, learner_seed, level_settings
@@ -229,7 +229,8 @@ class RunSpec:
                 has_predecessor = self.launch > 0 and role_spec.epoch >= self.launch + epoch_count(config)
                 where = (config, self.run, self.folder, self.start, index)
                 own = journals.begin(*where, has_predecessor=has_predecessor)
-                return Replay(context, SHAPES, own, self.states.get(shards.state_name(index)))
+                recorded = [] if self.states else start.recorded_sets(config)
+                return Replay(context, SHAPES, own, self.states.get(shards.state_name(index)), recorded)
             case "learner":
                 level = Level(role_spec.id)
                 from zsdist.roles.learner import Learner  # the only role that needs torch: two seconds and 150 MB
