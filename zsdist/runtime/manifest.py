@@ -32,6 +32,8 @@ class BundleCamera(Part):
         width_px: width of a picture.
         height_px: height of a picture, equal to the width.
         field_of_view_deg: horizontal and vertical angle.
+        focal_px: focal length of a picture of this size.
+        centre_px: principal point, columns from the left and rows from the top; the first pixel's centre is at 0.5.
         height_m: height of the lens above the ground.
         forward_m: distance of the lens ahead of the robot's centre.
         range_m: range of vision; what is farther counts as free.
@@ -41,6 +43,8 @@ class BundleCamera(Part):
     width_px: Pixels
     height_px: Pixels
     field_of_view_deg: Annotated[float, Field(ge=30, le=120)]
+    focal_px: Annotated[float, Field(gt=0)]
+    centre_px: tuple[float, float]
     height_m: Length
     forward_m: Annotated[float, Field(ge=-100, le=100)]
     range_m: Length
@@ -118,15 +122,11 @@ class BundleLimits(Part):
         max_steps: actions after which an attempt counts as failed.
         success_radius_m: distance to the goal at which it is reached.
         speed_mps: greatest speed of the simulated car.
-        turn_deg_s: greatest turn rate of the simulated car.
-        step_s: simulated time from one command to the wheels to the next.
     """
 
     max_steps: Annotated[int, Field(ge=1)]
     success_radius_m: Length
-    speed_mps: float
-    turn_deg_s: float
-    step_s: float
+    speed_mps: Length
 
 
 class BundleManifest(Part):

@@ -80,7 +80,7 @@ class BundleRunner:
             goal_m: `(x, y)` of the goal in metres.
 
         Raises:
-            BundleError: pose or goal is not on the grid.
+            BundleError: the pose is not in the arena, or the goal not on the grid.
         """
         self._goal = self._checked_goal(goal_m)
         self._begin(self._checked_pose(pose), None)
@@ -107,7 +107,7 @@ class BundleRunner:
             pose: pose of the robot's centre at which the picture was taken.
 
         Raises:
-            BundleError: the picture has another shape or dtype, the pose is not on the grid, or nothing has begun.
+            BundleError: the picture has another shape or dtype, the pose is not in the arena, or nothing has begun.
         """
         goal = self._goal
         if goal is None:
@@ -156,23 +156,22 @@ class BundleRunner:
 
     def _checked_goal(self, goal_m: tuple[float, float]) -> tuple[float, float]:
         x_m, y_m = float(goal_m[0]), float(goal_m[1])
-        self._check_on_grid("goal", x_m, y_m)
-        return x_m, y_m
-
-    def _checked_pose(self, pose: Pose) -> Pose:
-        pose = Pose(*(float(value) for value in pose))
-        if not math.isfinite(pose.heading_rad):
-            raise BundleError(f"heading is {pose.heading_rad}; allowed is a finite angle in radians")
-        self._check_on_grid("pose", pose.x_m, pose.y_m)
-        return pose
-
-    def _check_on_grid(self, what: str, x_m: float, y_m: float) -> None:
         if not self.bundle.grid.contains(x_m, y_m):
             half = self.bundle.grid.side_m / 2
             raise BundleError(
-                f"{what} ({x_m:g}, {y_m:g}) m is off the policy's grid; allowed is -{half:g} to below {half:g} m on "
-                "both axes of the arena"
+                f"goal ({x_m:g}, {y_m:g}) m is off the policy's grid; allowed is -{half:g} to below {half:g} m on both "
+                "axes of the arena"
             )
+        return x_m, y_m
+
+    def _checked_pose(self, pose: Pose) -> Pose:
+        pose, half = Pose(*(float(value) for value in pose)), self.bundle.grid.arena_m / 2
+        if not (abs(pose.x_m) <= half and abs(pose.y_m) <= half and math.isfinite(pose.heading_rad)):
+            raise BundleError(
+                f"pose is ({pose.x_m:g}, {pose.y_m:g}) m, {pose.heading_rad:g} rad; allowed is within {half:g} m of "
+                "the arena's centre on both axes, and a finite heading"
+            )
+        return pose
 
 
 def _check_picture(picture: np.ndarray) -> None:

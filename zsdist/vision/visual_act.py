@@ -143,6 +143,11 @@ class VisualAct:
             raise WeightsError(f"vision.network is {self._network!r}, which reads no tokens; allowed is 'head'")
         return Reading(*self._session.run(READING_OUTPUTS, {"tokens": tokens}))
 
+    @property
+    def network_files(self) -> list[Path]:
+        """Exported networks that read a picture, in order: encoder and head, or one network alone."""
+        return [self._session.path] if self._alone else [self._encoder.network_file, self._session.path]
+
     def observe(self, images: np.ndarray) -> Observation:
         """Return attention and embeddings of images `(B, px, px, 3)` uint8, always by encoder and head.
 
