@@ -11,13 +11,25 @@ PACKAGE = Path(zsdist.__file__).parent
 ROWS = (  # a unit may import from rows above its own in this list; within a row only the foundation may
     {"__init__", "types", "errors", "config", "common"},
     {"planning", "vision", "dqn", "replay", "protocol", "wire", "transport"},
-    {"agent", "sim", "telemetry"},
+    {"agent", "sim", "telemetry", "ros2"},
     {"driving", "datasets", "recording"},
     {"roles", "runtime"},
-    {"evaluation", "run"},
+    {"evaluation", "run", "piloting"},
     {"reporting", "diagnostics", "exporting"},
     {"pretraining"},
-    {"launch", "evaluate", "pretrain", "monitor", "report", "doctor", "certs", "scenes", "export"},
+    {
+        "launch",
+        "evaluate",
+        "pretrain",
+        "monitor",
+        "report",
+        "doctor",
+        "certs",
+        "scenes",
+        "export",
+        "drive",
+        "robot",
+    },
     {"__main__", "policy", "record"},  # the last two take policies by the names that `evaluate` knows
 )
 STRANGERS = {  # units that do not import each other although the rows would allow it
@@ -34,7 +46,8 @@ OWNERS = {
     "numba": "common/compiled.py",
     "fcntl": "common/locks.py",
     "ray": ("run/ray.py", "run/ray_cluster.py"),
-    "zenoh": ("transport/zenoh.py", "transport/link.py", "transport/session_config.py"),
+    "zenoh": ("transport/zenoh.py", "transport/link.py", "transport/session_config.py", "ros2/node.py"),
+    "rosbags": ("ros2/messages.py", "recording/messages.py"),
     "cryptography": "transport/certificates.py",
     "mcap": "recording/",
     "minari": "recording/minari_export.py",
