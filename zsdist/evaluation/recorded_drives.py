@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -44,14 +44,14 @@ class RecordingJob:
         manifest: manifest of the set.
         folder: folder of the set.
         seed: seed of the drivers' randomness, combined with the number of the episode.
-        simulation: simulation to drive in.
+        simulation: simulation to drive in; None: physics and the camera.
     """
 
     contender: Contender
     manifest: SetManifest
     folder: Path
     seed: int
-    simulation: Simulation = field(default_factory=Simulation)
+    simulation: Simulation | None = None
 
 
 def makes_transitions(contender: Contender) -> bool:

@@ -37,6 +37,7 @@ class TransitionContract(BaseModel):
         state_sizes: number of features by level.
         actions: actions of the low level, in order.
         grid: planning grid.
+        success_radius_m: distance from the goal within which it is reached.
         discounts: discount by level.
         literal_reward: the paper's rewards, where levels learn from their sum; None: from the shaped rewards.
     """
@@ -47,6 +48,7 @@ class TransitionContract(BaseModel):
     state_sizes: dict[str, int]
     actions: tuple[Move, ...]
     grid: GridConfig
+    success_radius_m: float
     discounts: dict[str, float]
     literal_reward: RewardConfig | None
 
@@ -61,6 +63,7 @@ class TransitionContract(BaseModel):
                 for action in Action
             ),
             grid=config.grid,
+            success_radius_m=config.sim.success_radius_m,
             discounts={Level.HIGH.value: config.high.discount, Level.LOW.value: config.low.discount},
             literal_reward=config.reward if config.reward.literal else None,
         )
