@@ -121,7 +121,8 @@ def _writer(file: EpisodeFile, driver: Driver) -> Watch:
     def write(moment: Moment) -> None:
         sight = _sight(moment)
         if moment.rewards is not None:
-            file.result(sight, tuple(moment.rewards), _ended(moment.outcome))
+            terms = moment.rewards
+            file.result(sight, (terms.distance, terms.safety, terms.goal), _ended(moment.outcome))
         if moment.action is None:
             file.end(sight)
             file.transitions(driver.drain(moment.observed), moment.time_s)
@@ -134,11 +135,12 @@ def _writer(file: EpisodeFile, driver: Driver) -> Watch:
 
 def _sight(moment: Moment) -> Sight:
     """Return what is recorded of a moment; the map of a decision, since there is none after the last."""
-    observed, maps = moment.observed, (None, None)
+    observed = moment.observed
     assert observed.image is not None, "pictures are rendered for every driver that is recorded"
-    if moment.action is not None and moment.thought is not None:
-        maps = moment.thought.situation.occupied, moment.thought.situation.seen
-    return Sight(moment.time_s, observed.image, observed.pose, *maps)
+    if moment.action is None or moment.thought is None:
+        return Sight(moment.time_s, observed.image, observed.pose)
+    situation = moment.thought.situation
+    return Sight(moment.time_s, observed.image, observed.pose, situation.occupied, situation.seen)
 
 
 def _ended(outcome: Outcome | None) -> str:

@@ -130,18 +130,6 @@ def read(path: Path, topics: Collection[str] | None = None) -> Iterator[Logged]:
         raise DataError(f"{path} is not a whole MCAP file ({error or type(error).__name__})") from error
 
 
-def read_description(path: Path, name: str) -> dict[str, str]:
-    """Return the texts that `Log.describe` wrote under a name; raise `DataError` where there are none."""
-    try:
-        with path.open("rb") as file:
-            for found in make_reader(file).iter_metadata():
-                if found.name == name:
-                    return dict(found.metadata)
-    except _UNREADABLE as error:
-        raise DataError(f"{path} is not a whole MCAP file ({error or type(error).__name__})") from error
-    raise DataError(f"{path} has no metadata {name!r}; allowed is a file that zsdist recorded")
-
-
 def salvage(path: Path, target: Path) -> int:
     """Write a whole file of all that a killed writer has left in another; return the number of messages.
 

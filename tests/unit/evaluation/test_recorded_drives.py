@@ -7,18 +7,19 @@ from recordings import SIMULATION, manifest_of, record, recorded
 
 from zsdist import config
 from zsdist.common import random_streams
+from zsdist.driving.settings import recorder_settings
 from zsdist.evaluation.contenders import Contender
 from zsdist.evaluation.drivers import LearnedDriver, Observability
 from zsdist.evaluation.episodes import EpisodeRunner
 from zsdist.evaluation.oracle_view import by_camera
 from zsdist.evaluation.recorded_drives import RecordedDrive, RecordingJob, record_each
-from zsdist.evaluation.workers import make_runner
+from zsdist.evaluation.workers import Simulation, make_runner
 from zsdist.recording import log, messages
 from zsdist.recording.episode import read_episode
 from zsdist.replay.buffer import RingBuffer
 from zsdist.roles.shapes import SHAPES, initial_weights
 from zsdist.sim.scenes import families
-from zsdist.types import Level, Outcome
+from zsdist.types import Level
 
 SETTINGS = config.load(overrides=("sim.max_steps=40",))
 
@@ -68,24 +69,14 @@ def test_a_recorder_changes_no_decision_of_the_networks():
     def drive(recording):
         driver = LearnedDriver(SETTINGS, parameters, by_camera(FakeVisualAct()))
         if recording:
-            assert driver.record(manifest_settings())
+            assert driver.record(recorder_settings(SETTINGS))
         runner = EpisodeRunner(LatticeEnv(config=SETTINGS), SETTINGS, driver, Observability.CAMERA, time.perf_counter)
         return runner.drive(families.draw("scattered", "test", 1), np.random.default_rng(0)).poses
 
     assert drive(True) == drive(False)
 
 
-def manifest_settings():
-    from zsdist.driving.settings import recorder_settings
-
-    return recorder_settings(SETTINGS)
-
-
 def test_an_episode_that_fails_leaves_no_file(tmp_path):
-    contender = Contender(SETTINGS, baseline="random")
-    job = RecordingJob(contender, manifest_of(contender), tmp_path, 0, SIMULATION)
-    scene = families.draw("singleton", "test", 0)
-
     class FailingError(Exception):
         pass
 
@@ -95,14 +86,9 @@ def test_an_episode_that_fails_leaves_no_file(tmp_path):
                 raise FailingError
             return super().step(action)
 
-    simulation = type(SIMULATION)(make_env=lambda settings, **_: Failing(config=settings))
-    job = RecordingJob(contender, job.manifest, tmp_path, 0, simulation)
+    simulation = Simulation(make_env=lambda settings, **_: Failing(config=settings))
+    contender = Contender(SETTINGS, baseline="random")
+    job = RecordingJob(contender, manifest_of(contender), tmp_path, 0, simulation)
     with pytest.raises(FailingError):
-        list(record_each(job, [RecordedDrive(0, scene)], 1))
+        list(record_each(job, [RecordedDrive(0, families.draw("singleton", "test", 0))], 1))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_end_of_an_episode_is_its_outcome(tmp_path):
-    records = record(tmp_path, 4)
-    outcomes = {record.outcome for record in records}
-    assert outcomes <= set(Outcome) and records

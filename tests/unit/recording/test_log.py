@@ -111,8 +111,6 @@ def test_what_is_no_recording_is_refused_in_one_line(tmp_path):
         with pytest.raises(DataError, match=r"x\.mcap is not a whole MCAP file"):
             list(log.read(path))
         assert path.read_bytes() == content and list(tmp_path.iterdir()) == [path]
-    with pytest.raises(DataError, match="has no metadata 'zsdist'"):
-        log.read_description(write(tmp_path / "y.mcap", 1), "zsdist")
 
 
 def test_a_map_has_free_occupied_and_unknown_cells_in_the_frame_of_the_arena():
