@@ -71,7 +71,7 @@ def test_a_recorder_changes_no_decision_of_the_networks():
         if recording:
             assert driver.record(recorder_settings(SETTINGS))
         runner = EpisodeRunner(LatticeEnv(config=SETTINGS), SETTINGS, driver, Observability.CAMERA, time.perf_counter)
-        return runner.drive(families.draw("scattered", "test", 1), np.random.default_rng(0)).poses
+        return runner.drive(families.draw("iid", "test", 1), np.random.default_rng(0)).poses
 
     assert drive(True) == drive(False)
 
