@@ -2,8 +2,9 @@
 
 `python benchmarks/start_from.py [--seeds 3] [--set DIR] [--results FILE]`
 
-The set has 200 episodes of the shipped policy in the singleton scenes (`zsdist record pretrained --scenes singleton
---episodes 200`) and is recorded where it is missing or unfinished. Each run makes a checkpoint every two episodes, and
+The set has 200 episodes of the shipped policy in as many scenes of `iid` (`zsdist record pretrained --scenes iid
+--episodes 200`; in the ten scenes of `singleton` a greedy policy drives the same ten episodes again and again). It is
+recorded where it is missing or unfinished. Each run makes a checkpoint every two episodes, and
 the checkpoints drive greedily through the ten scenes, in order, until nine or ten of them arrive. Both kinds of runs
 have one configuration and one process, so that a seed repeats bit for bit. A finished run adds a line of JSON to FILE,
 and a second call goes on behind the last line.
@@ -34,7 +35,7 @@ KINDS = ("empty", "recorded")
 
 def record(folder: Path, episodes: int) -> None:
     """Record the set, or what is missing of it."""
-    words = ["record", "pretrained", "--scenes", "singleton", "--episodes", str(episodes), "--out", str(folder)]
+    words = ["record", "pretrained", "--scenes", "iid", "--episodes", str(episodes), "--out", str(folder)]
     _call(*words, *(["--resume"] if (folder / "set.json").exists() else []))
 
 
