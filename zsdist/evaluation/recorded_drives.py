@@ -16,7 +16,7 @@ from zsdist.evaluation.metrics import scene_entry
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.evaluation.workers import Simulation, make_runner
 from zsdist.planning.grid import Grid
-from zsdist.recording.episode import EpisodeFile, Sight
+from zsdist.recording.episode import EpisodeFile, DriveState
 from zsdist.recording.recorded_set import SetManifest, describe_file, episode_path
 from zsdist.sim.scenes import scene as scene_files
 from zsdist.sim.scenes.scene import Scene
@@ -133,14 +133,14 @@ def _writer(file: EpisodeFile, driver: Driver) -> Watch:
     return write
 
 
-def _sight(moment: Moment) -> Sight:
+def _sight(moment: Moment) -> DriveState:
     """Return what is recorded of a moment; the map of a decision, since there is none after the last."""
     observed = moment.observed
     assert observed.image is not None, "pictures are rendered for every driver that is recorded"
     if moment.action is None or moment.thought is None:
-        return Sight(moment.time_s, observed.image, observed.pose)
+        return DriveState(moment.time_s, observed.image, observed.pose)
     situation = moment.thought.situation
-    return Sight(moment.time_s, observed.image, observed.pose, situation.occupied, situation.seen)
+    return DriveState(moment.time_s, observed.image, observed.pose, situation.occupied, situation.seen)
 
 
 def _ended(outcome: Outcome | None) -> str:

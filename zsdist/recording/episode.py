@@ -23,7 +23,7 @@ RECORDED = "recorded"  # name under which recorded transitions are pushed, in th
 
 
 @dataclass(frozen=True)
-class Sight:
+class DriveState:
     """State of a drive at a decision or at its end.
 
     Attributes:
@@ -58,7 +58,7 @@ class EpisodeFile:
         self._log = log.Log(self._partial)
         self._log.describe(ABOUT, about)
         self._log.write_encoded(messages.GOAL, ros.POSE_STAMPED.name, ros.encode_goal(goal, messages.FRAME), 0)
-        self._pending: tuple[Sight, int] | None = None  # sight and action whose result is not known yet
+        self._pending: tuple[DriveState, int] | None = None  # sight and action whose result is not known yet
         self._number, self._last_ns = 0, 0
         self._counts: dict[str, int] = {}
         self._sequences: dict[str, int] = {}
@@ -72,12 +72,12 @@ class EpisodeFile:
         finally:
             self._partial.unlink(missing_ok=True)  # after `keep` it has another name
 
-    def act(self, sight: Sight, action: int) -> None:
+    def act(self, sight: DriveState, action: int) -> None:
         """Write a decision; `result` follows once it was carried out."""
         self._see(sight)
         self._pending = (sight, action)
 
-    def result(self, after: Sight, rewards: tuple[float, float, float], ended: str = "") -> None:
+    def result(self, after: DriveState, rewards: tuple[float, float, float], ended: str = "") -> None:
         """Write the result of the last decision: its mean speeds and its rewards.
 
         Args:
@@ -94,7 +94,7 @@ class EpisodeFile:
         self._number += 1
         self._pending = None
 
-    def end(self, sight: Sight) -> None:
+    def end(self, sight: DriveState) -> None:
         """Write the state in which the episode ended."""
         self._see(sight)
 
@@ -116,7 +116,7 @@ class EpisodeFile:
         self._partial.replace(self._path)
         atomic_files.sync_folder(self._path.parent)
 
-    def _see(self, sight: Sight) -> None:
+    def _see(self, sight: DriveState) -> None:
         time_ns = self._last_ns = _ns(sight.time_s)
         picture = ros.CompressedPicture(time_ns, messages.compress(sight.picture, self._form), format=self._form)
         self._log.write_encoded(messages.PICTURES, ros.COMPRESSED_IMAGE.name, ros.encode_picture(picture), time_ns)
@@ -193,7 +193,7 @@ def _ns(time_s: float) -> int:
     return round(time_s * ros.NS_PER_S)
 
 
-def _mean_velocity(before: Sight, after: Sight) -> ros.Velocity:
+def _mean_velocity(before: DriveState, after: DriveState) -> ros.Velocity:
     """Return the mean speed along the car's heading and the mean turn rate between two states."""
     elapsed_s = max(after.time_s - before.time_s, 1e-9)
     moved_m = math.hypot(after.pose.x_m - before.pose.x_m, after.pose.y_m - before.pose.y_m)

@@ -13,6 +13,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from zsdist.common import atomic_files, output_files
+from zsdist.common.ownership import Owned
 from zsdist.errors import DataError
 from zsdist.recording import messages
 
@@ -42,7 +43,7 @@ class Logged(NamedTuple):
         return messages.decode(self.kind, self.content)
 
 
-class Log:
+class Log(Owned):
     """MCAP file with ROS 2 messages; each is in the file when the call that writes it returns.
 
     A file whose writer was killed lacks an index. `salvage` makes a whole file of it. Messages of one topic are to be

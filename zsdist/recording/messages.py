@@ -12,6 +12,7 @@ import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from zsdist.errors import DataError
 from zsdist.planning.grid import Grid
 from zsdist.ros2.messages import NS_PER_S
 
@@ -76,8 +77,15 @@ def compress(picture: np.ndarray, form: str = "jpeg") -> np.ndarray:
 
 
 def decompress(content: np.ndarray) -> np.ndarray:
-    """Return the picture in the bytes of a JPEG or PNG file, `(h, w, 3)` uint8, RGB."""
-    return np.asarray(cv2.cvtColor(cv2.imdecode(content, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB))
+    """Return the picture in the bytes of a JPEG or PNG file, `(h, w, 3)` uint8, RGB.
+
+    Raises:
+        DataError: they are neither.
+    """
+    picture = cv2.imdecode(content, cv2.IMREAD_COLOR)
+    if picture is None:
+        raise DataError(f"a recorded picture of {content.nbytes} bytes is neither JPEG nor PNG; its file is damaged")
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB))
 
 
 def occupancy_grid(grid: Grid, occupied: np.ndarray, seen: np.ndarray, time_ns: int) -> Any:
