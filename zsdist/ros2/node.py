@@ -85,6 +85,11 @@ class RosPublisher:
         self._publisher = session.declare_publisher(key, congestion_control=DROP, express=True)
         self._token = session.liveliness().declare_token(token)
 
+    @property
+    def matched(self) -> bool:
+        """Whether somebody subscribes to it."""
+        return bool(self._publisher.matching_status.matching)
+
     def publish(self, data: bytes) -> None:
         """Send a message; it is dropped where the connection is down or full."""
         self._sequence += 1
