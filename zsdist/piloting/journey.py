@@ -175,7 +175,7 @@ class Journey:
             self._pilot.halt()
 
     def look_again(self) -> None:
-        """Decide again, from where the robot stands: after a new goal."""
+        """Decide again, from where the robot stands: after a new goal. An action that is under way is ended first."""
         if self.phase is not JourneyPhase.MOVE and self.phase is not JourneyPhase.ENTER:
             self._enter(JourneyPhase.SETTLE)
 
