@@ -35,7 +35,7 @@ from zsdist.sim.robot import (
 from zsdist.sim.scenes import scene as scene_files
 from zsdist.sim.scenes.scene import Scene
 from zsdist.sim.scenes.solvability import footprints
-from zsdist.types import Outcome
+from zsdist.types import Outcome, Pose
 
 NODE = "zsdist_robot"
 RELIABLE = QualityOfService(depth=10)
@@ -221,6 +221,16 @@ class SimulatedRobot:
         """Release simulation and camera."""
         self._world.close()
         self._camera.close()
+
+    @property
+    def pose(self) -> Pose:
+        """True pose."""
+        return self._world.pose
+
+    @property
+    def speed_mps(self) -> float:
+        """True speed along its heading."""
+        return self._world.motion.speed_mps
 
     def _stamp_ns(self, time_s: float) -> int:
         return self._began_ns + round(time_s * NS_PER_S)

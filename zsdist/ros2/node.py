@@ -88,7 +88,8 @@ class RosPublisher:
     @property
     def matched(self) -> bool:
         """Whether somebody subscribes to it."""
-        return bool(self._publisher.matching_status.matching)
+        status = self._publisher.matching_status
+        return bool(getattr(status, "matching", status))  # an object, other than zenoh's types say
 
     def publish(self, data: bytes) -> None:
         """Send a message; it is dropped where the connection is down or full."""
@@ -98,8 +99,8 @@ class RosPublisher:
 
     def close(self) -> None:
         """End the publisher; ROS 2 sees it vanish."""
-        self._token.undeclare()
-        self._publisher.undeclare()
+        self._token.undeclare()  # type: ignore[no-untyped-call]  # zenoh declares no return type
+        self._publisher.undeclare()  # type: ignore[no-untyped-call]
 
 
 class Endpoints:
