@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from zsdist import config
-from zsdist.common import cli, output_files
+from zsdist.common import cli, output_files, signals
 from zsdist.common.plain_lines import say
 from zsdist.config import Config
 from zsdist.errors import DecodeError, RunError
@@ -101,13 +101,17 @@ def main(options: argparse.Namespace) -> int:
             f"({scene.goal[0]:g}, {scene.goal[1]:g}), router {node.endpoint}, domain {options.domain}"
         )
         try:
-            outcome = robot.run()
+            robot.run()
+        except KeyboardInterrupt as interruption:
+            if robot.outcome is None:
+                robot.reason = f"interrupted by {signals.name_of(signals.number_of(interruption))}"
+            raise
         finally:
+            result = robot.result()
             robot.close()
-        result = robot.result(outcome)
-    if options.json is not None:
-        output_files.write_json("--json", options.json, result)
-    say(f"{outcome}: {robot.reason}; {result['steps']} steps, {result['path_m']:.2f} m")
+            if options.json is not None:
+                output_files.write_json("--json", options.json, result)
+            say(f"{result['outcome']}: {robot.reason}; {result['steps']} steps, {result['path_m']:.2f} m")
     return 0
 
 
@@ -154,16 +158,15 @@ class SimulatedRobot:
         self.outcome: Outcome | None = None
         self.reason = ""
 
-    def run(self) -> Outcome:
-        """Simulate in real time, or faster, until the episode is over; return how it ended."""
+    def run(self) -> None:
+        """Simulate in real time, or faster, until the episode is over."""
         began_s = time.monotonic()
-        while self.outcome is None or not self.over:
+        while not self.over:
             self.publish()
             due_s = began_s + self.time_s / self._options.speed
             self._wait(due_s)
             began_s += max(0.0, time.monotonic() - due_s - LATE_MOST_S)  # what a busy machine lost is not made up for
             self.advance()
-        return self.outcome
 
     def publish(self) -> None:
         """Publish the clock, the odometry, and the pictures that have arrived by now."""
@@ -201,8 +204,9 @@ class SimulatedRobot:
         """Simulated time since the start."""
         return self._steps * self._settings.sim.step_s
 
-    def result(self, outcome: Outcome) -> dict[str, Any]:
-        """Return how the episode ended, with the keys of an evaluation's `per_scene`."""
+    def result(self) -> dict[str, Any]:
+        """Return how the episode ended, with the keys of an evaluation's `per_scene`; one cut short is a timeout."""
+        outcome = self.outcome or Outcome.TIMEOUT
         course = Course(self._scene, footprints(self._grid), self._settings.sim.success_radius_m)
         shortest_m = course.length_m(self._scene.start.pose)
         return {

@@ -152,8 +152,14 @@ class Senses:
         reading, before = messages.decode_odometry(received.data), self.odometry
         if before is not None and before.time_ns < reading.time_ns:
             self._check_jump(before, reading)
-        self.poses.seen(self._clock.now_s(), reading.time_ns / NS_PER_S)
+        self._note(self.poses, reading.time_ns / NS_PER_S)
         self.odometry = reading
+
+    def _note(self, stream: Freshness, stamp_s: float) -> None:
+        now_s = self._clock.now_s()
+        if self._clock.simulated:  # stamps are of the same clock, and may come before its tick
+            now_s = max(now_s, stamp_s)
+        stream.seen(now_s, stamp_s)
 
     def _check_jump(self, before: OdometryReading, after: OdometryReading) -> None:
         passed_s = (after.time_ns - before.time_ns) / NS_PER_S
@@ -167,7 +173,7 @@ class Senses:
     def _see(self, received: Received) -> None:
         content = messages.decode_picture(received.data)
         time_s = content.time_ns / NS_PER_S
-        self.pictures.seen(self._clock.now_s(), time_s)
+        self._note(self.pictures, time_s)
         self.picture = SeenPicture(time_s, content)
 
     def _aim(self, received: Received) -> None:

@@ -67,7 +67,7 @@ def test_the_robot_arrives_and_the_drive_ends_with_zero(chains):
     assert (result["outcome"], result["reason"], result["actions"]) == ("arrived", "the goal is reached", 3)
     assert chain.commander.sent[-1][1] == STANDSTILL and chain.loop.stops == []
     assert result["path_m"] == pytest.approx(1.875, abs=0.2)
-    assert chain.robot.result(Outcome.SUCCESS)["outcome"] == "success"
+    assert chain.robot.result()["outcome"] == "success"
 
 
 def test_without_arm_nothing_is_commanded_and_nothing_moves(chains):
