@@ -1,10 +1,10 @@
-"""Driver and simulated robot in processes of their own over zenoh, against evaluation in the same scenes; and its stops.
+"""Driver and simulated robot in processes of their own, against evaluation in the same scenes; stops and limits.
 
 `python benchmarks/robot.py [--quick] [--only PART...] [--bundle DIR] [--scenes N] [--faults N] [--steps N] [--out DIR]`
-measures these parts, prints a table and one JSON line, and goes on where it was when it is called again with `--out`:
+measures these parts, prints a table and one JSON line, and goes on where it was when it is called again:
 
-    pairs    each test scene of `SPLITS` driven by `zsdist.evaluate`, and by `zsdist.drive` against `zsdist.robot` over a
-             router, without errors and with those of `ERRORS`
+    pairs    each test scene of `SPLITS` driven by `zsdist.evaluate`, and by `zsdist.drive` against `zsdist.robot`
+             over a router, without errors and with those of `ERRORS`
     faults   pictures, odometry or the router vanish while the robot drives, in real time: seconds until the driver
              commands zero, and until the robot stands
     limits   steps of the pilot with poses, targets and times of any kind: how many velocities are beyond a limit
@@ -128,7 +128,7 @@ def pairs(bundle: Path, options: argparse.Namespace, ratios: dict[str, float]) -
 
 
 def scene_files(split: str, folder: Path, count: int) -> list[Path]:
-    """Return the files of the scenes with which `zsdist.evaluate --scenes SPLIT` begins, made where they are missing."""
+    """Return the files of the first scenes of `zsdist.evaluate --scenes SPLIT`, made where they are missing."""
     from zsdist.config import Config
     from zsdist.evaluation.selection import select
     from zsdist.sim.scenes import scene
@@ -197,6 +197,7 @@ class GatedNode:
         self.endpoint = node.endpoint
 
     def publisher(self, topic: str, kind: Any, quality: Any) -> Any:
+        """Return a publisher that is silent while its topic is closed."""
         made, closed = self._node.publisher(topic, kind, quality), self.closed
 
         class Gated:
@@ -207,10 +208,17 @@ class GatedNode:
         return Gated()
 
     def subscribe(self, topic: str, kind: Any, put: Any) -> None:
+        """Subscribe to a topic."""
         self._node.subscribe(topic, kind, put)
 
 
-ROUTER = "import sys, threading; from zsdist.ros2.node import RosNode; RosNode('r', listen=sys.argv[1]); print(1, flush=True); threading.Event().wait()"
+ROUTER = """
+import sys, threading
+from zsdist.ros2.node import RosNode
+node = RosNode("router", listen=sys.argv[1])
+print(node.endpoint, flush=True)
+threading.Event().wait()
+"""
 
 
 class FaultyDrive:
@@ -258,6 +266,7 @@ class FaultyDrive:
         return now_s
 
     def kill_router(self) -> None:
+        """Kill the router's process."""
         self._router.send_signal(signal.SIGKILL)
         self._router.wait()
 
@@ -268,6 +277,7 @@ class FaultyDrive:
             self._router = self._open_router()
 
     def close(self) -> None:
+        """End all processes."""
         for process in (self._driver, self._router):
             process.kill()
             process.wait()

@@ -41,7 +41,7 @@ NODE = "zsdist_robot"
 RELIABLE = QualityOfService(depth=10)
 STANDSTILL = Velocity(0.0, 0.0)
 PATH_STEP_M = 0.05  # the driven path is measured by points so far apart, without the trembling of a car that stands
-AFTERWARDS_S = 1.0  # simulated time for which the robot goes on after the end, so that its driver sees it
+AFTERWARDS_S = 2.0  # time, simulated and real, for which the robot goes on after the end, so that its driver sees it
 COMMAND_GAP_S = 0.15  # with --lockstep, time waits while the last command is older than this
 LOCKSTEP_WAIT_S = 0.5
 LATE_MOST_S = 0.5  # what real time may be behind
@@ -154,14 +154,14 @@ class SimulatedRobot:
         self._path_m, self._marked = 0.0, scene.start.pose
         self._least_m = self._world.clearance_m
         self._next_picture_s = 0.0
-        self._ended_s = math.inf
+        self._ended_s, self._stays_s = math.inf, 0.0
         self.outcome: Outcome | None = None
         self.reason = ""
 
     def run(self) -> None:
         """Simulate in real time, or faster, until the episode is over."""
         began_s = time.monotonic()
-        while not self.over:
+        while not self.over or time.monotonic() < self._stays_s:
             self.publish()
             due_s = began_s + self.time_s / self._options.speed
             self._wait(due_s)
@@ -192,7 +192,8 @@ class SimulatedRobot:
         self._measure()
         if self.outcome is None:
             self.outcome = self._judge(contact)
-            self._ended_s = math.inf if self.outcome is None else self.time_s
+            if self.outcome is not None:
+                self._ended_s, self._stays_s = self.time_s, time.monotonic() + AFTERWARDS_S
 
     @property
     def over(self) -> bool:

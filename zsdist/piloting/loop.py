@@ -7,9 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import numpy as np
+
 from zsdist.errors import DecodeError, RunError
 from zsdist.piloting.arena import ArenaFrame
-from zsdist.piloting.journey import Decide, Glimpse, Journey, JourneyPhase, TimedPose
+from zsdist.piloting.journey import ComingDecision, Glimpse, Journey, JourneyPhase, TimedPose
 from zsdist.piloting.limits import STANDSTILL, MotionLimits
 from zsdist.piloting.senses import DriveClock, HostClocks, Senses
 from zsdist.planning.grid import Grid
@@ -46,7 +48,8 @@ class ReplanningPolicy(Protocol):
     def set_goal(self, goal_m: tuple[float, float]) -> None:
         """Take another goal and keep the map."""
 
-    decide: Decide
+    def decide(self, picture: np.ndarray, pose: Pose) -> ComingDecision:
+        """Return the future decision on a picture and its pose."""
 
 
 @dataclass(frozen=True)
@@ -224,8 +227,9 @@ class DriveLoop:
         if odometry is None:
             return
         if self._journey is None or self._frame is None:
-            if self._goal is None or self._senses.picture is None:
+            if self._goal is None or self._fault is not None:
                 return
+            self._senses.begun = True
             self._frame = ArenaFrame.place(odometry.pose, self._goal, self._grid, self._settings.centre)
             self._policy.begin(self._frame.pose(odometry.pose), self._frame.point(self._goal), self._frame)
             self._journey = Journey(

@@ -207,3 +207,35 @@ def test_one_line_a_second(chains):
     chain = chains()
     chain.run(10)
     assert 8 <= len(chain.lines) <= 11 and "goal" in chain.lines[-1] and "m/s" in chain.lines[-1]
+
+
+def test_a_robot_that_does_not_stamp_its_messages_is_driven_by_their_arrival(chains, monkeypatch):
+    for name in ("odometry", "picture"):
+        encode = getattr(messages, f"encode_{name}")
+        unstamped = lambda reading, encode=encode: encode(reading._replace(time_ns=0))  # noqa: E731
+        monkeypatch.setattr(messages, f"encode_{name}", unstamped)
+    chain = chains(NEAR)
+    assert chain.run() is Outcome.SUCCESS and chain.loop.outcome == "arrived"
+
+
+def test_a_clock_that_begins_to_tick_during_a_drive_is_not_the_robots(chains):
+    chain = chains()
+    chain.topics.lost.add("/clock")
+    run_until_fast(chain)
+    chain.topics.lost.clear()
+    run_for(chain, 1.0)
+    assert not chain.loop.result()["simulated_time"] and chain.loop.stops == []
+
+
+def test_without_a_goal_the_robot_waits_and_goes_on_after_each(chains):
+    chain = chains(OPEN, goal=None)
+    goals = chain.topics.node()
+    goals.subscribe("/goal_pose", None, chain.senses.slots["goal"].put)
+    publisher = goals.publisher("/goal_pose", messages.POSE_STAMPED, None)
+    run_for(chain, 2.0)
+    assert chain.commander.sent == [] and "no goal yet" in chain.lines[-1]
+    for x_m in (-7.1875, -5.9375):
+        publisher.publish(messages.encode_goal((x_m, 0.3125), "odom"))
+        chain.run(120, lambda chain, wanted=x_m: any("goal is reached" in line for line in chain.lines[-3:]))
+        chain.lines.clear()
+        assert chain.loop.result()["pose"]["x_m"] == pytest.approx(x_m, abs=0.6) and not chain.loop.outcome
