@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from zsdist.errors import DecodeError
-from zsdist.piloting.streams import Freshness
+from zsdist.piloting.streams import LEAST_JUMP_S, Freshness
 from zsdist.ros2 import messages
 from zsdist.ros2.messages import NS_PER_S, CompressedPicture, OdometryReading
 from zsdist.ros2.node import NewestMessage, Received
@@ -172,8 +172,8 @@ class Senses:
 
     def _note(self, stream: Freshness, stamp_s: float) -> None:
         now_s = self._clock.now_s()
-        if self._clock.simulated:  # stamps are of the same clock, and may come before its tick
-            now_s = max(now_s, stamp_s)
+        if self._clock.simulated and 0 < stamp_s - now_s < LEAST_JUMP_S:
+            now_s = stamp_s  # of the same clock, whose tick is still to come
         stream.seen(now_s, stamp_s)
 
     def _check_jump(self, before: OdometryReading, after: OdometryReading) -> None:
