@@ -1,4 +1,4 @@
-"""Independent clients of ROS 2 over zenoh against ours; `make peers` installs them, and the tests are left out without."""
+"""Independent clients of ROS 2 over zenoh against ours. `make peers` installs them; the tests are skipped without."""
 
 import json
 import os
