@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from zsdist import config
-from zsdist.common import cli, output_files
+from zsdist.common import cli, output_files, signals
 from zsdist.common.plain_lines import say
 from zsdist.config import Config
 from zsdist.errors import DecodeError, RunError
@@ -35,15 +35,16 @@ from zsdist.sim.robot import (
 from zsdist.sim.scenes import scene as scene_files
 from zsdist.sim.scenes.scene import Scene
 from zsdist.sim.scenes.solvability import footprints
-from zsdist.types import Outcome
+from zsdist.types import Outcome, Pose
 
 NODE = "zsdist_robot"
 RELIABLE = QualityOfService(depth=10)
 STANDSTILL = Velocity(0.0, 0.0)
 PATH_STEP_M = 0.05  # the driven path is measured by points so far apart, without the trembling of a car that stands
-AFTERWARDS_S = 1.0  # simulated time for which the robot goes on after the end, so that its driver sees it
+AFTERWARDS_S = 2.0  # time, simulated and real, for which the robot goes on after the end, so that its driver sees it
 COMMAND_GAP_S = 0.15  # with --lockstep, time waits while the last command is older than this
 LOCKSTEP_WAIT_S = 0.5
+LATE_MOST_S = 0.5  # what real time may be behind
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -100,13 +101,17 @@ def main(options: argparse.Namespace) -> int:
             f"({scene.goal[0]:g}, {scene.goal[1]:g}), router {node.endpoint}, domain {options.domain}"
         )
         try:
-            outcome = robot.run()
+            robot.run()
+        except KeyboardInterrupt as interruption:
+            if robot.outcome is None:
+                robot.reason = f"interrupted by {signals.name_of(signals.number_of(interruption))}"
+            raise
         finally:
+            result = robot.result()
             robot.close()
-        result = robot.result(outcome)
-    if options.json is not None:
-        output_files.write_json("--json", options.json, result)
-    say(f"{outcome}: {robot.reason}; {result['steps']} steps, {result['path_m']:.2f} m")
+            if options.json is not None:
+                output_files.write_json("--json", options.json, result)
+            say(f"{result['outcome']}: {robot.reason}; {result['steps']} steps, {result['path_m']:.2f} m")
     return 0
 
 
@@ -120,7 +125,8 @@ class SimulatedRobot:
         options: options of the command.
 
     Attributes:
-        reason: why the episode has ended.
+        outcome: how the episode ended; None before.
+        reason: why it ended.
     """
 
     def __init__(self, settings: Config, scene: Scene, node: RosNode, options: argparse.Namespace) -> None:
@@ -148,57 +154,23 @@ class SimulatedRobot:
         self._path_m, self._marked = 0.0, scene.start.pose
         self._least_m = self._world.clearance_m
         self._next_picture_s = 0.0
+        self._ended_s, self._stays_s = math.inf, 0.0
+        self.outcome: Outcome | None = None
         self.reason = ""
 
-    def run(self) -> Outcome:
-        """Simulate until the episode ends, and for a moment after; return how it ended."""
-        began_s, outcome, ended_s = time.monotonic(), None, math.inf
-        while self._time_s < ended_s + AFTERWARDS_S:
-            self._publish()
-            due_s = began_s + self._time_s / self._options.speed
+    def run(self) -> None:
+        """Simulate in real time, or faster, until the episode is over."""
+        began_s = time.monotonic()
+        while not self.over or time.monotonic() < self._stays_s:
+            self.publish()
+            due_s = began_s + self.time_s / self._options.speed
             self._wait(due_s)
-            began_s = max(began_s, time.monotonic() - self._time_s / self._options.speed - 1.0)  # never catch up more
-            self._obey()
-            braking = self._time_s - self._commanded_s > BRAKES_AFTER_S or outcome is not None
-            contact = self._world.step(*(STANDSTILL if braking else self._command))
-            self._steps += 1
-            self._measure()
-            if outcome is None:
-                outcome = self._outcome(contact)
-                ended_s = self._time_s if outcome is not None else math.inf
-        assert outcome is not None, "the loop ends after an outcome"
-        return outcome
+            began_s += max(0.0, time.monotonic() - due_s - LATE_MOST_S)  # what a busy machine lost is not made up for
+            self.advance()
 
-    def result(self, outcome: Outcome) -> dict[str, Any]:
-        """Return how the episode ended, with the keys of an evaluation's `per_scene`."""
-        course = Course(self._scene, footprints(self._grid), self._settings.sim.success_radius_m)
-        shortest_m = course.length_m(self._scene.start.pose)
-        return {
-            "scene": self._scene.name,
-            "outcome": str(outcome),
-            "steps": self._steps,
-            "path_m": round(self._path_m, 4),
-            "shortest_m": None if shortest_m is None else round(shortest_m, 4),
-            "min_clearance_m": 0.0 if outcome is Outcome.COLLISION else round(self._least_m, 4),
-            "time_s": round(self._time_s, 3),
-            "reason": self.reason,
-            "pose": [round(value, 4) for value in self._world.pose],
-        }
-
-    def close(self) -> None:
-        """Release simulation and camera."""
-        self._world.close()
-        self._camera.close()
-
-    @property
-    def _time_s(self) -> float:
-        return self._steps * self._settings.sim.step_s
-
-    def _stamp_ns(self, time_s: float) -> int:
-        return self._began_ns + round(time_s * NS_PER_S)
-
-    def _publish(self) -> None:
-        now_s, motion = self._time_s, self._world.motion
+    def publish(self) -> None:
+        """Publish the clock, the odometry, and the pictures that have arrived by now."""
+        now_s, motion = self.time_s, self._world.motion
         self._clock.publish(messages.encode_clock(self._stamp_ns(now_s)))
         velocity = Velocity(motion.speed_mps, motion.turn_rate_rad_s)
         reading = OdometryReading(self._stamp_ns(now_s), self._odometry.read(motion.pose), velocity)
@@ -211,6 +183,63 @@ class SimulatedRobot:
         for taken_s, picture in self._pictures.arrived(now_s):
             self._images.publish(messages.encode_picture(CompressedPicture(self._stamp_ns(taken_s), jpeg(picture))))
 
+    def advance(self) -> None:
+        """Simulate one step under the newest command."""
+        self._obey()
+        braking = self.time_s - self._commanded_s > BRAKES_AFTER_S or self.outcome is not None
+        contact = self._world.step(*(STANDSTILL if braking else self._command))
+        self._steps += 1
+        self._measure()
+        if self.outcome is None:
+            self.outcome = self._judge(contact)
+            if self.outcome is not None:
+                self._ended_s, self._stays_s = self.time_s, time.monotonic() + AFTERWARDS_S
+
+    @property
+    def over(self) -> bool:
+        """True when the episode has ended, and its driver has had the time to see it."""
+        return self.time_s >= self._ended_s + AFTERWARDS_S
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time since the start."""
+        return self._steps * self._settings.sim.step_s
+
+    def result(self) -> dict[str, Any]:
+        """Return how the episode ended, with the keys of an evaluation's `per_scene`; one cut short is a timeout."""
+        outcome = self.outcome or Outcome.TIMEOUT
+        course = Course(self._scene, footprints(self._grid), self._settings.sim.success_radius_m)
+        shortest_m = course.length_m(self._scene.start.pose)
+        return {
+            "scene": self._scene.name,
+            "outcome": str(outcome),
+            "steps": self._steps,
+            "path_m": round(self._path_m, 4),
+            "shortest_m": None if shortest_m is None else round(shortest_m, 4),
+            "min_clearance_m": 0.0 if outcome is Outcome.COLLISION else round(self._least_m, 4),
+            "time_s": round(self.time_s, 3),
+            "reason": self.reason,
+            "pose": [round(value, 4) for value in self._world.pose],
+        }
+
+    def close(self) -> None:
+        """Release simulation and camera."""
+        self._world.close()
+        self._camera.close()
+
+    @property
+    def pose(self) -> Pose:
+        """True pose."""
+        return self._world.pose
+
+    @property
+    def speed_mps(self) -> float:
+        """True speed along its heading."""
+        return self._world.motion.speed_mps
+
+    def _stamp_ns(self, time_s: float) -> int:
+        return self._began_ns + round(time_s * NS_PER_S)
+
     def _wait(self, due_s: float) -> None:
         """Wait until a time, and in lockstep for a command, if the last one is old."""
         while (left_s := due_s - time.monotonic()) > 0:
@@ -219,7 +248,7 @@ class SimulatedRobot:
             return
         give_up_s = time.monotonic() + LOCKSTEP_WAIT_S
         self._obey()
-        while self._time_s - self._commanded_s > COMMAND_GAP_S and (left_s := give_up_s - time.monotonic()) > 0:
+        while self.time_s - self._commanded_s > COMMAND_GAP_S and (left_s := give_up_s - time.monotonic()) > 0:
             self._wake.wait(left_s)
             self._wake.clear()
             self._obey()
@@ -229,7 +258,7 @@ class SimulatedRobot:
         if received is None:
             return
         try:
-            self._command, self._commanded_s = messages.decode_twist(received.data), self._time_s
+            self._command, self._commanded_s = messages.decode_twist(received.data), self.time_s
         except DecodeError:
             self._undecodable += 1
 
@@ -240,7 +269,7 @@ class SimulatedRobot:
             self._path_m, self._marked = self._path_m + moved_m, pose
         self._least_m = min(self._least_m, self._world.clearance_m)
 
-    def _outcome(self, contact: bool) -> Outcome | None:
+    def _judge(self, contact: bool) -> Outcome | None:
         if contact:
             self.reason = "the robot touched something"
             return Outcome.COLLISION
@@ -248,10 +277,10 @@ class SimulatedRobot:
         if off_m <= self._settings.sim.success_radius_m and standing(self._world.motion):
             self.reason = f"it stands {off_m:.2f} m from the goal"
             return Outcome.SUCCESS
-        if self._time_s >= self._options.timeout_s:
+        if self.time_s >= self._options.timeout_s:
             self.reason = f"{self._options.timeout_s:g} s of simulated time have passed"
             return Outcome.TIMEOUT
-        if self._time_s - self._commanded_s > self._options.idle_s and self._commanded_s > -math.inf:
+        if self.time_s - self._commanded_s > self._options.idle_s and self._commanded_s > -math.inf:
             self.reason = f"no command for {self._options.idle_s:g} s, {off_m:.2f} m from the goal"
             return Outcome.TIMEOUT
         return None

@@ -58,7 +58,7 @@ def export_policy(
     out: Path,
     *,
     steps: int = LEAST_STEPS,
-    episodes: int = 1,
+    episodes: int = 0,
     evaluations: Sequence[Path] = (),
     simulation: Simulation | None = None,
     progress: Progress = lambda what, done, total: None,

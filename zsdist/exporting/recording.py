@@ -1,5 +1,6 @@
 """Steps of a policy in simulation, recorded with the code of evaluations, by which a bundle is checked."""
 
+import contextlib
 import itertools
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +24,7 @@ def record_steps(
     contender: Contender,
     path: Path,
     steps: int,
-    episodes: int = 1,
+    episodes: int = 0,
     simulation: Simulation | None = None,
     on_step: Callable[[int, int], None] = lambda done, least: None,
 ) -> None:
@@ -32,25 +33,30 @@ def record_steps(
     Args:
         contender: learned policy.
         path: file to write.
-        steps: least number of steps; the last episode is cut there.
-        episodes: least number of episodes, which are recorded whole.
+        steps: least number of steps.
+        episodes: least number of episodes that are recorded whole; a further one is cut where there are enough steps.
         simulation: simulation to drive in; None: physics and the camera.
         on_step: called after each step with the number of steps done and the least number.
     """
     runner, rows = make_runner(contender, simulation), list[dict[str, Any]]()
 
     def watch(moment: Moment) -> None:
-        if moment.action is not None and (len(rows) < steps or episode < episodes):
+        if len(rows) >= steps and episode >= episodes:
+            raise _Enough
+        if moment.action is not None:
             rows.append(_row(episode, moment))
             on_step(len(rows), steps)
 
-    for episode in itertools.count():
-        if len(rows) >= steps and episode >= episodes:
-            break
-        scene = select(SCENES, contender.config, episode + 1, SEED)[episode]
-        runner.drive(scene, random_streams.evaluated_episode(SEED, episode), watch)
+    with contextlib.suppress(_Enough):
+        for episode in itertools.count():
+            scene = select(SCENES, contender.config, episode + 1, SEED)[episode]
+            runner.drive(scene, random_streams.evaluated_episode(SEED, episode), watch)
     columns = {name: np.ascontiguousarray(np.stack([row[name] for row in rows])) for name in rows[0]}
     safetensors.numpy.save_file(columns, path)
+
+
+class _Enough(Exception):  # noqa: N818 (it is no error)
+    """End of the recording in the middle of an episode."""
 
 
 def _row(episode: int, moment: Moment) -> dict[str, Any]:

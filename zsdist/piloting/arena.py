@@ -66,6 +66,6 @@ class ArenaFrame(NamedTuple):
                 f"x {self.x_m - half:.2f} to {self.x_m + half:.2f}, y {self.y_m - half:.2f} to {self.y_m + half:.2f}"
             )
             raise RunError(
-                f"{what} is ({x_m:.2f}, {y_m:.2f}) in the frame of the odometry; the map of this policy covers {ranges}; "
+                f"{what} is ({x_m:.2f}, {y_m:.2f}) in the odometry's frame; the policy's map covers {ranges}; "
                 "choose a nearer goal, or place the map with --arena X Y"
             )

@@ -3,7 +3,6 @@
 import math
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future
 from enum import StrEnum
 from typing import NamedTuple, Protocol
 
@@ -47,7 +46,17 @@ class PolicyDecision(Protocol):
         """Reason for which there is no action."""
 
 
-Decide = Callable[[np.ndarray, Pose], "Future[PolicyDecision]"]
+class ComingDecision(Protocol):
+    """Part of a future that is used."""
+
+    def done(self) -> bool:
+        """Return whether the decision has been made."""
+
+    def result(self) -> PolicyDecision:
+        """Return the decision, or raise the error of making it."""
+
+
+Decide = Callable[[np.ndarray, Pose], ComingDecision]
 
 
 class JourneyPhase(StrEnum):
@@ -145,7 +154,7 @@ class Journey:
         self.path_m = 0.0
         self._measured: Pose | None = None
         self._pilot: Pilot | None = None
-        self._future: Future[PolicyDecision] | None = None
+        self._future: ComingDecision | None = None
         self._looks_left = LOOKS_WITHOUT_WAY
         self._since_s = math.nan  # the robot's time at which the phase began
         self._last_s: float | None = None  # time of the last control step
@@ -175,7 +184,7 @@ class Journey:
             self._pilot.halt()
 
     def look_again(self) -> None:
-        """Decide again, from where the robot stands: after a new goal."""
+        """Decide again, from where the robot stands: after a new goal. An action that is under way is ended first."""
         if self.phase is not JourneyPhase.MOVE and self.phase is not JourneyPhase.ENTER:
             self._enter(JourneyPhase.SETTLE)
 

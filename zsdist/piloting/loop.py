@@ -7,9 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import numpy as np
+
 from zsdist.errors import DecodeError, RunError
 from zsdist.piloting.arena import ArenaFrame
-from zsdist.piloting.journey import Decide, Glimpse, Journey, JourneyPhase, TimedPose
+from zsdist.piloting.journey import ComingDecision, Glimpse, Journey, JourneyPhase, TimedPose
 from zsdist.piloting.limits import STANDSTILL, MotionLimits
 from zsdist.piloting.senses import DriveClock, HostClocks, Senses
 from zsdist.planning.grid import Grid
@@ -46,7 +48,8 @@ class ReplanningPolicy(Protocol):
     def set_goal(self, goal_m: tuple[float, float]) -> None:
         """Take another goal and keep the map."""
 
-    decide: Decide
+    def decide(self, picture: np.ndarray, pose: Pose) -> ComingDecision:
+        """Return the future decision on a picture and its pose."""
 
 
 @dataclass(frozen=True)
@@ -168,10 +171,10 @@ class DriveLoop:
     def line(self, now_s: float) -> str:
         """Return one line about the drive."""
         journey = self._journey
-        if journey is None or self._fault is not None:
+        if journey is None or self._goal is None or self._fault is not None:
             return f"{self._elapsed_s():7.1f} s  standing: {self._fault or 'no goal yet'}"
         last, decision = journey.track.last, journey.decision
-        assert last is not None and self._frame is not None and self._goal is not None, "the drive has begun"
+        assert last is not None and self._frame is not None, "the drive has begun"
         goal = self._frame.point(self._goal)
         action = "" if decision is None or decision.action is None else f" {decision.action.name}"
         odometry = self._senses.odometry
@@ -221,11 +224,12 @@ class DriveLoop:
     def _place(self) -> None:
         """Begin the drive where the robot stands, or follow it."""
         odometry = self._senses.odometry
-        if odometry is None or self._goal is None:
+        if odometry is None:
             return
         if self._journey is None or self._frame is None:
-            if self._senses.picture is None:
+            if self._goal is None or self._fault is not None:
                 return
+            self._senses.begun = True
             self._frame = ArenaFrame.place(odometry.pose, self._goal, self._grid, self._settings.centre)
             self._policy.begin(self._frame.pose(odometry.pose), self._frame.point(self._goal), self._frame)
             self._journey = Journey(
@@ -306,7 +310,11 @@ class DriveLoop:
             self._senses.undecodable += 1
             self._say(f"picture left out: {error}")
             self._command(STANDSTILL)
-        if journey.over:
+        if journey.phase is JourneyPhase.ARRIVED and self._settings.goal is None:
+            if self._goal is not None:
+                self._goal = None
+                self._say(f"{self._elapsed_s():7.1f} s  the goal is reached; waiting for another one")
+        elif journey.over:
             self._end("arrived" if journey.phase is JourneyPhase.ARRIVED else "stopped", journey.reason)
 
     def _predicted(self, now_s: float) -> Pose | None:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from zsdist.errors import DecodeError
-from zsdist.piloting.streams import Freshness
+from zsdist.piloting.streams import LEAST_JUMP_S, Freshness
 from zsdist.ros2 import messages
 from zsdist.ros2.messages import NS_PER_S, CompressedPicture, OdometryReading
 from zsdist.ros2.node import NewestMessage, Received
@@ -106,6 +106,7 @@ class Senses:
         goal: goal that came since it was last taken.
         undecodable: number of messages that were dropped since they are not what their topic promises.
         jumped: what is wrong with the odometry, once it has jumped.
+        begun: whether the drive has begun; a `/clock` that ticks only then is not that of the robot, and is left out.
     """
 
     def __init__(
@@ -121,7 +122,9 @@ class Senses:
         self.undecodable = 0
         self.jumped: str | None = None
         self.dead_man: tuple[bool, float] | None = None
-        self._clock, self._record = clock, record
+        self.begun = False
+        self._clock, self._record, self._stop_after_s = clock, record, stop_after_s
+        self._unstamped = False
 
     def receive(self) -> bool:
         """Take what has arrived; return whether there is a new odometry."""
@@ -146,14 +149,32 @@ class Senses:
         return self.odometry is not before
 
     def _tick(self, received: Received) -> None:
-        self._clock.tick(messages.decode_clock(received.data))
+        time_ns = messages.decode_clock(received.data)
+        if not self._clock.simulated:
+            if self.begun:
+                return
+            self.pictures = Freshness("pictures", self._stop_after_s)
+            self.poses = Freshness("odometry", self._stop_after_s)
+        self._clock.tick(time_ns)
 
     def _move(self, received: Received) -> None:
         reading, before = messages.decode_odometry(received.data), self.odometry
+        reading = reading._replace(time_ns=self._stamp_ns(reading.time_ns))
         if before is not None and before.time_ns < reading.time_ns:
             self._check_jump(before, reading)
-        self.poses.seen(self._clock.now_s(), reading.time_ns / NS_PER_S)
+        self._note(self.poses, reading.time_ns / NS_PER_S)
         self.odometry = reading
+
+    def _stamp_ns(self, stamp_ns: int) -> int:
+        """Return a stamp, or the time of arrival once a robot has sent pictures or odometry without one."""
+        self._unstamped |= stamp_ns == 0
+        return round(self._clock.now_s() * NS_PER_S) if self._unstamped else stamp_ns
+
+    def _note(self, stream: Freshness, stamp_s: float) -> None:
+        now_s = self._clock.now_s()
+        if self._clock.simulated and 0 < stamp_s - now_s < LEAST_JUMP_S:
+            now_s = stamp_s  # of the same clock, whose tick is still to come
+        stream.seen(now_s, stamp_s)
 
     def _check_jump(self, before: OdometryReading, after: OdometryReading) -> None:
         passed_s = (after.time_ns - before.time_ns) / NS_PER_S
@@ -166,8 +187,8 @@ class Senses:
 
     def _see(self, received: Received) -> None:
         content = messages.decode_picture(received.data)
-        time_s = content.time_ns / NS_PER_S
-        self.pictures.seen(self._clock.now_s(), time_s)
+        time_s = self._stamp_ns(content.time_ns) / NS_PER_S
+        self._note(self.pictures, time_s)
         self.picture = SeenPicture(time_s, content)
 
     def _aim(self, received: Received) -> None:

@@ -85,6 +85,12 @@ class RosPublisher:
         self._publisher = session.declare_publisher(key, congestion_control=DROP, express=True)
         self._token = session.liveliness().declare_token(token)
 
+    @property
+    def matched(self) -> bool:
+        """Whether somebody subscribes to it."""
+        status = self._publisher.matching_status
+        return bool(getattr(status, "matching", status))  # an object, other than zenoh's types say
+
     def publish(self, data: bytes) -> None:
         """Send a message; it is dropped where the connection is down or full."""
         self._sequence += 1
@@ -93,8 +99,8 @@ class RosPublisher:
 
     def close(self) -> None:
         """End the publisher; ROS 2 sees it vanish."""
-        self._token.undeclare()
-        self._publisher.undeclare()
+        self._token.undeclare()  # type: ignore[no-untyped-call]  # zenoh declares no return type
+        self._publisher.undeclare()  # type: ignore[no-untyped-call]
 
 
 class Endpoints:
