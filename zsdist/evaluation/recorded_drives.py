@@ -16,7 +16,7 @@ from zsdist.evaluation.metrics import scene_entry
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.evaluation.workers import Simulation, make_runner
 from zsdist.planning.grid import Grid
-from zsdist.recording.episode import EpisodeFile, DriveState
+from zsdist.recording.episode import DriveState, EpisodeFile
 from zsdist.recording.recorded_set import SetManifest, describe_file, episode_path
 from zsdist.sim.scenes import scene as scene_files
 from zsdist.sim.scenes.scene import Scene
