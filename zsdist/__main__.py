@@ -12,7 +12,7 @@ from typing import NoReturn
 
 import zsdist
 from zsdist.common import cli, folders
-from zsdist.common.console import say
+from zsdist.common.plain_lines import say
 
 _HELP, _VERSION = ("-h", "--help", "help"), ("-V", "--version")
 

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 from zsdist import config
 from zsdist.common import output_files, places, presets, signals, streams, values
-from zsdist.common.console import plain, say
+from zsdist.common.plain_lines import plain, say
 from zsdist.errors import ConfigError, ZsdistError
 
 REFUSED = 2
