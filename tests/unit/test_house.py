@@ -24,7 +24,7 @@ PUBLIC_ALL_THE_SAME = {
     "os._exit",  # documented under this name
     "ray._private.state.available_resources_per_node",  # for developers; nothing else says what each node has left
 }
-LIGHT_PACKAGES = ("driving", "agent", "planning")
+LIGHT_PACKAGES = ("driving", "agent", "planning", "runtime")
 LIGHT_MODULES = ("zsdist.vision.visual_act", "zsdist.vision.reading_cache", "zsdist.vision.ray_ablation")
 
 
