@@ -166,6 +166,7 @@ chaos: install
 	$(BIN)/python tests/chaos/partitions.py --results $(RESULTS)/partitions.jsonl
 	$(BIN)/python tests/chaos/disks_and_clocks.py
 	$(BIN)/python tests/chaos/floods.py
+	$(BIN)/python tests/chaos/recordings.py --results $(RESULTS)/recordings.jsonl
 	$(BIN)/python tests/chaos/large.py
 
 soak: install

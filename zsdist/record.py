@@ -17,21 +17,23 @@ from zsdist.common.console import say
 from zsdist.errors import RunError
 from zsdist.evaluate import find_policy
 from zsdist.evaluation import recorded_drives
+from zsdist.evaluation.baselines import BASELINES
 from zsdist.evaluation.contenders import FULL, VARIANTS
 from zsdist.evaluation.policies import NamedPolicy
 from zsdist.evaluation.recorded_drives import RecordedDrive, RecordingJob
 from zsdist.evaluation.selection import BUILT_IN, select
 from zsdist.planning.grid import Grid
 from zsdist.recording import log
-from zsdist.recording.contract import TransitionContract
+from zsdist.recording.contract import TransitionContract, flat
 from zsdist.recording.episode import read_episode
 from zsdist.recording.minari_export import MinariSet, require_minari, set_name
 from zsdist.recording.recorded_set import MANIFEST, RecordedSet, SetManifest, write_manifest
+from zsdist.run.policies import SHIPPED
 from zsdist.types import Outcome
 
 FORMATS = ("mcap", "minari")
 MINARI = "minari"  # folder in DIR that Minari takes as MINARI_DATASETS_PATH
-MANY_S = 10  # episodes between two lines of progress
+MANY = 10  # episodes between two lines of progress
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -122,7 +124,7 @@ def _record(options: argparse.Namespace, policy: NamedPolicy) -> None:
         for done, (_, record) in enumerate(driven, 1):
             outcomes[record.outcome] += 1
             _export(exported, recorded)
-            if done % MANY_S == 0 or done == len(drives):
+            if done % MANY == 0 or done == len(drives):
                 said = ", ".join(f"{outcomes[outcome]} {outcome}" for outcome in Outcome)
                 say(f"{policy.name}: {done} of {len(drives)} episodes recorded ({said})")
     say(f"set: {folder} ({len(recorded.episodes())} episodes)")
@@ -148,16 +150,14 @@ def _manifest(options: argparse.Namespace, policy: NamedPolicy) -> SetManifest:
 
 def _common(before: SetManifest, now: SetManifest, folder: Path) -> SetManifest:
     """Return the manifest of a set that is resumed, in its own form of pictures; what else differs is refused."""
-    free = {"pictures", "zsdist", "policy"}  # a policy may be named by another path; its hash counts
-    ours, others = (manifest.model_dump(exclude=free) for manifest in (before, now))
-    for name, value in ours.items():
-        if others[name] != value:
+    free = {"pictures", "zsdist"} | ({"policy"} if before.weights_sha256 else set())  # their hash names the networks
+    ours, others = (flat(manifest.model_dump(mode="json", exclude=free)) for manifest in (before, now))
+    for name in [*ours, *others]:
+        if ours.get(name) != others.get(name):
             raise RunError(
-                f"--resume: the set in {folder} was recorded with {name} {value!r} and this is {others[name]!r}; "
-                "allowed is the same policy, scenes and seed, or another folder"
+                f"--resume: the set in {folder} was recorded with {name} {ours.get(name)} and this is "
+                f"{others.get(name)}; allowed is the same policy, scenes and seed, or another folder"
             )
-    if before.weights_sha256 is None and before.policy != now.policy:
-        raise RunError(f"--resume: the set in {folder} is of {before.policy!r} and this is {now.policy!r}")
     return before
 
 
@@ -201,9 +201,10 @@ def _tell_how_to_resume(options: argparse.Namespace) -> None:
         }
     )
     again = commands.repeated(make_parser(), absolute, ("out", *names))
+    policy = options.policy if options.policy in (*BASELINES, *SHIPPED) else places.absolute(options.policy)
     streams.tell(
         f"interrupted; the finished episodes are in {options.out}. Resume with",
-        f"  {commands.module('zsdist.record', options.policy, '--resume', *again)}",
+        f"  {commands.module('zsdist.record', policy, '--resume', *again)}",
     )
 
 

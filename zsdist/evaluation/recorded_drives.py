@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ from zsdist.evaluation.metrics import scene_entry
 from zsdist.evaluation.records import EpisodeRecord
 from zsdist.evaluation.workers import Simulation, make_runner
 from zsdist.planning.grid import Grid
-from zsdist.recording.episode import EpisodeFile, Sight
+from zsdist.recording.episode import DriveState, EpisodeFile
 from zsdist.recording.recorded_set import SetManifest, describe_file, episode_path
 from zsdist.sim.scenes import scene as scene_files
 from zsdist.sim.scenes.scene import Scene
@@ -44,14 +44,14 @@ class RecordingJob:
         manifest: manifest of the set.
         folder: folder of the set.
         seed: seed of the drivers' randomness, combined with the number of the episode.
-        simulation: simulation to drive in.
+        simulation: simulation to drive in; None: physics and the camera.
     """
 
     contender: Contender
     manifest: SetManifest
     folder: Path
     seed: int
-    simulation: Simulation = field(default_factory=Simulation)
+    simulation: Simulation | None = None
 
 
 def makes_transitions(contender: Contender) -> bool:
@@ -121,7 +121,8 @@ def _writer(file: EpisodeFile, driver: Driver) -> Watch:
     def write(moment: Moment) -> None:
         sight = _sight(moment)
         if moment.rewards is not None:
-            file.result(sight, tuple(moment.rewards), _ended(moment.outcome))
+            terms = moment.rewards
+            file.result(sight, (terms.distance, terms.safety, terms.goal), _ended(moment.outcome))
         if moment.action is None:
             file.end(sight)
             file.transitions(driver.drain(moment.observed), moment.time_s)
@@ -132,13 +133,14 @@ def _writer(file: EpisodeFile, driver: Driver) -> Watch:
     return write
 
 
-def _sight(moment: Moment) -> Sight:
+def _sight(moment: Moment) -> DriveState:
     """Return what is recorded of a moment; the map of a decision, since there is none after the last."""
-    observed, maps = moment.observed, (None, None)
+    observed = moment.observed
     assert observed.image is not None, "pictures are rendered for every driver that is recorded"
-    if moment.action is not None and moment.thought is not None:
-        maps = moment.thought.situation.occupied, moment.thought.situation.seen
-    return Sight(moment.time_s, observed.image, observed.pose, *maps)
+    if moment.action is None or moment.thought is None:
+        return DriveState(moment.time_s, observed.image, observed.pose)
+    situation = moment.thought.situation
+    return DriveState(moment.time_s, observed.image, observed.pose, situation.occupied, situation.seen)
 
 
 def _ended(outcome: Outcome | None) -> str:

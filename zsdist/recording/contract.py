@@ -37,6 +37,7 @@ class TransitionContract(BaseModel):
         state_sizes: number of features by level.
         actions: actions of the low level, in order.
         grid: planning grid.
+        success_radius_m: distance from the goal within which it is reached.
         discounts: discount by level.
         literal_reward: the paper's rewards, where levels learn from their sum; None: from the shaped rewards.
     """
@@ -47,6 +48,7 @@ class TransitionContract(BaseModel):
     state_sizes: dict[str, int]
     actions: tuple[Move, ...]
     grid: GridConfig
+    success_radius_m: float
     discounts: dict[str, float]
     literal_reward: RewardConfig | None
 
@@ -61,6 +63,7 @@ class TransitionContract(BaseModel):
                 for action in Action
             ),
             grid=config.grid,
+            success_radius_m=config.sim.success_radius_m,
             discounts={Level.HIGH.value: config.high.discount, Level.LOW.value: config.low.discount},
             literal_reward=config.reward if config.reward.literal else None,
         )
@@ -76,8 +79,8 @@ class TransitionContract(BaseModel):
             DataError: they differ; the message names the first difference with both values.
         """
         recorded, wanted = (
-            _flat(self.model_dump(mode="json")),
-            _flat(TransitionContract.of(config).model_dump(mode="json")),
+            flat(self.model_dump(mode="json")),
+            flat(TransitionContract.of(config).model_dump(mode="json")),
         )
         for name in [*wanted, *recorded]:
             found, needed = recorded.get(name), wanted.get(name)
@@ -88,7 +91,7 @@ class TransitionContract(BaseModel):
                 )
 
 
-def _flat(tree: Any, path: str = "") -> dict[str, Any]:
+def flat(tree: Any, path: str = "") -> dict[str, Any]:
     """Return the leaves of nested dictionaries and lists by their paths."""
     if isinstance(tree, dict):
         items = [(f"{path}.{key}" if path else str(key), value) for key, value in tree.items()]
@@ -96,4 +99,4 @@ def _flat(tree: Any, path: str = "") -> dict[str, Any]:
         items = [(f"{path}[{index}]", value) for index, value in enumerate(tree)]
     else:
         return {path: tree}
-    return {name: leaf for key, value in items for name, leaf in _flat(value, key).items()}
+    return {name: leaf for key, value in items for name, leaf in flat(value, key).items()}

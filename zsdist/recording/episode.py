@@ -14,6 +14,7 @@ from zsdist.errors import DataError
 from zsdist.planning.grid import Grid
 from zsdist.recording import log, messages
 from zsdist.recording.recorded_set import ABOUT
+from zsdist.ros2 import messages as ros
 from zsdist.types import Pose, Trajectory
 from zsdist.wire import codec
 from zsdist.wire.messages import Push
@@ -22,7 +23,7 @@ RECORDED = "recorded"  # name under which recorded transitions are pushed, in th
 
 
 @dataclass(frozen=True)
-class Sight:
+class DriveState:
     """State of a drive at a decision or at its end.
 
     Attributes:
@@ -56,8 +57,8 @@ class EpisodeFile:
         self._grid, self._form = grid, form
         self._log = log.Log(self._partial)
         self._log.describe(ABOUT, about)
-        self._log.write(messages.GOAL, messages.goal_pose(goal, 0), 0)
-        self._pending: tuple[Sight, int] | None = None  # sight and action whose result is not known yet
+        self._log.write_encoded(messages.GOAL, ros.POSE_STAMPED.name, ros.encode_goal(goal, messages.FRAME), 0)
+        self._pending: tuple[DriveState, int] | None = None  # sight and action whose result is not known yet
         self._number, self._last_ns = 0, 0
         self._counts: dict[str, int] = {}
         self._sequences: dict[str, int] = {}
@@ -66,15 +67,17 @@ class EpisodeFile:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._log.close()
-        self._partial.unlink(missing_ok=True)  # after `keep` it has another name
+        try:
+            self._log.close()
+        finally:
+            self._partial.unlink(missing_ok=True)  # after `keep` it has another name
 
-    def act(self, sight: Sight, action: int) -> None:
+    def act(self, sight: DriveState, action: int) -> None:
         """Write a decision; `result` follows once it was carried out."""
         self._see(sight)
         self._pending = (sight, action)
 
-    def result(self, after: Sight, rewards: tuple[float, float, float], ended: str = "") -> None:
+    def result(self, after: DriveState, rewards: tuple[float, float, float], ended: str = "") -> None:
         """Write the result of the last decision: its mean speeds and its rewards.
 
         Args:
@@ -85,12 +88,13 @@ class EpisodeFile:
         assert self._pending is not None, "a decision comes before its result"
         before, action = self._pending
         time_ns = _ns(before.time_s)
-        self._log.write(messages.COMMANDS, _mean_twist(before, after), time_ns)
+        velocity = ros.encode_twist(_mean_velocity(before, after))
+        self._log.write_encoded(messages.COMMANDS, ros.TWIST.name, velocity, time_ns)
         self._log.write(messages.STEPS, messages.step(self._number, action, rewards, ended, time_ns), time_ns)
         self._number += 1
         self._pending = None
 
-    def end(self, sight: Sight) -> None:
+    def end(self, sight: DriveState) -> None:
         """Write the state in which the episode ended."""
         self._see(sight)
 
@@ -112,10 +116,12 @@ class EpisodeFile:
         self._partial.replace(self._path)
         atomic_files.sync_folder(self._path.parent)
 
-    def _see(self, sight: Sight) -> None:
+    def _see(self, sight: DriveState) -> None:
         time_ns = self._last_ns = _ns(sight.time_s)
-        self._log.write(messages.PICTURES, messages.compressed_image(sight.picture, time_ns, self._form), time_ns)
-        self._log.write(messages.ODOMETRY, messages.odometry(sight.pose, time_ns), time_ns)
+        picture = ros.CompressedPicture(time_ns, messages.compress(sight.picture, self._form), format=self._form)
+        self._log.write_encoded(messages.PICTURES, ros.COMPRESSED_IMAGE.name, ros.encode_picture(picture), time_ns)
+        reading = ros.OdometryReading(time_ns, sight.pose, ros.Velocity(0.0, 0.0))
+        self._log.write_encoded(messages.ODOMETRY, ros.ODOMETRY.name, ros.encode_odometry(reading), time_ns)
         if sight.occupied is not None and sight.seen is not None:
             grid = messages.occupancy_grid(self._grid, sight.occupied, sight.seen, time_ns)
             self._log.write(messages.BELIEF, grid, time_ns)
@@ -155,18 +161,17 @@ def read_episode(path: Path) -> RecordedEpisode:
     pictures, poses, steps, goal, result = [], [], [], None, None
     wanted = (messages.PICTURES, messages.ODOMETRY, messages.STEPS, messages.GOAL, messages.EPISODE)
     for logged in log.read(path, wanted):
-        message = logged.decoded()
         match logged.topic:
             case messages.PICTURES:
-                pictures.append(messages.picture_of(message))
+                pictures.append(messages.decompress(ros.decode_picture(logged.content).data))
             case messages.ODOMETRY:
-                poses.append(messages.pose_of(message))
+                poses.append(ros.decode_odometry(logged.content).pose)
             case messages.STEPS:
-                steps.append(message)
+                steps.append(logged.decoded())
             case messages.GOAL:
-                goal = messages.goal_of(message)
+                goal = ros.decode_goal(logged.content).position_m
             case messages.EPISODE:
-                result = json.loads(message.data)
+                result = json.loads(logged.decoded().data)
     if goal is None or result is None or not len(pictures) == len(poses) == len(steps) + 1:
         raise DataError(
             f"{path} is not a finished episode: {len(pictures)} pictures, {len(poses)} poses and {len(steps)} steps; "
@@ -185,12 +190,12 @@ def read_episode(path: Path) -> RecordedEpisode:
 
 
 def _ns(time_s: float) -> int:
-    return round(time_s * messages.NS)
+    return round(time_s * ros.NS_PER_S)
 
 
-def _mean_twist(before: Sight, after: Sight) -> Any:
+def _mean_velocity(before: DriveState, after: DriveState) -> ros.Velocity:
     """Return the mean speed along the car's heading and the mean turn rate between two states."""
     elapsed_s = max(after.time_s - before.time_s, 1e-9)
     moved_m = math.hypot(after.pose.x_m - before.pose.x_m, after.pose.y_m - before.pose.y_m)
     turned = math.remainder(after.pose.heading_rad - before.pose.heading_rad, math.tau)
-    return messages.twist(moved_m / elapsed_s, turned / elapsed_s)
+    return ros.Velocity(moved_m / elapsed_s, turned / elapsed_s)

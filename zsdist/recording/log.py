@@ -1,9 +1,11 @@
 """MCAP files that lose nothing when their writer is killed, and what is left of one that was."""
 
+import struct
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
+import zstandard
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Channel, Message, Metadata, Schema
@@ -11,13 +13,14 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from zsdist.common import atomic_files, output_files
+from zsdist.common.ownership import Owned
 from zsdist.errors import DataError
 from zsdist.recording import messages
 
 PROFILE, ENCODING, DEFINITIONS = "ros2", "cdr", "ros2msg"
-AT_ONCE = (
-    1  # bytes of a chunk: each message is one, in the file before the next; the default of 1 MiB is lost in a kill
-)
+AT_ONCE = 1  # bytes of a chunk: each message is one, and in the file at once; a chunk of the usual 1 MiB dies with us
+# Errors of mcap's readers for a file that is cut, by the place of the cut; their own class does not cover them all.
+_UNREADABLE = (McapError, struct.error, zstandard.ZstdError, ValueError)
 
 
 class Logged(NamedTuple):
@@ -40,7 +43,7 @@ class Logged(NamedTuple):
         return messages.decode(self.kind, self.content)
 
 
-class Log:
+class Log(Owned):
     """MCAP file with ROS 2 messages; each is in the file when the call that writes it returns.
 
     A file whose writer was killed lacks an index. `salvage` makes a whole file of it. Messages of one topic are to be
@@ -104,8 +107,10 @@ class Log:
     def close(self) -> None:
         """Write the index and close the file; closing again does nothing."""
         if not self._file.closed:
-            self._writer.finish()
-            self._file.close()
+            try:
+                self._writer.finish()
+            finally:
+                self._file.close()
 
 
 def read(path: Path, topics: Collection[str] | None = None) -> Iterator[Logged]:
@@ -122,20 +127,8 @@ def read(path: Path, topics: Collection[str] | None = None) -> Iterator[Logged]:
         with path.open("rb") as file:
             for schema, channel, message in make_reader(file).iter_messages(topics, log_time_order=False):
                 yield Logged(channel.topic, "" if schema is None else schema.name, message.log_time, message.data)
-    except McapError as error:
+    except _UNREADABLE as error:
         raise DataError(f"{path} is not a whole MCAP file ({error or type(error).__name__})") from error
-
-
-def read_description(path: Path, name: str) -> dict[str, str]:
-    """Return the texts that `Log.describe` wrote under a name; raise `DataError` where there are none."""
-    try:
-        with path.open("rb") as file:
-            for found in make_reader(file).iter_metadata():
-                if found.name == name:
-                    return dict(found.metadata)
-    except McapError as error:
-        raise DataError(f"{path} is not a whole MCAP file ({error or type(error).__name__})") from error
-    raise DataError(f"{path} has no metadata {name!r}; allowed is a file that zsdist recorded")
 
 
 def salvage(path: Path, target: Path) -> int:
@@ -148,28 +141,37 @@ def salvage(path: Path, target: Path) -> int:
     Raises:
         DataError: it is not the beginning of an MCAP file.
     """
-    partial, count = target.with_name(f".{target.name}.partial"), 0
-    with output_files.written(str(target)):
-        with partial.open("wb") as file:
-            writer = Writer(file)
-            writer.start(PROFILE)
-            schemas: dict[int, int] = {0: 0}
-            channels: dict[int, int] = {}
-            for record in _records_left(path):
-                if isinstance(record, Schema) and record.id not in schemas:
-                    schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
-                elif isinstance(record, Channel) and record.id not in channels:
-                    schema, about = schemas[record.schema_id], dict(record.metadata)
-                    channels[record.id] = writer.register_channel(record.topic, record.message_encoding, schema, about)
-                elif isinstance(record, Message):
-                    times = record.publish_time, record.sequence
-                    writer.add_message(channels[record.channel_id], record.log_time, record.data, *times)
-                    count += 1
-                elif isinstance(record, Metadata):
-                    writer.add_metadata(record.name, dict(record.metadata))
-            writer.finish()
-        atomic_files.sync(partial)
-        partial.replace(target)
+    partial = target.with_name(f".{target.name}.partial")
+    try:
+        with output_files.written(str(target)):
+            with partial.open("wb") as file:
+                count = _copy_records(path, Writer(file))
+            atomic_files.sync(partial)
+            partial.replace(target)
+    finally:
+        partial.unlink(missing_ok=True)
+    return count
+
+
+def _copy_records(path: Path, writer: Writer) -> int:
+    """Write all whole records of a file into another; return the number of messages."""
+    count = 0
+    schemas: dict[int, int] = {0: 0}
+    channels: dict[int, int] = {}
+    writer.start(PROFILE)
+    for record in _records_left(path):
+        if isinstance(record, Schema) and record.id not in schemas:
+            schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+        elif isinstance(record, Channel) and record.id not in channels:
+            schema, about = schemas[record.schema_id], dict(record.metadata)
+            channels[record.id] = writer.register_channel(record.topic, record.message_encoding, schema, about)
+        elif isinstance(record, Message):
+            times = record.publish_time, record.sequence
+            writer.add_message(channels[record.channel_id], record.log_time, record.data, *times)
+            count += 1
+        elif isinstance(record, Metadata):
+            writer.add_metadata(record.name, dict(record.metadata))
+    writer.finish()
     return count
 
 
@@ -181,7 +183,7 @@ def _records_left(path: Path) -> Iterator[Any]:
         while True:
             try:
                 record = next(records, None)
-            except (McapError, ValueError, EOFError) as error:
+            except _UNREADABLE as error:
                 if not began:
                     raise DataError(f"{path} is not the beginning of an MCAP file") from error
                 return

@@ -18,7 +18,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 
-from zsdist.common import atomic_files
+from zsdist.common import atomic_files, folders
 from zsdist.errors import RunError
 from zsdist.planning.grid import Grid
 from zsdist.recording.episode import RecordedEpisode
@@ -62,6 +62,10 @@ class MinariSet:
         self._name, self._grid, self._config, self._about = name, grid, config, about
         self._data = root / name / _DATA
         self._staging = self._data.with_name(f".{_DATA}.partial")
+        file = self._data / _METADATA
+        self._metadata: dict[str, Any] = {"total_episodes": 0, "total_steps": 0, "dataset_size": 0.0}
+        if file.is_file():
+            self._metadata = json.loads(file.read_text(encoding="utf-8"))
 
     @property
     def path(self) -> Path:
@@ -71,7 +75,7 @@ class MinariSet:
     @property
     def episodes(self) -> int:
         """Number of episodes that it holds."""
-        return int(self._read()["total_episodes"]) if (self._data / _METADATA).is_file() else 0
+        return int(self._metadata["total_episodes"])
 
     def append(self, episode: RecordedEpisode) -> None:
         """Add an episode; the set is whole before and after, whatever happens in between."""
@@ -105,23 +109,19 @@ class MinariSet:
         shutil.rmtree(place, ignore_errors=True)  # of a writer that was killed before it counted the episode
         (self._staging / str(number)).replace(place)
         metadata = json.loads((self._staging / _METADATA).read_text(encoding="utf-8"))
-        before = self._read() if number else {"total_steps": 0, "dataset_size": 0.0}
         metadata |= {
             "dataset_id": self._name,
             "minari_version": self._minari.__version__,
             **self._about,
             "total_episodes": number + 1,
-            "total_steps": before["total_steps"] + len(episode.actions),
-            "dataset_size": round(before["dataset_size"] + _megabytes(place), 3),
+            "total_steps": self._metadata["total_steps"] + len(episode.actions),
+            "dataset_size": round(self._metadata["dataset_size"] + _megabytes(place), 3),
         }
-        for path in sorted(place.iterdir()):
+        for path in folders.visible(place):
             atomic_files.sync(path)
         atomic_files.replace(self._data / _METADATA, json.dumps(metadata).encode())
+        self._metadata = metadata
         shutil.rmtree(self._staging)
-
-    def _read(self) -> dict[str, Any]:
-        found: dict[str, Any] = json.loads((self._data / _METADATA).read_text(encoding="utf-8"))
-        return found
 
     def _observations(self, episode: RecordedEpisode) -> spaces.Dict:
         """Return the observation space of the environment."""
@@ -142,7 +142,7 @@ class MinariSet:
 
 
 def _megabytes(folder: Path) -> float:
-    return sum(path.stat().st_size for path in folder.iterdir()) / _BYTES_PER_MB
+    return sum(path.stat().st_size for path in folders.visible(folder)) / _BYTES_PER_MB
 
 
 def set_name(words: Sequence[str]) -> str:

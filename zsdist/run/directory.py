@@ -47,6 +47,7 @@ FIXED = (  # settings that cannot change when a run is resumed, since its states
     "grid.arena_m",
     "high.hidden",
     "low.hidden",
+    "replay.start_from",  # a run starts once
 )
 
 

@@ -37,7 +37,7 @@ agent.repulsion agent.influence_m agent.trail agent.high_policy agent.low_policy
 LEVEL.learning_rate LEVEL.discount LEVEL.reward_scale LEVEL.double LEVEL.huber LEVEL.target_tau
 LEVEL.max_gradient_norm LEVEL.guide_margin LEVEL.guide_margin_weight LEVEL.min_size
 replay.shards replay.fsync_ms replay.journals replay.n_step replay.prioritised replay.priority_exponent
-replay.importance_exponent replay.adaptive replay.start_from
+replay.importance_exponent replay.adaptive
 replay.size_min replay.size_max replay.batch_min replay.batch_max replay.grow_rate replay.grow_threshold
 replay.shrink_rate replay.shrink_threshold replay.average_episodes replay.target_return replay.max_bytes
 merge.every_episodes merge.validation_scenes merge.drive_steps merge.distil_updates merge.drop_after_scenes
