@@ -45,7 +45,7 @@ STRANGERS = {  # units that do not import each other although the rows would all
 OWNERS = {
     "numba": "common/compiled.py",
     "fcntl": "common/locks.py",
-    "ray": ("run/ray.py", "run/ray_cluster.py"),
+    "ray": ("run/ray.py", "run/ray_cluster.py", "run/ray_lean.py"),
     "zenoh": ("transport/zenoh.py", "transport/link.py", "transport/session_config.py", "ros2/node.py"),
     "rosbags": ("ros2/messages.py", "recording/messages.py"),
     "cryptography": "transport/certificates.py",
