@@ -3,15 +3,15 @@
 import argparse
 import contextlib
 import signal
+from dataclasses import replace
 
 from zsdist import config
 from zsdist.common import cli, commands, output_files, presets, streams
 from zsdist.common.console import PlainConsole
 from zsdist.common.signals import Interrupted, Interruption, handled_by, status_of
 from zsdist.errors import CompleteError, ConfigError
-from zsdist.reporting import final_evaluation
 from zsdist.roles import permissions
-from zsdist.run import join, location, opening, training
+from zsdist.run import location, opening, training
 from zsdist.run.program import RunSpec
 from zsdist.telemetry.display import Display
 from zsdist.transport.base import Transport
@@ -45,6 +45,8 @@ def make_parser() -> argparse.ArgumentParser:
     )
     tls = "folder with certificates, for a hub that asks for them (transport.tls)"
     setting("--tls", "transport.tls", type=cli.path, metavar="DIR", help=tls)
+    profile = "write where the time of each role goes into the run directory; zsdist.report draws it"
+    add("--profile", action="store_true", help=profile)
     add("--plain", action="store_true", help="show progress as lines, also on a terminal")
     return parser
 
@@ -59,14 +61,14 @@ def main(options: argparse.Namespace) -> int:
 
 def _launch(options: argparse.Namespace, console: PlainConsole, held: contextlib.ExitStack) -> int:
     try:
-        spec = _open(options, console, held)
+        spec = replace(_open(options, console, held), profile=options.profile)
     except CompleteError as error:
         if not options.auto_resume:
             raise
         console.say(f"nothing is left to do: {error}")
         return 0
     console.say("zsdist run ", (str(spec.folder), "bold"), f" (seed {spec.config.seed})")
-    shown = commands.repeated(make_parser(), options, ("plain",))
+    shown = commands.repeated(make_parser(), options, ("plain", "profile"))
     resume = f"  {commands.module('zsdist.launch', '--resume', spec.folder, *shown)}"
     interruption = Interruption()
     try:
@@ -84,6 +86,8 @@ def _launch(options: argparse.Namespace, console: PlainConsole, held: contextlib
         with output_files.written(f"the training is saved; run directory {spec.folder}"):
             _conclude(spec, summary, console)
             if not interruption():
+                from zsdist.reporting import final_evaluation
+
                 final_evaluation.compare(spec.folder, spec.config, console)
                 return 0
         status = interruption.status
@@ -106,6 +110,8 @@ def _saved(summary: training.Summary) -> str:
 
 def _conclude(spec: RunSpec, summary: training.Summary, console: PlainConsole) -> None:
     """Check and draw the training."""
+    from zsdist.reporting import final_evaluation  # matplotlib and scipy: 3 s that no start should wait for
+
     training.check_accounts(summary)
     for line in (
         *training.describe_losses(summary),
@@ -134,6 +140,8 @@ def _open(options: argparse.Namespace, console: PlainConsole, held: contextlib.E
 
 def _join(options: argparse.Namespace, console: PlainConsole) -> int:
     """Add actors to a run elsewhere until it ends; return 128 plus its number where a signal has taken them away."""
+    from zsdist.run import join
+
     for name in ("config", "episodes", "seed", "single_process", "run_dir", "resume", "auto_resume", "address"):
         value = getattr(options, name)
         if value is not None and value is not False:

@@ -7,6 +7,7 @@ from hostile import NAMES
 from zsdist import config, evaluate, launch
 from zsdist.common import cli, signals
 from zsdist.errors import CompleteError, RunError
+from zsdist.reporting import final_evaluation
 from zsdist.run import directory, opening, training
 from zsdist.run.program import RunSpec
 
@@ -91,8 +92,8 @@ def trained(monkeypatch, tmp_path):
     spec = RunSpec(config.Config(), "run", tmp_path, {}, None)
     monkeypatch.setattr(opening, "open_new", lambda settings, folder, notify, held: spec)
     monkeypatch.setattr(training, "train", train)
-    monkeypatch.setattr(launch.final_evaluation, "draw_training", lambda folder: None)
-    monkeypatch.setattr(launch.final_evaluation, "compare", lambda *run: setattr(made, "evaluated", True))
+    monkeypatch.setattr(final_evaluation, "draw_training", lambda folder: None)
+    monkeypatch.setattr(final_evaluation, "compare", lambda *run: setattr(made, "evaluated", True))
     return made
 
 
@@ -109,8 +110,8 @@ def test_the_command_that_goes_on_is_read_back_by_the_shell_and_by_its_own_parse
     summary = {"ended": ended, "episodes": 3, "transitions": {}, "learner_updates": {}}
     monkeypatch.setattr(opening, "open_new", lambda settings, folder, notify, held: spec)
     monkeypatch.setattr(training, "train", lambda spec, interrupted, watch: summary)
-    monkeypatch.setattr(launch.final_evaluation, "draw_training", lambda folder: None)
-    monkeypatch.setattr(launch.final_evaluation, "compare", interrupted)
+    monkeypatch.setattr(final_evaluation, "draw_training", lambda folder: None)
+    monkeypatch.setattr(final_evaluation, "compare", interrupted)
     assert launch.main(launch.make_parser().parse_args(["--plain"])) == 130
     first, *_, command = capsys.readouterr().out.splitlines()
     assert first == f"zsdist run {folder} (seed 0)"
@@ -141,7 +142,7 @@ def test_ctrl_c_in_the_evaluation_reports_that_the_training_is_saved_and_how_to_
     def interrupted(folder, settings, console):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(launch.final_evaluation, "compare", interrupted)
+    monkeypatch.setattr(final_evaluation, "compare", interrupted)
     assert launch.main(launch.make_parser().parse_args([])) == 130
     printed = capsys.readouterr().out
     assert "training is complete and saved" in printed and f"python -m zsdist.evaluate {trained.folder}" in printed

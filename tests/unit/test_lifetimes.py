@@ -18,6 +18,7 @@ from sockets import free_endpoint
 import zsdist
 from zsdist.config import CameraConfig, parse
 from zsdist.errors import SimulationError, TransportError
+from zsdist.recording.log import Log
 from zsdist.replay.journal import Journal
 from zsdist.run.board import Board
 from zsdist.run.directory import RunDirectory
@@ -78,6 +79,7 @@ OWNED = {  # copies and pickles are refused
     "Board": lambda folder: Board(folder / "board"),
     "EpisodesFile": lambda folder: EpisodesFile(folder / "episodes.jsonl"),
     "FiguresFile": lambda folder: FiguresFile(folder / "figures.jsonl"),
+    "Log": lambda folder: Log(folder / "log.mcap"),
     "RunDirectory": run_directory,
     "ZenohHub": lambda folder: ZenohHub(free_endpoint()),
     "ZenohTransport": lambda folder: ZenohTransport(folder.hub.endpoint),
@@ -87,6 +89,7 @@ TESTED_WITH_THEIR_OWNER = {
     "Perception": "its ReadingCache",
     "LevelJournal": "its Journal",
     "Belongings": "its RunDirectory",
+    "EpisodeFile": "its Log",
     "Runner": "the transports of its roles",
     "Link": "ZenohTransport",
     "Fetcher": "ZenohTransport",

@@ -48,6 +48,10 @@ def _working_folder() -> str:
         return ""
 
 
-leave_out_working_folder(
-    sys.path, sys.orig_argv, _working_folder(), os.path.dirname(os.path.dirname(os.path.dirname(__file__)))
-)
+def apply() -> None:
+    """Take the working folder out of this process's path; a worker that was forked calls it after Ray has put it in."""
+    home = os.path.dirname(os.path.dirname(os.path.dirname(__file__)))
+    leave_out_working_folder(sys.path, sys.orig_argv, _working_folder(), home)
+
+
+apply()

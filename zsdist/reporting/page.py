@@ -6,7 +6,7 @@ from pathlib import Path
 from zsdist.errors import RunError, SceneError, WeightsError
 from zsdist.evaluation.workers import Simulation
 from zsdist.planning.grid import Grid
-from zsdist.reporting import additions, comparison, convergence, curves, drives, guidance, maps, tables
+from zsdist.reporting import additions, comparison, convergence, curves, drives, guidance, maps, profiles, tables
 from zsdist.reporting.markdown import code, escaped, figure, missing, table
 from zsdist.reporting.runs import Evaluation, Material, Method, Run
 from zsdist.run.checkpoint import Policy, load_policy
@@ -84,6 +84,9 @@ def _lines(material: Material, out: Path, on_step: Callable[[str], None], simula
         "## The global policy's merges",
         "",
         *_merges(material.runs, out),
+        "## Where the time went",
+        "",
+        *profiles.section(material.runs, out),
     ]
     return lines
 

@@ -1,4 +1,4 @@
-"""Setting of the C library's allocator that makes it keep freed memory."""
+"""Handling of freed memory by the C library's allocator: it keeps it, or returns it to the system."""
 
 import ctypes
 import sys
@@ -18,3 +18,11 @@ def keep_freed_memory() -> None:
         if mallopt is not None:
             mallopt(_MMAP_THRESHOLD, KEEP_BYTES)
             mallopt(_TRIM_THRESHOLD, 2 * KEEP_BYTES)
+
+
+def return_freed_memory() -> None:
+    """Make the allocator return what it can to the system; do nothing where the C library is not glibc."""
+    if sys.platform == "linux":
+        malloc_trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if malloc_trim is not None:
+            malloc_trim(0)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from zsdist import __version__, config
-from zsdist.common import atomic_files, commands, folders, json_lines, locks, output_files
+from zsdist.common import atomic_files, commands, folders, json_lines, locks, output_files, strict_yaml
 from zsdist.common.ownership import Owned
 from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
@@ -47,6 +47,7 @@ FIXED = (  # settings that cannot change when a run is resumed, since its states
     "grid.arena_m",
     "high.hidden",
     "low.hidden",
+    "replay.start_from",  # a run starts once
 )
 
 
@@ -241,6 +242,8 @@ class RunDirectory(Owned):
             self._episodes = EpisodesFile(folder / "episodes.jsonl")
             self._figures = FiguresFile(folder / "metrics.jsonl")
             self._board = board.Board(folder / "tensorboard")
+            settings = (folder / location.CONFIG_FILE).read_text(encoding="utf-8")
+            self._board.add_settings(settings, strict_yaml.load(settings))
         self._close = weakref.finalize(self, _close, os.getpid(), self._episodes, self._figures, self._board)
         self._close.atexit = False
 
@@ -264,7 +267,7 @@ class RunDirectory(Owned):
         with _written(self.folder):
             number = self._figures.append(row)
             if number % min(spacing(number, BOARD_DENSE), BOARD_LEAST_OFTEN) == 0:
-                shown = {f"run/{name}": value for name, value in row.items() if name != "time_s"}
+                shown = {board.tag(name): value for name, value in row.items() if name not in ("time_s", "stage")}
                 step = int(row.get("env_steps", 0))
                 self._board.add(step, {name: value for name, value in shown.items() if isinstance(value, int | float)})
 

@@ -11,6 +11,11 @@ FILES_OF_RAY = 128  # open files of Ray's largest process without any role: conn
 FILES_OF_A_PROCESS = 4  # open files that it needs for each process: its logs, its connections
 
 
+def is_used(config: Config) -> bool:
+    """Return whether a run starts Ray on this machine."""
+    return config.placement == "ray" and config.run.address is None
+
+
 def stay_on_loopback() -> None:
     """Make Ray listen at 127.0.0.1 only; call it before anything imports Ray.
 

@@ -7,7 +7,17 @@ from pathlib import Path
 from zsdist.common import commands, locks
 from zsdist.config import Config
 from zsdist.errors import CompleteError, RunError
-from zsdist.run import checkpoint_files, cluster_address, directory, killed_start, local_ray, location, preflight
+from zsdist.run import (
+    checkpoint_files,
+    cluster_address,
+    directory,
+    killed_start,
+    local_ray,
+    location,
+    nursery,
+    preflight,
+    training,
+)
 from zsdist.run.program import RunSpec
 from zsdist.vision.fingerprint import VisionIdentity
 
@@ -29,7 +39,8 @@ def open_new(settings: Config, folder: Path | None, notify: Notify, held: ExitSt
     if folder is not None:
         _check_free(folder)
         directory.check_new(folder)
-    vision = check_parts(settings, notify)
+    preflight.check_recorded(settings)
+    vision = _check_parts(settings, notify, held)
     made = directory.create(folder, settings, lock=lambda path: _lock(path, held)).resolve()
     return RunSpec(settings, directory.key_name(made), made, {}, vision)
 
@@ -72,8 +83,10 @@ def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify, held:
             f"{commands.module('zsdist.launch', '--resume', folder, '--episodes', 2 * finished)}, or evaluate the run "
             f"with {commands.module('zsdist.evaluate', folder)}"
         )
+    if not states and killed is None:
+        preflight.check_recorded(settings)
     trained = checkpoint_files.read_vision(checkpoint_files.newest_checkpoint(folder)) if states else None
-    vision = check_parts(settings, notify)
+    vision = _check_parts(settings, notify, held)
     if trained is None and killed is None:
         notify(f"the run in {folder} ended before its first checkpoint; it begins anew")
     elif trained is not None and (note := trained.check(str(folder), vision)):
@@ -96,10 +109,18 @@ def check_parts(settings: Config, notify: Notify) -> VisionIdentity:
     preflight.check_memory(settings)
     preflight.check_certificates(settings)
     cluster_address.check(settings)
-    if settings.placement == "ray" and settings.run.address is None:
+    if local_ray.is_used(settings):
         local_ray.check_open_files(settings)
     notify("preparing; the first time this takes about 15 s, for compilation")
-    return preflight.warm_up(settings)
+    if not nursery.is_employed():
+        return preflight.warm_up(settings)
+    return nursery.prepare(settings, lambda: training.runner(settings))  # whose import takes a second
+
+
+def _check_parts(settings: Config, notify: Notify, held: ExitStack) -> VisionIdentity:
+    if local_ray.is_used(settings):
+        held.enter_context(nursery.employed())
+    return check_parts(settings, notify)
 
 
 def _lock(folder: Path, held: ExitStack) -> None:

@@ -2,19 +2,13 @@
 
 from collections.abc import Mapping
 
-from zsdist.agent.hierarchy import q_functions
 from zsdist.config import Config
-from zsdist.driving.actor_car import ActorCar, EpisodeTask
-from zsdist.driving.perception import Perception
 from zsdist.errors import ConfigError
-from zsdist.planning.grid import Grid
 from zsdist.replay.buffer import row_bytes
 from zsdist.roles import permissions
 from zsdist.roles.replay import shards
-from zsdist.roles.shapes import SHAPES, initial_weights
 from zsdist.run import placement, program
 from zsdist.run.program import ActorParts, simulation
-from zsdist.run.scene_schedule import scene_source
 from zsdist.transport.certificates import Identity
 from zsdist.types import Level
 from zsdist.vision.fingerprint import VisionIdentity
@@ -29,6 +23,8 @@ def check_memory(config: Config) -> None:
     Raises:
         ConfigError: it does not fit.
     """
+    from zsdist.roles.shapes import SHAPES
+
     row = sum(row_bytes(shape.state_size, shape.actions) for shape in SHAPES.values())
     needed = config.replay.size_max * row
     if needed > config.replay.max_bytes:
@@ -60,6 +56,17 @@ def check_certificates(config: Config) -> None:
         Identity.load(config.transport.tls, name)
 
 
+def check_recorded(config: Config) -> None:
+    """Check the recorded sets from which a new run starts.
+
+    Raises:
+        DataError: one is not there, or does not fit the configuration.
+    """
+    from zsdist.roles.replay import start
+
+    start.recorded_sets(config)
+
+
 def check_shards(config: Config, states: Mapping[str, State]) -> None:
     """Check that a run has at least as many shards as the checkpoint from which it resumes.
 
@@ -82,6 +89,8 @@ def warm_up(config: Config) -> VisionIdentity:
     Raises:
         ZsdistError: scenes or vision weights are missing, or do not fit the configuration.
     """
+    from zsdist.run.scene_schedule import scene_source
+
     for name in config.scenes.test:
         scene_source(name)
     parts = simulation(config)
@@ -91,6 +100,12 @@ def warm_up(config: Config) -> VisionIdentity:
 
 def try_out(parts: ActorParts, config: Config) -> None:
     """Drive a car for two steps, which loads everything that is loaded at first use (half a second)."""
+    from zsdist.agent.hierarchy import q_functions
+    from zsdist.driving.actor_car import ActorCar, EpisodeTask
+    from zsdist.driving.perception import Perception
+    from zsdist.planning.grid import Grid
+    from zsdist.roles.shapes import initial_weights
+
     car = ActorCar(parts.make_env(), config)
     car.begin(EpisodeTask(parts.schedule.training(1), 1, 1.0, True, (0,)), dict.fromkeys(Level, 0))
     q = q_functions({level: initial_weights(config, level) for level in Level})

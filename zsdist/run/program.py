@@ -8,25 +8,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zsdist.agent import features
 from zsdist.common import background, code_hash
 from zsdist.config import Config
-from zsdist.driving.actor_car import ActorCar, CameraEnv
-from zsdist.driving.perception import Perception, VisionModel
 from zsdist.errors import WeightsError
-from zsdist.planning.grid import Grid
 from zsdist.roles import permissions
-from zsdist.roles.actor import Actor
 from zsdist.roles.base import Context, Role
-from zsdist.roles.hub import Hub
 from zsdist.roles.replay import shards
-from zsdist.roles.replay.role import Replay
-from zsdist.roles.scheduler.role import Scheduler
-from zsdist.roles.shapes import SHAPES, learner_seed, level_settings
-from zsdist.run import journals
-from zsdist.run.directory import RunDirectory
-from zsdist.run.scene_schedule import SceneSchedule
-from zsdist.sim.env import CarNavigation
 from zsdist.transport import certificates
 from zsdist.transport.access import Grant
 from zsdist.transport.base import Transport
@@ -34,15 +21,18 @@ from zsdist.transport.certificates import Identity
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 from zsdist.types import Level
 from zsdist.vision.fingerprint import VisionIdentity
-from zsdist.vision.reading_cache import ReadingCache
-from zsdist.vision.visual_act import VisualAct as PretrainedVisualAct
 from zsdist.wire.messages import State
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # each role imports what it needs when it is built: a car takes a second and 60 MB
     from zsdist.dqn.base import BaseDqnLearner
+    from zsdist.driving.actor_car import CameraEnv
+    from zsdist.driving.perception import Perception, VisionModel
+    from zsdist.roles.hub import Hub
+    from zsdist.run.directory import RunDirectory
+    from zsdist.run.scene_schedule import SceneSchedule
 
 PORT_FREE_WITHIN_S = 10.0  # time for which a new hub waits for the port of one that was killed
-HUB_BACK_WITHIN_S = 20.0  # time for which a new role looks for the hub, which may be about to be replaced
+HUB_BACK_WITHIN_S = 60.0  # time for which a new role looks for the hub, which may be about to be replaced
 Watch = Callable[[Transport, float], None]  # called once a round with the runner's transport and the clock
 
 
@@ -106,16 +96,20 @@ class ActorParts:
         schedule: scenes by number.
     """
 
-    make_env: Callable[[], CameraEnv]
-    visual_act: VisionModel
-    schedule: SceneSchedule
+    make_env: "Callable[[], CameraEnv]"
+    visual_act: "VisionModel"
+    schedule: "SceneSchedule"
 
 
 def simulation(config: Config) -> ActorParts:
     """Return the parts of a simulated actor: PyBullet cars, the camera, the pretrained vision model."""
+    from zsdist.run.scene_schedule import SceneSchedule
+    from zsdist.sim.env import CarNavigation
+    from zsdist.vision.visual_act import VisualAct
+
     return ActorParts(
         make_env=lambda: CarNavigation(config=config, images=False),
-        visual_act=PretrainedVisualAct.load(config.vision, config.camera),
+        visual_act=VisualAct.load(config.vision, config.camera),
         schedule=SceneSchedule(config),
     )
 
@@ -126,7 +120,9 @@ def vision_here(config: Config) -> VisionIdentity:
     Raises:
         WeightsError: as `VisualAct.load` raises it.
     """
-    return VisionIdentity.of(PretrainedVisualAct.load(config.vision, config.camera), config.vision.network)
+    from zsdist.vision.visual_act import VisualAct
+
+    return VisionIdentity.of(VisualAct.load(config.vision, config.camera), config.vision.network)
 
 
 @dataclass(frozen=True)
@@ -143,6 +139,7 @@ class RunSpec:
         start: unique word for this start of the run, part of the names of its journals; a start that goes on with the
             journals of one whose launcher was killed has the same.
         launch: epoch of the runner; 0: none was issued yet.
+        profile: whether to write where each role's time goes (`zsdist.run.profiling`).
     """
 
     config: Config
@@ -153,6 +150,7 @@ class RunSpec:
     make_parts: Callable[[Config], ActorParts] = simulation
     start: str = field(default_factory=lambda: uuid.uuid4().hex)
     launch: int = 0
+    profile: bool = False
 
     def open_hub(self, endpoint: str | None = None) -> ZenohHub:
         """Open the router at the `endpoint` of its predecessor; None: at the configured one, or the next free port."""
@@ -188,8 +186,10 @@ class RunSpec:
         folder = self.config.transport.tls
         return None if folder is None else Identity.load(folder, name)
 
-    def open_directory(self) -> RunDirectory:
+    def open_directory(self) -> "RunDirectory":
         """Open the files of the run, as the scheduler writes them."""
+        from zsdist.run.directory import RunDirectory
+
         return RunDirectory(self.folder, self.vision, self.config.run.checkpoints_kept)
 
     def context(self, role_spec: RoleSpec, transport: Transport, wake: threading.Event) -> Context:
@@ -205,7 +205,7 @@ class RunSpec:
         transport: Transport,
         wake: threading.Event,
         parts: ActorParts | None = None,
-        run_directory: RunDirectory | None = None,
+        run_directory: "RunDirectory | None" = None,
     ) -> Role:
         """Return one role; its state is restored where the run resumes from a checkpoint.
 
@@ -222,14 +222,23 @@ class RunSpec:
         context, config = self.context(role_spec, transport, wake), self.config
         match role_spec.role:
             case "scheduler":
+                from zsdist.roles.scheduler.role import Scheduler
+                from zsdist.run import journals
+
                 log, ledger = run_directory or self.open_directory(), journals.ledger(self.folder, self.start)
                 return Scheduler(context, log, ledger, self.states.get(role_spec.role))
             case shards.ROLE:
+                from zsdist.roles.replay import start
+                from zsdist.roles.replay.role import Replay
+                from zsdist.roles.shapes import SHAPES
+                from zsdist.run import journals
+
                 index = int(role_spec.id)
                 has_predecessor = self.launch > 0 and role_spec.epoch >= self.launch + epoch_count(config)
                 where = (config, self.run, self.folder, self.start, index)
                 own = journals.begin(*where, has_predecessor=has_predecessor)
-                return Replay(context, SHAPES, own, self.states.get(shards.state_name(index)))
+                recorded = [] if self.states else start.recorded_sets(config)
+                return Replay(context, SHAPES, own, self.states.get(shards.state_name(index)), recorded)
             case "learner":
                 level = Level(role_spec.id)
                 from zsdist.roles.learner import Learner  # the only role that needs torch: two seconds and 150 MB
@@ -240,6 +249,9 @@ class RunSpec:
                     return Learner(context, level, dqn, restored, refused=self.folder / "nan")
                 return learners.resumed(context, level, dqn, restored, folder=self.folder, start=self.start)
             case "actor":
+                from zsdist.driving.actor_car import ActorCar
+                from zsdist.roles.actor import Actor
+
                 parts = parts or self.make_parts(config)
                 loaded = VisionIdentity.of(parts.visual_act, config.vision.network)
                 if loaded != self.vision:
@@ -250,13 +262,17 @@ class RunSpec:
                 return Actor(context, cars, self._perception(parts.visual_act), parts.schedule)
         raise ValueError(f"no role is called {role_spec.role!r}")
 
-    def _perception(self, visual_act: VisionModel) -> Perception:
+    def _perception(self, visual_act: "VisionModel") -> "Perception":
+        from zsdist.driving.perception import Perception
+        from zsdist.planning.grid import Grid
+        from zsdist.vision.reading_cache import ReadingCache
+
         size = self.config.vision.cache_bytes
         cache = ReadingCache(size, reading_fingerprint(self.config, visual_act)) if size else None
         return Perception(visual_act, Grid.from_config(self.config.grid), self.config.vision.rays, cache)
 
 
-def reading_fingerprint(config: Config, visual_act: VisionModel) -> str:
+def reading_fingerprint(config: Config, visual_act: "VisionModel") -> str:
     """Return a text that names all that a reading depends on, except the scene and the lattice state.
 
     Runs on one machine share a cache of readings; two runs with different fingerprints share no reading in it.
@@ -270,14 +286,18 @@ def reading_fingerprint(config: Config, visual_act: VisionModel) -> str:
 
 def make_learner(config: Config, level: Level) -> "BaseDqnLearner":
     """Return the DQN of one level, untrained; its initial weights follow from the run's seed."""
+    from zsdist.agent import features
     from zsdist.dqn.fused import FusedDqnLearner
+    from zsdist.roles.shapes import SHAPES, learner_seed, level_settings
 
     shape, settings, seed = SHAPES[level], level_settings(config, level), learner_seed(config, level)
     return FusedDqnLearner(shape.state_size, shape.actions, settings, seed=seed, mirror=features.mirror(level))
 
 
-def make_hub(spec: RunSpec, role_spec: RoleSpec, transport: Transport, wake: threading.Event, endpoint: str) -> Hub:
+def make_hub(spec: RunSpec, role_spec: RoleSpec, transport: Transport, wake: threading.Event, endpoint: str) -> "Hub":
     """Return the role of the hub, for the process that holds the router."""
+    from zsdist.roles.hub import Hub
+
     return Hub(spec.context(role_spec, transport, wake), endpoint)
 
 

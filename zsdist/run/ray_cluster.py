@@ -17,7 +17,7 @@ from zsdist.common.placement_settings import LAUNCHER, OTHERS
 from zsdist.config import Config
 from zsdist.errors import RunError
 from zsdist.roles.replay import shards
-from zsdist.run import cluster_address, local_ray, placement, ray_token
+from zsdist.run import cluster_address, local_ray, placement, ray_lean, ray_token
 from zsdist.run.placement import CPU, GPU, MEMORY, Need, Node, Plan
 from zsdist.run.program import RoleSpec
 
@@ -50,7 +50,7 @@ def connect(config: Config) -> Plan:
     for tries_left in reversed(range(STARTS_TRIED)):
         try:
             # Where Ray starts no process, a signal may end a long wait.
-            with signals.kept() if address is not None else signals.withheld():
+            with signals.kept() if address is not None else signals.withheld(), ray_lean.lean():
                 _init(config)
             break
         except Exception as error:  # Ray raises errors of a dozen classes, also built-in ones

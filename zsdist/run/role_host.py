@@ -6,11 +6,12 @@ import threading
 import time
 import traceback
 from collections.abc import Mapping
+from contextlib import nullcontext
 
-from zsdist.common import output_files
+from zsdist.common import output_files, search_path
 from zsdist.errors import ZsdistError
 from zsdist.roles.base import HOST, Role
-from zsdist.run import preflight, program
+from zsdist.run import profiling, program
 from zsdist.run.allocator import keep_freed_memory
 from zsdist.run.heartbeats import HUB
 from zsdist.run.processes import ProcessIdentity, name_role_thread
@@ -23,6 +24,7 @@ class RoleHost:
     """Content of a Ray actor, which builds one role and steps it until it has finished."""
 
     def __init__(self, spec: RunSpec) -> None:
+        search_path.apply()
         keep_freed_memory()
         self.spec = spec
         self.wake = threading.Event()
@@ -36,6 +38,8 @@ class RoleHost:
 
     def warm_up(self) -> None:
         """Make and use the parts of an actor, which take longest, so that any role can start here at once later."""
+        from zsdist.run import preflight
+
         parts = self.spec.make_parts(self.spec.config)
         preflight.try_out(parts, self.spec.config)
         program.reading_fingerprint(self.spec.config, parts.visual_act)  # it reads all of the code, once in a process
@@ -71,7 +75,8 @@ class RoleHost:
                 role = self.spec.build(role_spec, transport, self.wake, parts)
             else:
                 role = program.make_hub(self.spec, role_spec, transport, self.wake, self._hub.endpoint)
-            self._step(role)
+            with profiling.sampled(self.spec.folder, role_spec) if self.spec.profile else nullcontext():
+                self._step(role)
         except ZsdistError as error:
             return role_spec.reason(error)
         except OSError as error:

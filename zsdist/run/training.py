@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -10,7 +11,7 @@ from zsdist.common import commands, output_files
 from zsdist.config import Config
 from zsdist.errors import RunError, ZsdistError
 from zsdist.roles.replay import shards
-from zsdist.run import checkpoint_files, directory, killed_start, local_ray, program
+from zsdist.run import checkpoint_files, directory, killed_start, local_ray, profiling, program
 from zsdist.run.program import RunSpec, Watch
 from zsdist.wire.messages import State
 
@@ -38,7 +39,7 @@ def train(spec: RunSpec, interrupted: Callable[[], bool], watch: Watch) -> Summa
         ZsdistError: a role failed for good, or could not start; where none has begun in a new run directory, it is
             removed.
     """
-    run = _runner(spec.config)
+    run = runner(spec.config)
     is_first = not (spec.folder / "epochs").exists()
     try:
         return _train(run, spec, interrupted, watch)
@@ -56,7 +57,9 @@ def _train(run: _Run, spec: RunSpec, interrupted: Callable[[], bool], watch: Wat
     with output_files.written(f"run directory {spec.folder}"):
         for of_an_earlier_start in ("summary.json", "endpoint"):
             (spec.folder / of_an_earlier_start).unlink(missing_ok=True)
-        run(replace(spec, launch=epochs[0]), epochs, interrupted=interrupted, watch=watch)
+        here = spec.profile and spec.config.placement != "ray"  # else each role's process samples itself
+        with profiling.sampled(spec.folder, program.supervisor(epochs)) if here else nullcontext():
+            run(replace(spec, launch=epochs[0]), epochs, interrupted=interrupted, watch=watch)
         summary = json.loads((spec.folder / "summary.json").read_text(encoding="utf-8"))
         shutil.rmtree(spec.folder / "journal", ignore_errors=True)  # the last checkpoint holds everything
         return summary
@@ -109,13 +112,17 @@ def describe_untrained_levels(summary: Summary, settings: Config, states: Mappin
     return lines
 
 
-def _runner(settings: Config) -> _Run:
+def runner(settings: Config) -> _Run:
+    """Return the function that runs the roles, whose libraries are imported here."""
     if settings.placement == "ray":  # each takes a second or two to import, and a run needs only one of them
-        if settings.run.address is None:
-            local_ray.stay_on_loopback()
-        from zsdist.run import ray, undertaker
+        if not local_ray.is_used(settings):
+            from zsdist.run import ray
 
-        return undertaker.employed()(ray.run) if settings.run.address is None else ray.run
+            return ray.run
+        local_ray.stay_on_loopback()
+        from zsdist.run import nursery, ray, undertaker
+
+        return undertaker.employed()(nursery.employed()(ray.run))
     from zsdist.run import inline
 
     return inline.run

@@ -8,7 +8,7 @@ from rehearsal import SEEN, kinematic
 
 from zsdist import config
 from zsdist.errors import WeightsError
-from zsdist.run import directory, opening, preflight, program
+from zsdist.run import directory, opening, program
 from zsdist.run.checkpoint import check_vision, load_policy
 from zsdist.run.directory import RunDirectory
 from zsdist.run.program import RoleSpec, RunSpec
@@ -62,7 +62,7 @@ def test_another_head_is_reported_in_one_line(trained, here):
 
 
 def resumed(folder, monkeypatch, seen, notify=lambda line: None):
-    monkeypatch.setattr(preflight, "warm_up", lambda settings: seen)
+    monkeypatch.setattr(opening, "check_parts", lambda settings, notify: seen)
     with contextlib.ExitStack() as held:
         return opening.open_resumed(folder, (), notify, held)
 

@@ -43,6 +43,7 @@ class MadeUpSpec:
 
     def __init__(self, folder, role):
         self.folder, self.role, self.closed, self.config = folder, role, threading.Event(), parse({})
+        self.profile = False
 
     def connect(self, role_spec, endpoint, others=()):
         transport = MemoryTransport(MemoryBroker())

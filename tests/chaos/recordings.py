@@ -1,0 +1,134 @@
+"""Recordings under kills: a recording is killed in the middle, again and again, and all that it finished is read.
+
+`python tests/chaos/recordings.py [--kills 50] [--results FILE]`, or `make chaos`
+
+Everything is real: car, camera, MCAP files and the Minari set that grows beside them. Each process resumes the set of
+the one before. After each kill every finished episode is read by three readers that are not ours (mcap, rosbags,
+Minari) and by ours. A kill adds a line of JSON to FILE, and a second call goes on behind the last line.
+"""
+
+import argparse
+import json
+import os
+import random
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+EPISODES = 100_000  # more than are ever driven
+LONGEST_S = 6.0  # from the first sign of an episode to the kill
+START_WITHIN_S = 600.0
+WORLD = ("sim.max_steps=30", "camera.size_px=64")
+
+
+def forked(work: Callable[[], None]) -> int:
+    """Run a function in a child process, which ends with status 0 where it returns; return its number."""
+    child = os.fork()
+    if child:
+        return child
+    status = 1
+    try:
+        work()
+        status = 0
+    except BaseException as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)
+    os._exit(status)
+
+
+def record_more(folder: Path) -> None:
+    """Resume the set in a folder until the process is killed."""
+    from zsdist import record
+
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    words = ["random", "--scenes", "singleton", "--episodes", str(EPISODES), "--format", "minari", "--workers", "1"]
+    words += [f"--set={setting}" for setting in WORLD] + ["--out", str(folder)]
+    words += ["--resume"] if (folder / "set.json").exists() else []
+    record.main(record.make_parser().parse_args(words))
+
+
+def read_all(folder: Path, result: Path) -> None:
+    """Read every finished episode with every reader, and write how many there are."""
+    import minari
+    from mcap.reader import make_reader
+    from rosbags.rosbag2 import Reader
+
+    from zsdist.recording.episode import read_episode
+    from zsdist.recording.recorded_set import RecordedSet
+
+    files = RecordedSet(folder).episodes() if (folder / "set.json").exists() else {}
+    assert list(files) == list(range(len(files))), f"episodes {list(files)} have a gap"
+    for path in list(files.values())[-12:]:  # older ones were read after earlier kills, and do not change
+        steps = len(read_episode(path).actions)
+        with path.open("rb") as file:
+            count = sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages())
+        with Reader(path) as bag:
+            assert bag.message_count == count == sum(1 for _ in bag.messages()) > 4 * steps
+    exported = [path.parent for path in folder.glob("minari/zsdist/*/data/metadata.json")]
+    episodes = 0
+    for data in exported:
+        found = minari.MinariDataset(data)
+        episodes = found.total_episodes
+        for number in range(max(0, episodes - 12), episodes):
+            (one,) = found.iterate_episodes([number])
+            read = read_episode(files[number])
+            assert (one.observations["image"] == read.pictures).all() and (one.actions == read.actions).all()
+    assert len(files) - 1 <= episodes <= len(files), f"{len(files)} episodes are recorded and {episodes} exported"
+    result.write_text(json.dumps({"episodes": len(files), "minari": episodes}))
+
+
+def kill_one(folder: Path, moment: random.Random) -> dict:
+    """Start a recording, kill it in the middle, and return what it left."""
+    started = forked(lambda: record_more(folder))
+    began_s = time.monotonic()
+    while not list(folder.glob(".episode-*.partial")):
+        assert time.monotonic() - began_s < START_WITHIN_S, "the recording did not begin"
+        if os.waitpid(started, os.WNOHANG)[0]:
+            raise AssertionError("the recording has ended by itself")
+        time.sleep(0.02)
+    after_s = moment.uniform(0.0, LONGEST_S)
+    time.sleep(after_s)
+    os.kill(started, signal.SIGKILL)
+    os.waitpid(started, 0)
+    left = {
+        "unfinished_episode": bool(list(folder.glob(".episode-*.partial"))),
+        "unfinished_export": bool(list(folder.glob("minari/zsdist/*/.data.partial"))),
+    }
+    result = folder / "read.json"
+    _, status = os.waitpid(forked(lambda: read_all(folder, result)), 0)
+    assert status == 0, f"a finished episode in {folder} cannot be read"
+    return {"after_s": round(after_s, 3), **left, **json.loads(result.read_text())}
+
+
+def main() -> None:
+    """Add rows until there is one for each kill, and print what was found."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--results", type=Path, default=Path("runs/recordings.jsonl"), help="appended to")
+    options = parser.parse_args()
+    import zsdist.record  # once for all children
+
+    del zsdist
+    folder = options.results.with_suffix(".set")
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = _rows(options.results)
+    for number in range(len(rows), options.kills):
+        before = rows[-1]["episodes"] if rows else 0
+        row = {"kill": number, **kill_one(folder, random.Random(number))}
+        assert row["episodes"] >= before, f"of {before} finished episodes {row['episodes']} are left"
+        with options.results.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+        print(json.dumps(row), flush=True)
+        rows.append(row)
+    unfinished = [sum(row[name] for row in rows) for name in ("unfinished_episode", "unfinished_export")]
+    summary = {"kills": len(rows), "in_an_episode": unfinished[0], "in_an_export": unfinished[1], "unreadable": 0}
+    print(json.dumps(summary | {"episodes": rows[-1]["episodes"] if rows else 0}))
+
+
+def _rows(results: Path) -> list[dict]:
+    return [json.loads(line) for line in results.read_text(encoding="utf-8").splitlines()] if results.exists() else []
+
+
+if __name__ == "__main__":
+    main()
