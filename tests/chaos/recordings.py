@@ -17,8 +17,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-EPISODES = 1000  # more than are driven in any number of kills that is tried
+EPISODES = 250  # more than are driven before fifty kills; the scenes of all are drawn at each start
 MOST_FINISHED = 2  # episodes that a process finishes before it is killed
+LAST = 6  # episodes that are read after a kill; older ones were read after earlier ones, and do not change
 LONGEST_S = 3.0  # from then on to the kill
 WITHIN_S = 900.0
 WORLD = ("sim.max_steps=15", "camera.size_px=64")
@@ -60,7 +61,7 @@ def read_all(folder: Path, result: Path) -> None:
 
     files = RecordedSet(folder).episodes() if (folder / "set.json").exists() else {}
     assert list(files) == list(range(len(files))), f"episodes {list(files)} have a gap"
-    for path in list(files.values())[-12:]:  # older ones were read after earlier kills, and do not change
+    for path in list(files.values())[-LAST:]:
         steps = len(read_episode(path).actions)
         with path.open("rb") as file:
             count = sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages())
@@ -71,7 +72,7 @@ def read_all(folder: Path, result: Path) -> None:
     for data in exported:
         found = minari.MinariDataset(data)
         episodes = found.total_episodes
-        for number in range(max(0, episodes - 12), episodes):
+        for number in range(max(0, episodes - LAST), episodes):
             (one,) = found.iterate_episodes([number])
             read = read_episode(files[number])
             assert (one.observations["image"] == read.pictures).all() and (one.actions == read.actions).all()
