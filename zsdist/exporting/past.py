@@ -76,7 +76,7 @@ def _results(file: Path) -> list[dict[str, Any]]:
 
 
 def _is_of(policy: Policy, result: dict[str, Any]) -> bool:
-    return result["weights_sha256"] == policy.sha256 and result.get("variant", FULL) == FULL
+    return bool(result["weights_sha256"] == policy.sha256 and result.get("variant", FULL) == FULL)
 
 
 def _short(result: dict[str, Any]) -> dict[str, Any]:

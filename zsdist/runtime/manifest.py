@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from zsdist import config
 from zsdist.config import Config, GridConfig
 
-FORMAT = 1
+FORMAT: Literal[1] = 1
 DECISIVE = {  # settings on which a decision depends, beside camera and grid
     "sim": ("max_steps", "success_radius_m"),
     "vision": ("network", "rays", "ray_quantile"),

@@ -127,14 +127,14 @@ class BundleRunner:
         self._agent.observe(pose, self._vision.view(picture, *pose.towards(*goal)))
         decision = self._agent.act(self._q)
         self.actions_taken += 1
-        grid, reason = self.bundle.grid, "every action hits something on the believed map" if decision.stuck else None
+        grid = self.bundle.grid
         return RunnerDecision(
             action=decision.action,
             target=grid.pose(successor(grid.lattice_state(pose), decision.action)),
             subgoal=decision.subgoal,
             masks=decision.masks,
             values=decision.values,
-            no_way=reason,
+            no_way="every action hits something on the believed map" if decision.stuck else None,
         )
 
     @property

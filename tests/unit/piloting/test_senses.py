@@ -69,7 +69,7 @@ def test_a_stop_of_this_program_and_a_jump_of_the_time_of_day_are_noticed(watch)
 def test_what_cannot_be_decoded_is_counted_and_left_out(watch):
     senses = Senses(DriveClock(watch), 0.5, lambda: None)
     for slot in ("odometry", "picture", "goal", "dead_man", "clock"):
-        put(senses, slot, b"\x00\x01\x00\x00?")
+        put(senses, slot, b"\x00\x01\x00\x00")
     assert not senses.receive()
     assert (senses.odometry, senses.picture, senses.goal, senses.undecodable) == (None, None, None, 5)
 
