@@ -17,10 +17,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-EPISODES = 100_000  # more than are ever driven
-LONGEST_S = 6.0  # from the first sign of an episode to the kill
-START_WITHIN_S = 600.0
-WORLD = ("sim.max_steps=30", "camera.size_px=64")
+EPISODES = 250  # more than are driven before fifty kills; the scenes of all are drawn at each start
+MOST_FINISHED = 2  # episodes that a process finishes before it is killed
+LAST = 6  # episodes that are read after a kill; older ones were read after earlier ones, and do not change
+LONGEST_S = 3.0  # from then on to the kill
+WITHIN_S = 900.0
+WORLD = ("sim.max_steps=15", "camera.size_px=64")
 
 
 def forked(work: Callable[[], None]) -> int:
@@ -59,7 +61,7 @@ def read_all(folder: Path, result: Path) -> None:
 
     files = RecordedSet(folder).episodes() if (folder / "set.json").exists() else {}
     assert list(files) == list(range(len(files))), f"episodes {list(files)} have a gap"
-    for path in list(files.values())[-12:]:  # older ones were read after earlier kills, and do not change
+    for path in list(files.values())[-LAST:]:
         steps = len(read_episode(path).actions)
         with path.open("rb") as file:
             count = sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages())
@@ -70,7 +72,7 @@ def read_all(folder: Path, result: Path) -> None:
     for data in exported:
         found = minari.MinariDataset(data)
         episodes = found.total_episodes
-        for number in range(max(0, episodes - 12), episodes):
+        for number in range(max(0, episodes - LAST), episodes):
             (one,) = found.iterate_episodes([number])
             read = read_episode(files[number])
             assert (one.observations["image"] == read.pictures).all() and (one.actions == read.actions).all()
@@ -80,10 +82,11 @@ def read_all(folder: Path, result: Path) -> None:
 
 def kill_one(folder: Path, moment: random.Random) -> dict:
     """Start a recording, kill it in the middle, and return what it left."""
+    wanted = len(list(folder.glob("episode-*.mcap"))) + moment.randrange(MOST_FINISHED + 1)
     started = forked(lambda: record_more(folder))
     began_s = time.monotonic()
-    while not list(folder.glob(".episode-*.partial")):
-        assert time.monotonic() - began_s < START_WITHIN_S, "the recording did not begin"
+    while len(list(folder.glob("episode-*.mcap"))) < wanted or not list(folder.glob(".episode-*.partial")):
+        assert time.monotonic() - began_s < WITHIN_S, "the recording does not go on"
         if os.waitpid(started, os.WNOHANG)[0]:
             raise AssertionError("the recording has ended by itself")
         time.sleep(0.02)
