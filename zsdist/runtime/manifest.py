@@ -148,7 +148,7 @@ class BundleManifest(Part):
         settings: settings on which a decision depends, by section, as in a configuration.
         limits: limits within which the policy was trained.
         trained_on: what the policy was trained on.
-        evaluated: success on test scenes, one entry for each set of scenes, with 95% intervals.
+        evaluated: success on test scenes by the name of the scenes, with 95% intervals.
     """
 
     format: Literal[1]
@@ -166,7 +166,7 @@ class BundleManifest(Part):
     settings: dict[str, dict[str, Any]]
     limits: BundleLimits
     trained_on: dict[str, Any]
-    evaluated: tuple[dict[str, Any], ...]
+    evaluated: dict[str, dict[str, Any]]
 
 
 def decisive_settings(settings: Config) -> dict[str, dict[str, Any]]:
