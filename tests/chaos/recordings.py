@@ -13,6 +13,7 @@ import os
 import random
 import signal
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -39,15 +40,28 @@ def forked(work: Callable[[], None]) -> int:
     os._exit(status)
 
 
-def record_more(folder: Path) -> None:
-    """Resume the set in a folder until the process is killed."""
+def call(*words: str) -> None:
+    """Record with the options given, in this process."""
     from zsdist import record
 
+    given = ["random", "--scenes", "singleton", "--workers", "1", *(f"--set={setting}" for setting in WORLD), *words]
+    record.main(record.make_parser().parse_args(given))
+
+
+def warm_up() -> None:
+    """Import and compile in this process what all its children use."""
+    from zsdist.recording import minari_export
+
+    minari_export.require_minari()
+    with tempfile.TemporaryDirectory() as folder:
+        call("--episodes", "1", "--out", folder)
+
+
+def record_more(folder: Path) -> None:
+    """Resume the set in a folder until the process is killed."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    words = ["random", "--scenes", "singleton", "--episodes", str(EPISODES), "--format", "minari", "--workers", "1"]
-    words += [f"--set={setting}" for setting in WORLD] + ["--out", str(folder)]
-    words += ["--resume"] if (folder / "set.json").exists() else []
-    record.main(record.make_parser().parse_args(words))
+    resume = ["--resume"] if (folder / "set.json").exists() else []
+    call("--episodes", str(EPISODES), "--format", "minari", "--out", str(folder), *resume)
 
 
 def read_all(folder: Path, result: Path) -> None:
@@ -110,9 +124,7 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--results", type=Path, default=Path("runs/recordings.jsonl"), help="appended to")
     options = parser.parse_args()
-    import zsdist.record  # once for all children
-
-    del zsdist
+    warm_up()
     folder = options.results.with_suffix(".set")
     folder.mkdir(parents=True, exist_ok=True)
     rows = _rows(options.results)
