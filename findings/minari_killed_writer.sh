@@ -10,7 +10,7 @@
 # episode, or a rename over it, would keep the set.
 #
 # Output seen:
-#     20 kills: RESULT of them left a set that cannot be read
+#     20 kills: 6 of them left a set that cannot be read
 #
 # Ends with status 1 where the behaviour has changed.
 set -eu
