@@ -15,6 +15,7 @@ from zsdist.runtime.parity import ParityResult, check
 
 SECTIONS = ("camera", "vision")  # of settings that may differ from those of the training
 STEPS = 200
+EPISODE_STEPS = 40  # of a usual episode, for the display of progress
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -61,7 +62,8 @@ def _export(options: argparse.Namespace, overrides: tuple[str, ...]) -> None:
     if note := check_vision(policy):
         _note(note)
     name = options.name or Path(options.policy).resolve().name
-    with StepProgress("export", 2 * options.steps) as shown:
+    about = max(options.steps, EPISODE_STEPS * options.episodes)  # each is recorded, and then checked
+    with StepProgress("export", 2 * about) as shown:
         result = export_policy(
             policy,
             name,

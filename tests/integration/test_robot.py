@@ -4,10 +4,12 @@ import json
 import signal
 import subprocess
 import sys
+from collections import Counter
 
 import pytest
 from sockets import free_endpoint
 
+from zsdist.recording import log
 from zsdist.ros2 import messages
 from zsdist.ros2.node import NewestMessage, RosNode
 from zsdist.sim.scenes import scene as scene_files
@@ -58,7 +60,8 @@ def drive(bundle, endpoint, scene, *options):
 
 def test_the_driver_brings_the_robot_to_its_goal_and_both_say_so(small_bundle, robot, tmp_path):
     endpoint, process = robot(NEAR, "--speed", "4", "--lockstep", "--json", str(tmp_path / "robot.json"))
-    driver = drive(small_bundle, endpoint, NEAR, "--arm", "--json", str(tmp_path / "drive.json"))
+    written = ("--json", str(tmp_path / "drive.json"), "--record", str(tmp_path / "drive.mcap"))
+    driver = drive(small_bundle, endpoint, NEAR, "--arm", *written)
     output, complaint = driver.communicate(timeout=PATIENCE_S)
     assert (driver.returncode, complaint) == (0, ""), output + complaint
     assert process.wait(PATIENCE_S) == 0
@@ -66,6 +69,9 @@ def test_the_driver_brings_the_robot_to_its_goal_and_both_say_so(small_bundle, r
     assert (ended["scene"], ended["outcome"], driven["outcome"]) == ("near", "success", "arrived")
     assert {"steps", "path_m", "shortest_m", "min_clearance_m"} <= set(ended)
     assert "arrived: the goal is reached" in output and driven["simulated_time"]
+    recorded = Counter(message.topic for message in log.read(tmp_path / "drive.mcap"))
+    assert recorded["/cmd_vel"] == driven["commands"] and recorded["/belief_map"] == driven["actions"] + 1
+    assert set(recorded) == {"/clock", "/odom", "/camera/image/compressed", "/cmd_vel", "/belief_map"}
 
 
 def test_a_signal_stops_the_robot_and_the_driver_says_why(small_bundle, robot, tmp_path):

@@ -1,7 +1,12 @@
+import subprocess
+import sys
+
 import pytest
 
 from zsdist import drive
 from zsdist.common import cli
+
+HEAVY = ("torch", "ray", "pybullet", "scipy", "cryptography", "rich", "gymnasium", "matplotlib", "grpc", "onnx")
 
 
 def parsed(*words):
@@ -39,3 +44,9 @@ def test_a_dead_mans_switch_without_arm_is_refused(tmp_path, capsys):
     with pytest.raises(SystemExit) as refused:
         cli.execute(drive.main, drive.make_parser(), words)
     assert refused.value.code == cli.REFUSED and "--dead-man has no effect without --arm" in capsys.readouterr().err
+
+
+def test_it_needs_nothing_that_only_training_has():
+    code = f"import sys\nsys.modules.update(dict.fromkeys({HEAVY}))\nimport zsdist.drive"  # importing one of them fails
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -259,7 +259,7 @@ class Journey:
             self._pilot = None
             self._enter(JourneyPhase.SETTLE)
         elif waited_s > NO_PROGRESS_S:
-            off_m = math.dist(here[:2], pilot.target[:2])
+            velocity, off_m = STANDSTILL, math.dist(here[:2], pilot.target[:2])
             self._end(
                 f"the robot does not follow: after {waited_s:.0f} s it is {off_m:.2f} m from where an action ends"
             )

@@ -124,8 +124,8 @@ class DriveLoop:
         self._frame: ArenaFrame | None = None
         self._journey: Journey | None = None
         self._goal = settings.goal
-        self._began_s = self._well_s = self._said_s = monotonic()
-        self._control_s = -math.inf
+        self._said_s = monotonic()
+        self._control_s = self._zero_s = -math.inf
         self._fault: str | None = "nothing heard yet"
         self._fault_since_s = monotonic()
         self._fault_over_s: float | None = None
@@ -161,7 +161,11 @@ class DriveLoop:
             self._command(STANDSTILL)
             return
         self._check(now_s, mono_s)
-        if now_s - self._control_s >= 1 / self._settings.rate_hz - 1e-6 or now_s < self._control_s:
+        every_s = 1 / self._settings.rate_hz - 1e-6
+        if self._fault is not None:
+            if mono_s - self._zero_s >= every_s:  # also while a simulated clock stands still
+                self._stand(mono_s)
+        elif now_s - self._control_s >= every_s or now_s < self._control_s:
             self._control_s = now_s
             self._control(now_s)
         if mono_s - self._said_s >= 1.0:
@@ -230,7 +234,14 @@ class DriveLoop:
             if self._goal is None or self._fault is not None:
                 return
             self._senses.begun = True
-            self._frame = ArenaFrame.place(odometry.pose, self._goal, self._grid, self._settings.centre)
+            try:
+                self._frame = ArenaFrame.place(odometry.pose, self._goal, self._grid, self._settings.centre)
+            except RunError as error:
+                if self._settings.goal is not None:
+                    raise
+                self._goal = None
+                self._say(f"goal left out: {error}")
+                return
             self._policy.begin(self._frame.pose(odometry.pose), self._frame.point(self._goal), self._frame)
             self._journey = Journey(
                 self._policy.decide, self._grid, self._settings.limits, carries_out=self._settings.armed
@@ -264,8 +275,7 @@ class DriveLoop:
             self._fault_over_s = None
             if self._fault is None:
                 self._fault, self._fault_since_s = fault, mono_s
-                self._control_s = now_s
-                self._command(STANDSTILL)
+                self._stand(mono_s)
                 self.stops.append({"time_s": round(self._elapsed_s(), 3), "reason": fault})
                 self._say(f"{self._elapsed_s():7.1f} s  stop: {fault}")
             self._fault = fault
@@ -297,10 +307,6 @@ class DriveLoop:
         journey = self._journey
         if journey is None:
             return
-        if self._fault is not None:
-            journey.hold()
-            self._command(STANDSTILL)
-            return
         picture = self._senses.picture
         glimpse = None if picture is None else Glimpse(picture.time_s, picture.decoded)
         try:
@@ -316,6 +322,13 @@ class DriveLoop:
                 self._say(f"{self._elapsed_s():7.1f} s  the goal is reached; waiting for another one")
         elif journey.over:
             self._end("arrived" if journey.phase is JourneyPhase.ARRIVED else "stopped", journey.reason)
+
+    def _stand(self, mono_s: float) -> None:
+        """Command zero, whatever the drive wants."""
+        self._zero_s = mono_s
+        if self._journey is not None:
+            self._journey.hold()
+            self._command(STANDSTILL)
 
     def _predicted(self, now_s: float) -> Pose | None:
         """Return where the robot is now, from its newest odometry and its age."""

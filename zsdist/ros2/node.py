@@ -191,8 +191,9 @@ class RosNode(Owned):
 
     @property
     def connected(self) -> bool:
-        """True while a router is connected; a node that is one itself is always connected."""
-        return self._is_router or bool(self._session.info.routers_zid())
+        """True while a router, or a peer in its place, is connected; a node that is a router itself always is."""
+        info = self._session.info
+        return self._is_router or bool(info.routers_zid() or info.peers_zid())
 
     def publisher(self, topic: str, kind: TopicType, quality: QualityOfService) -> RosPublisher:
         """Return a publisher of a topic."""

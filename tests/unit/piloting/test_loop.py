@@ -85,6 +85,7 @@ def test_a_stream_that_vanishes_stops_the_robot_in_time(chains, topic):
     chain.topics.lost.add(topic)
     run_for(chain, 1.0)
     assert first_zero_after(chain, vanished_s) <= 0.6
+    assert sum(velocity == STANDSTILL for sent_s, velocity in chain.commander.sent if sent_s > vanished_s + 0.6) >= 3
     assert abs(speed(chain)) < 0.05
     assert len(chain.loop.stops) == 1 and any("stop:" in line for line in chain.lines)
     chain.topics.lost.clear()

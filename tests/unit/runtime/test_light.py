@@ -7,6 +7,7 @@ import tomllib
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
+import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -18,23 +19,30 @@ THEIRS = {"llvmlite", "annotated-types", "pydantic-core", "typing-extensions", "
 OURS = {"zsdist"}
 BLOCKED = """
 import sys
-from importlib.abc import MetaPathFinder
+from importlib.machinery import PathFinder
 
-class Blocked(MetaPathFinder):
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in blocked:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+class Filtered:
+    find_distributions = PathFinder.find_distributions
 
-sys.meta_path.insert(0, Blocked())
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        return None if name.partition(".")[0] in blocked else PathFinder.find_spec(name, path, target)
+
+sys.meta_path[sys.meta_path.index(PathFinder)] = Filtered
 """
 CHECK = """
-import runpy
-sys.argv = ["zsdist.export", "--check", sys.argv[1]]
+from zsdist.__main__ import main
+sys.argv = ["zsdist", "export", "--check", sys.argv[1]]
 try:
-    runpy.run_module("zsdist.export", run_name="__main__")
+    main()
 except SystemExit as end:
     assert not end.code, end.code
 print(*sorted({name.partition(".")[0] for name in sys.modules}))
+"""
+COMMAND = """
+from zsdist.__main__ import main
+sys.argv[0] = "zsdist"
+main()
 """
 
 
@@ -45,31 +53,41 @@ def outside():
     return {top for top, names in known.items() if not names & (GROUP | THEIRS | OURS)}
 
 
-def test_a_bundle_is_checked_without_what_a_runners_environment_lacks(small_bundle):
-    blocked = outside()
-    assert {"torch", "ray", "pybullet", "scipy", "gymnasium", "rich", "onnx"} <= blocked
-    code = f"blocked = {blocked!r}\n{BLOCKED}{CHECK}"
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(small_bundle)],
+def run(code, *arguments):
+    return subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
         capture_output=True,
         text=True,
         check=False,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     )
+
+
+def without(blocked):
+    return f"blocked = {blocked!r}\n{BLOCKED}"
+
+
+def test_a_bundle_is_checked_without_what_a_runners_environment_lacks(small_bundle):
+    blocked = outside()
+    assert {"torch", "ray", "pybullet", "scipy", "gymnasium", "rich", "onnx"} <= blocked
+    done = run(without(blocked) + CHECK, small_bundle)
     assert done.returncode == 0, done.stderr
     said, loaded = done.stdout.splitlines()[-2:]
     assert "passes: the same decisions in all 12 steps" in said
-    assert not set(loaded.split()) & blocked
+    assert not set(loaded.split()) & {"torch", "ray", "pybullet", "scipy"}
+
+
+@pytest.mark.parametrize("words", [("evaluate", "--list"), ("export", "pretrained", "--out", "bundle")])
+def test_a_command_that_needs_more_says_so_in_one_line(tmp_path, monkeypatch, words):
+    monkeypatch.chdir(tmp_path)
+    done = run(without(outside()) + COMMAND, *words)
+    assert done.returncode == 2 and list(tmp_path.iterdir()) == []
+    assert done.stderr.count("\n") == 1 and "is not installed here; allowed is" in done.stderr
 
 
 def test_where_the_training_stack_is_installed_too_it_stays_on_disk(small_bundle):
-    done = subprocess.run(
-        [sys.executable, "-c", "import sys" + CHECK, str(small_bundle)],
-        capture_output=True,
-        text=True,
-        check=True,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )
+    done = run("import sys" + CHECK, small_bundle)
+    assert done.returncode == 0, done.stderr
     loaded = done.stdout.splitlines()[-1].split()
     assert not set(loaded) & {"torch", "ray", "pybullet"}  # numba asks scipy for its version where it is installed
 
