@@ -21,7 +21,8 @@ from pathlib import Path
 EPISODES = 250  # more than are driven before fifty kills; the scenes of all are drawn at each start
 MOST_FINISHED = 2  # episodes that a process finishes before it is killed
 LAST = 6  # episodes that are read after a kill; older ones were read after earlier ones, and do not change
-LONGEST_S = 3.0  # from then on to the kill
+LONGEST_S = 3.0  # from then on to the kill in an episode
+LONGEST_EXPORT_S = 0.1  # and in its export to Minari
 WITHIN_S = 900.0
 WORLD = ("sim.max_steps=15", "camera.size_px=64")
 
@@ -94,17 +95,18 @@ def read_all(folder: Path, result: Path) -> None:
     result.write_text(json.dumps({"episodes": len(files), "minari": episodes}))
 
 
-def kill_one(folder: Path, moment: random.Random) -> dict:
-    """Start a recording, kill it in the middle, and return what it left."""
+def kill_one(folder: Path, moment: random.Random, *, in_export: bool) -> dict:
+    """Start a recording, kill it in the middle of an episode or of its export, and return what it left."""
+    unfinished = "minari/zsdist/*/.data.partial" if in_export else ".episode-*.partial"
     wanted = len(list(folder.glob("episode-*.mcap"))) + moment.randrange(MOST_FINISHED + 1)
     started = forked(lambda: record_more(folder))
     began_s = time.monotonic()
-    while len(list(folder.glob("episode-*.mcap"))) < wanted or not list(folder.glob(".episode-*.partial")):
+    while len(list(folder.glob("episode-*.mcap"))) < wanted or not list(folder.glob(unfinished)):
         assert time.monotonic() - began_s < WITHIN_S, "the recording does not go on"
         if os.waitpid(started, os.WNOHANG)[0]:
             raise AssertionError("the recording has ended by itself")
-        time.sleep(0.02)
-    after_s = moment.uniform(0.0, LONGEST_S)
+        time.sleep(0.002)
+    after_s = moment.uniform(0.0, LONGEST_EXPORT_S if in_export else LONGEST_S)
     time.sleep(after_s)
     os.kill(started, signal.SIGKILL)
     os.waitpid(started, 0)
@@ -130,7 +132,7 @@ def main() -> None:
     rows = _rows(options.results)
     for number in range(len(rows), options.kills):
         before = rows[-1]["episodes"] if rows else 0
-        row = {"kill": number, **kill_one(folder, random.Random(number))}
+        row = {"kill": number, **kill_one(folder, random.Random(number), in_export=number % 2 == 1)}
         assert row["episodes"] >= before, f"of {before} finished episodes {row['episodes']} are left"
         with options.results.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
