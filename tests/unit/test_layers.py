@@ -15,7 +15,7 @@ ROWS = (  # a unit may import from rows above its own in this list; within a row
     {"driving", "datasets"},
     {"roles"},
     {"evaluation", "run"},
-    {"reporting", "diagnostics"},
+    {"reporting", "diagnostics", "web"},
     {"pretraining"},
     {"launch", "evaluate", "pretrain", "monitor", "report", "doctor", "certs", "scenes"},
     {"__main__", "policy"},

@@ -31,6 +31,7 @@ _FORMS: dict[str, tuple[str, ...]] = {
     "events": (),
     "alive": ("role", "id"),
     "join": ("actor",),
+    "view": ("actor", "car"),
 }
 _SHARDED = (
     "sample",
@@ -117,6 +118,11 @@ def alive(run: str, role: str, identifier: str) -> str:
 def join(run: str, actor: str) -> str:
     """Return the key of the questions of an actor that joins a run from elsewhere, actor to runner."""
     return _join(run, "join", actor)
+
+
+def view(run: str, actor: str, car: int | str) -> str:
+    """Return the key of questions about what a car sees and believes, watcher to actor; car `all`: where all are."""
+    return _join(run, "view", actor, car)
 
 
 def parse(key: str) -> ParsedKey | None:
