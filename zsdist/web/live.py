@@ -22,7 +22,13 @@ OLD_AFTER_S = 3.0  # cars whose actor has not answered for so long are not shown
 MOST_VIEWS = 4  # cars that are looked at closely at a time, on all pages
 MOST_BYTES = 2 * 2**20  # of one answer
 ALL = "all"  # in place of a car: where all of an actor's cars are
-_ABOUT = ("role", "id", "pid", "epoch", "time_s", "host")
+TELLING = {  # figures of a role that the page shows
+    "actor": ("env_steps", "cars_driving", "cars_waiting_credit", "waiting_credit_s", "weights_max_lag_s"),
+    "learner": ("learner_updates", "loss", "weight_version", "waiting_data_s"),
+    "replay": ("high_size", "low_size", "low_samples_per_insert", "journal_bytes"),
+    "scheduler": ("stage", "episodes", "merges", "restarts"),
+    "hub": ("endpoint", "cpu_s"),
+}
 
 
 class LiveRun:
@@ -92,7 +98,7 @@ class LiveRun:
         self._run, self._told = self.title, ""
         self._snapshot = Snapshot()
         self._heard_s: dict[tuple[str, str], tuple[Fields, float]] = {}
-        self._cars: dict[str, tuple[bytes, float]] = {}  # answers of actors, with the time
+        self._cars: dict[str, tuple[bytes, float]] = {}  # quoted answers of actors, with the time
         self._details: dict[str, bytes] = {}
         self._state = json.dumps({"run": self.title, "status": "connecting", "told": ""}).encode()
 
@@ -169,13 +175,13 @@ class LiveRun:
         views, now = {}, time.monotonic()
         for message in messages:
             parsed = keys.parse(message.key)
-            content = read_answer(message.payload)
-            if parsed is None or content is None:
+            if parsed is None:
                 continue
             actor, car = parsed.fields["actor"], parsed.fields["car"]
             if car == ALL:
-                self._cars[actor] = message.payload, now
-            else:
+                if (quoted := quote(message.payload)) is not None:
+                    self._cars[actor] = quoted, now
+            elif (content := read_answer(message.payload)) is not None:
                 content |= self._attend(content)
                 views[f"{actor}/{car}"] = json.dumps(content, separators=(",", ":")).encode()
         return views
@@ -194,7 +200,7 @@ class LiveRun:
                 "alive": (role, identifier) in snapshot.alive,
                 "host": fields.get("host", ""),
                 "silent_s": round(now - self._heard_s[role, identifier][1], 1),
-                "figures": {name: value for name, value in fields.items() if name not in _ABOUT},
+                "figures": {name: fields[name] for name in TELLING.get(role, ()) if name in fields},
             }
             for (role, identifier), fields in sorted(snapshot.roles.items())
         ]
@@ -216,6 +222,17 @@ class LiveRun:
         )
         cars = b",".join(answer for answer, at_s in self._cars.values() if now - at_s < OLD_AFTER_S)
         return state[:-1] + b',"actors":[%b]}' % cars
+
+
+def quote(payload: bytes) -> bytes | None:
+    """Return an answer as a text in JSON, which the page reads by itself; None where it is too long or no text.
+
+    Reading the answers of all actors here would cost more than all else.
+    """
+    try:
+        return json.dumps(payload.decode()).encode() if len(payload) <= MOST_BYTES else None
+    except UnicodeDecodeError:
+        return None
 
 
 def read_answer(payload: bytes) -> dict[str, Any] | None:

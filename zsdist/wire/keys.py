@@ -6,6 +6,7 @@ all names.
 """
 
 import re
+from functools import lru_cache
 from typing import NamedTuple
 
 from zsdist.errors import ProtocolError
@@ -47,6 +48,7 @@ class ParsedKey(NamedTuple):
     fields: dict[str, str]
 
 
+@lru_cache(maxsize=4096)  # watchers ask for each field of each message
 def is_name(text: str) -> bool:
     """Return whether `text` may be a part of a key: 1 to 64 letters, digits, `.`, `_`, `-`."""
     return _NAME.fullmatch(text) is not None

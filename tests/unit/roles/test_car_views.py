@@ -29,9 +29,9 @@ class IdleCar:
 class Watched:
     def __init__(self):
         broker = MemoryBroker()
-        self.watcher, actor = MemoryTransport(broker), MemoryTransport(broker)
+        self.watcher, self.actor = MemoryTransport(broker), MemoryTransport(broker)
         self.cars, questions = [IdleCar(), IdleCar()], Mailbox(2**20)
-        actor.serve(keys.view(RUN, "actor-0", keys.ANY), questions)
+        self.actor.serve(keys.view(RUN, "actor-0", keys.ANY), questions)
         self.views = CarViews(questions, "actor-0", Config())
 
     def ask(self, now, car):

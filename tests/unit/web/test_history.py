@@ -43,9 +43,9 @@ def test_damaged_lines_and_values_that_are_no_numbers_are_left_out(tmp_path):
 
 
 def test_settings_are_compared_without_those_in_which_any_two_runs_differ(tmp_path):
-    runs = [make_run(tmp_path / "a", "seed=1", "agent.epsilon_min=0.1"), make_run(tmp_path / "b", "seed=2")]
+    runs = [make_run(tmp_path / "a", "seed=1", "agent.epsilon_min=0.07"), make_run(tmp_path / "b", "seed=2")]
     found = history.differences(runs)
-    assert list(found) == ["agent.epsilon_min"] and found["agent.epsilon_min"][0] == "0.1"
+    assert list(found) == ["agent.epsilon_min"] and found["agent.epsilon_min"][0] == "0.07"
 
 
 def test_a_run_whose_configuration_cannot_be_read_is_compared_all_the_same(tmp_path):

@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,8 @@ def source(folder, run=None):
 
 def test_the_runs_of_a_folder_are_listed_with_their_state(tmp_path):
     make_run(tmp_path / "old", summary={})
-    make_run(tmp_path / "gone")
+    for file in make_run(tmp_path / "gone").iterdir():
+        os.utime(file, (1000.0, 1000.0))
     found = source(tmp_path).runs()
     assert {run["name"]: run["state"] for run in found["runs"]} == {"old": "ended", "gone": "lost"}
     assert found["first"] == lives.find(tmp_path).title and found["told"] == ""
@@ -31,12 +33,12 @@ def test_a_folder_without_runs_says_so(tmp_path):
 
 
 def test_curves_and_differences_of_the_named_runs(tmp_path):
-    make_run(tmp_path / "a", "agent.epsilon_min=0.1")
+    make_run(tmp_path / "a", "agent.epsilon_min=0.07")
     make_run(tmp_path / "b")
     compared = source(tmp_path).compare(["b", "a", "none"])
     assert [run["name"] for run in compared["runs"]] == ["b", "a"]
     assert compared["runs"][0]["curves"]["episodes"] == [1]
-    assert compared["differences"]["agent.epsilon_min"][1] == "0.1"
+    assert compared["differences"]["agent.epsilon_min"][1] == "0.07"
 
 
 def test_the_snapshot_of_a_run_that_has_ended_is_that_of_the_monitor(tmp_path):

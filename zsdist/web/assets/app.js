@@ -142,7 +142,6 @@ function remember(row) {
 // ---- roles and events
 
 const ORDER = ["scheduler", "learner", "replay", "hub", "actor"];
-const TELLING = { actor: ["env_steps", "cars_driving", "cars_waiting_credit", "waiting_credit_s", "weights_max_lag_s"], learner: ["learner_updates", "loss", "weight_version", "waiting_data_s"], replay: ["high_size", "low_size", "low_samples_per_insert", "journal_bytes"], scheduler: ["stage", "episodes", "merges", "restarts"], hub: ["endpoint", "cpu_s"] };
 
 function health(role) {
   if (!role.alive) return ["bad", "✕ gone"];
@@ -162,8 +161,7 @@ function showRoles(roles) {
     setText(state, text);
     setText(host, role.host);
     setText(last, role.silent_s === null ? "-" : role.silent_s < 3 ? "now" : `${role.silent_s.toFixed(0)} s ago`);
-    const told = TELLING[role.role] ?? [];
-    setText(figures, told.filter((key) => key in role.figures).map((key) => `${words(key)} ${typeof role.figures[key] === "number" ? number(role.figures[key]) : role.figures[key]}`).join(", "));
+    setText(figures, Object.entries(role.figures).map(([key, value]) => `${words(key)} ${typeof value === "number" ? number(value) : value}`).join(", "));
   });
 }
 

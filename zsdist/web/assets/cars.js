@@ -26,10 +26,20 @@ function makeTile(name) {
   return { label, input, canvas, text, path: [], drive: "", last: "" };
 }
 
+// Reads the answer of an actor; one that cannot be read shows no car.
+function read(answer) {
+  try {
+    const { actor, cars } = JSON.parse(answer);
+    return { actor: String(actor), cars: Array.isArray(cars) ? cars : [] };
+  } catch {
+    return { actor: "", cars: [] };
+  }
+}
+
 // Shows all cars of a state.
 export function showCars(state) {
   const cars = new Map();
-  for (const { actor, cars: own } of state.actors ?? []) for (const car of own) cars.set(`${actor}/${car.car}`, car);
+  for (const { actor, cars: own } of (state.actors ?? []).map(read)) for (const car of own) cars.set(`${actor}/${car.car}`, car);
   const names = [...cars.keys()].sort((a, b) => a.localeCompare(b, "en", { numeric: true }));
   const box = find("tiles");
   for (const [name, tile] of tiles) if (!cars.has(name)) {
