@@ -163,7 +163,8 @@ class HierarchicalAgent:
 
     def high_values(self, q: QFunction) -> np.ndarray:
         """Return the value of each choice of the high level at the last `observe`, `(9,)`; nothing is decided."""
-        return np.asarray(q(self._present().features.high()[None]))[0]
+        values: np.ndarray = np.asarray(q(self._present().features.high()[None]))[0]
+        return values
 
     def observe(self, pose: Pose, view: View) -> None:
         """Add a pose and the view from there to the memory (lines 6 and 13), and complete the step that led there."""
