@@ -104,8 +104,6 @@ def export_policy(
         hashes = {path.name: _sha256(path) for path in sorted(folder.iterdir())}
         whole = manifest.model_copy(update={"files": hashes})
         (folder / MANIFEST_FILE).write_text(whole.model_dump_json(indent=1) + "\n", encoding="utf-8")
-        for path in folder.iterdir():
-            path.chmod(0o644)  # safetensors writes files that only their owner may read
         return check(Bundle.load(folder), on_step=lambda done, total: progress("checking steps", done, total))
 
 
@@ -177,7 +175,7 @@ def _folder(out: Path) -> Iterator[Path]:
     folder = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
     try:
         yield folder
-        folder.chmod(0o755)
+        folder.chmod(0o755)  # that of a temporary folder is 0o700
         os.replace(folder, out)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)

@@ -30,8 +30,8 @@ def model_card(manifest: BundleManifest, steps: int) -> str:
     lines = [
         f"# {manifest.name}",
         "",
-        "Policy that drives a robot to a goal by one camera and its pose, exported by "
-        f"[zsdist](https://pypi.org/project/zsdist/) {manifest.zsdist}. Weights {manifest.weights_sha256[:16]}, vision "
+        "Policy that drives a robot to a goal by one camera and its pose, exported by zsdist "
+        f"{manifest.zsdist}. Weights {manifest.weights_sha256[:16]}, vision "
         f"{manifest.vision['network']} on {manifest.vision['encoder']}.",
         "",
         "**It is not proven on hardware.** Keep an emergency stop at hand.",

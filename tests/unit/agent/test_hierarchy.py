@@ -225,6 +225,15 @@ def test_a_greedy_choice_under_the_shield_is_the_best_allowed_one():
     assert all(decision.behaviour is Behaviour.GREEDY for decision in drive.decisions)
 
 
+def test_a_decision_has_the_masks_of_both_levels_and_the_values_of_those_that_decided():
+    drive = Drive(SCENES[0], networks(), epsilon=0.0, recorded=False, steps=20)
+    for decision in drive.decisions:
+        assert (Level.HIGH in decision.values) == decision.option_started
+        values, mask = decision.values[Level.LOW], decision.masks[Level.LOW]
+        assert decision.action == np.where(mask, values, -np.inf).argmax()
+        assert decision.masks[Level.HIGH].shape == (HIGH_ACTIONS,)
+
+
 def test_without_the_shield_only_moves_off_the_grid_are_masked():
     drive = Drive(SCENES[0], shielded=False, epsilon=1.0)
     masks = [mask for trajectory in drive.of(Level.LOW) for mask in trajectory.masks[:-1]]

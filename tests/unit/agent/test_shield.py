@@ -128,7 +128,7 @@ def test_where_everything_is_blocked_only_turns_in_place_are_left():
     judgement = shield.judge(
         known_free(np.ones((GRID.fine_size, GRID.fine_size), bool)), EAST, goals(28, 16), visited(EAST)
     )
-    assert judgement.forced
+    assert judgement.forced and judgement.stuck
     assert list(np.flatnonzero(judgement.allowed)) == [Action.TURN_LEFT_90, Action.TURN_RIGHT_90]
 
 

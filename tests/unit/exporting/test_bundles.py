@@ -20,11 +20,12 @@ def test_an_export_that_is_interrupted_leaves_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_empty_folder_is_filled_and_anyone_may_read_it(tmp_path):
+def test_an_empty_folder_is_filled_and_others_may_read_it_as_any_file(tmp_path):
+    (tmp_path / "any").touch()
     (tmp_path / "bundle").mkdir()
     export(tmp_path / "bundle")
-    modes = {path.stat().st_mode & 0o777 for path in (tmp_path / "bundle").iterdir()}
-    assert modes == {0o644} and (tmp_path / "bundle").stat().st_mode & 0o777 == 0o755
+    modes = {path.stat().st_mode for path in (tmp_path / "bundle").iterdir()}
+    assert modes == {(tmp_path / "any").stat().st_mode} and (tmp_path / "bundle").stat().st_mode & 0o777 == 0o755
 
 
 @pytest.mark.parametrize("make", [lambda path: path.write_text(""), lambda path: (path / "x").mkdir(parents=True)])
