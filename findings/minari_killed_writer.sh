@@ -6,11 +6,11 @@
 # `MinariStorage.update_episodes`, killed at random moments (SIGKILL).
 # Behaviour: for each episode `metadata.json` of the set is written three times, in place. It holds the bounds of the
 # observation space one by one, 1.4 MB for such a picture, so that most of the time goes into writing it. A kill
-# meanwhile leaves a part of it, and `MinariDataset` raises JSONDecodeError. A copy of the file put aside before each
+# meanwhile leaves a part of it, and `MinariStorage.read` raises JSONDecodeError. A copy of the file put aside before each
 # episode, or a rename over it, would keep the set.
 #
 # Output seen:
-#     20 kills: RESULT of them left a set that cannot be read
+#     20 kills: 6 of them left a set that cannot be read
 #
 # Ends with status 1 where the behaviour has changed.
 set -eu
@@ -30,7 +30,6 @@ import time
 
 import numpy as np
 from gymnasium import spaces
-from minari import MinariDataset
 from minari.data_collector import EpisodeBuffer
 from minari.dataset.minari_storage import MinariStorage
 
@@ -66,7 +65,7 @@ for kill in range(KILLS):
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
     try:
-        MinariDataset(path)
+        MinariStorage.read(path)
     except json.JSONDecodeError:
         unreadable += 1
     shutil.rmtree(path)

@@ -13,14 +13,18 @@ import os
 import random
 import signal
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 
-EPISODES = 100_000  # more than are ever driven
-LONGEST_S = 6.0  # from the first sign of an episode to the kill
-START_WITHIN_S = 600.0
-WORLD = ("sim.max_steps=30", "camera.size_px=64")
+EPISODES = 250  # more than are driven before fifty kills; the scenes of all are drawn at each start
+MOST_FINISHED = 2  # episodes that a process finishes before it is killed
+LAST = 6  # episodes that are read after a kill; older ones were read after earlier ones, and do not change
+LONGEST_S = 3.0  # from then on to the kill in an episode
+LONGEST_EXPORT_S = 0.1  # and in its export to Minari
+WITHIN_S = 900.0
+WORLD = ("sim.max_steps=15", "camera.size_px=64")
 
 
 def forked(work: Callable[[], None]) -> int:
@@ -37,15 +41,28 @@ def forked(work: Callable[[], None]) -> int:
     os._exit(status)
 
 
-def record_more(folder: Path) -> None:
-    """Resume the set in a folder until the process is killed."""
+def call(*words: str) -> None:
+    """Record with the options given, in this process."""
     from zsdist import record
 
+    given = ["random", "--scenes", "singleton", "--workers", "1", *(f"--set={setting}" for setting in WORLD), *words]
+    record.main(record.make_parser().parse_args(given))
+
+
+def warm_up() -> None:
+    """Import and compile in this process what all its children use."""
+    from zsdist.recording import minari_export
+
+    minari_export.require_minari()
+    with tempfile.TemporaryDirectory() as folder:
+        call("--episodes", "1", "--out", folder)
+
+
+def record_more(folder: Path) -> None:
+    """Resume the set in a folder until the process is killed."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    words = ["random", "--scenes", "singleton", "--episodes", str(EPISODES), "--format", "minari", "--workers", "1"]
-    words += [f"--set={setting}" for setting in WORLD] + ["--out", str(folder)]
-    words += ["--resume"] if (folder / "set.json").exists() else []
-    record.main(record.make_parser().parse_args(words))
+    resume = ["--resume"] if (folder / "set.json").exists() else []
+    call("--episodes", str(EPISODES), "--format", "minari", "--out", str(folder), *resume)
 
 
 def read_all(folder: Path, result: Path) -> None:
@@ -59,7 +76,7 @@ def read_all(folder: Path, result: Path) -> None:
 
     files = RecordedSet(folder).episodes() if (folder / "set.json").exists() else {}
     assert list(files) == list(range(len(files))), f"episodes {list(files)} have a gap"
-    for path in list(files.values())[-12:]:  # older ones were read after earlier kills, and do not change
+    for path in list(files.values())[-LAST:]:
         steps = len(read_episode(path).actions)
         with path.open("rb") as file:
             count = sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages())
@@ -70,7 +87,7 @@ def read_all(folder: Path, result: Path) -> None:
     for data in exported:
         found = minari.MinariDataset(data)
         episodes = found.total_episodes
-        for number in range(max(0, episodes - 12), episodes):
+        for number in range(max(0, episodes - LAST), episodes):
             (one,) = found.iterate_episodes([number])
             read = read_episode(files[number])
             assert (one.observations["image"] == read.pictures).all() and (one.actions == read.actions).all()
@@ -78,16 +95,18 @@ def read_all(folder: Path, result: Path) -> None:
     result.write_text(json.dumps({"episodes": len(files), "minari": episodes}))
 
 
-def kill_one(folder: Path, moment: random.Random) -> dict:
-    """Start a recording, kill it in the middle, and return what it left."""
+def kill_one(folder: Path, moment: random.Random, *, in_export: bool) -> dict:
+    """Start a recording, kill it in the middle of an episode or of its export, and return what it left."""
+    unfinished = "minari/zsdist/*/.data.partial" if in_export else ".episode-*.partial"
+    wanted = len(list(folder.glob("episode-*.mcap"))) + moment.randrange(MOST_FINISHED + 1)
     started = forked(lambda: record_more(folder))
     began_s = time.monotonic()
-    while not list(folder.glob(".episode-*.partial")):
-        assert time.monotonic() - began_s < START_WITHIN_S, "the recording did not begin"
+    while len(list(folder.glob("episode-*.mcap"))) < wanted or not list(folder.glob(unfinished)):
+        assert time.monotonic() - began_s < WITHIN_S, "the recording does not go on"
         if os.waitpid(started, os.WNOHANG)[0]:
             raise AssertionError("the recording has ended by itself")
-        time.sleep(0.02)
-    after_s = moment.uniform(0.0, LONGEST_S)
+        time.sleep(0.002)
+    after_s = moment.uniform(0.0, LONGEST_EXPORT_S if in_export else LONGEST_S)
     time.sleep(after_s)
     os.kill(started, signal.SIGKILL)
     os.waitpid(started, 0)
@@ -107,15 +126,13 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--results", type=Path, default=Path("runs/recordings.jsonl"), help="appended to")
     options = parser.parse_args()
-    import zsdist.record  # once for all children
-
-    del zsdist
+    warm_up()
     folder = options.results.with_suffix(".set")
     folder.mkdir(parents=True, exist_ok=True)
     rows = _rows(options.results)
     for number in range(len(rows), options.kills):
         before = rows[-1]["episodes"] if rows else 0
-        row = {"kill": number, **kill_one(folder, random.Random(number))}
+        row = {"kill": number, **kill_one(folder, random.Random(number), in_export=number % 2 == 1)}
         assert row["episodes"] >= before, f"of {before} finished episodes {row['episodes']} are left"
         with options.results.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")

@@ -30,7 +30,7 @@ class DriveClock:
 
     @property
     def simulated(self) -> bool:
-        """True once the topic `/clock` gives the time."""
+        """Return whether the topic `/clock` gives the time."""
         return self._simulated_s is not None
 
     def tick(self, time_ns: int) -> None:
