@@ -21,6 +21,7 @@ from zsdist.types import Pose
 CHECK_S = 0.05
 FRESH_AGAIN_S = 0.3  # everything has to be well for so long before the robot moves again
 PREDICT_MOST_S = 0.3
+SAME_GOAL_M = 0.01
 ZEROS = 5  # commands of zero at the end, lest one is lost
 ZEROS_EVERY_S = 0.02
 
@@ -258,6 +259,8 @@ class DriveLoop:
         if goal.frame.lstrip("/") not in ("", odometry.frame.lstrip("/")):
             self._say(f"a goal in frame {goal.frame!r} is left out; allowed is the odometry's frame {odometry.frame!r}")
             return
+        if self._goal is not None and math.dist(goal.position_m, self._goal) < SAME_GOAL_M:
+            return  # some say it again and again; the policy would begin anew each time
         if self._journey is not None and self._frame is not None:
             try:
                 self._frame.check_goal(goal.position_m, self._grid)

@@ -253,3 +253,12 @@ def test_pictures_that_are_none_are_told_once_and_end_the_drive(chains, monkeypa
     ]
     assert len(told) == 1 and chain.loop.outcome == "stopped" and "gave up after 3 s" in chain.loop.reason
     assert all(velocity == STANDSTILL for _, velocity in chain.commander.sent)
+
+
+def test_a_goal_that_is_said_again_and_again_changes_nothing(chains):
+    chain = chains(NEAR)
+    goals = chain.topics.node()
+    goals.subscribe("/goal_pose", None, chain.senses.slots["goal"].put)
+    publisher = goals.publisher("/goal_pose", messages.POSE_STAMPED, None)
+    chain.run(60, lambda chain: publisher.publish(messages.encode_goal(NEAR.goal, "odom")))
+    assert chain.loop.outcome == "arrived" and not any("new goal" in line for line in chain.lines)
