@@ -1,7 +1,7 @@
 # make run      set everything up, then train with the progress on screen; ARGS='...' are options of zsdist.launch
 # make test     the same set-up, then lint, unit tests and integration tests
 # make test-docs     run the commands and the Python of the documents that take long, as they are written
-# make test-browser  play a film in Chromium, where there is one
+# make test-browser  play a film and use the live view in Chromium, where there is one
 # make lint     ruff check, ruff format --check and mypy
 # make dist     build wheel and sdist in dist/, install the wheel in a clean environment elsewhere, and use it there
 # make endurance  a month of a run without simulation, and 4,096 actors of one; DAYS=N makes the month shorter
@@ -119,7 +119,9 @@ test: lint
 test-docs: install
 	$(BIN)/python -m pytest tests/documents -q
 
+# Playwright drives the Chromium that is installed; it brings none. axe has the rules of accessibility.
 test-browser: install
+	$(BIN)/python -m pip install --quiet axe-playwright-python==0.1.8 playwright==1.65.2
 	$(BIN)/python -m pytest tests/browser -q -rs
 
 # The wheel is built from the sdist, so both are checked. The program runs outside the checkout, with nothing else on

@@ -46,7 +46,7 @@ def main() -> None:
     add("--scenes", type=int, default=40, help="scenes of each split (default: 40)")
     add("--faults", type=int, default=50, help="cuts of each kind (default: 50)")
     add("--steps", type=int, default=1_000_000, help="steps of the limits (default: a million)")
-    virtual = "drive pairs in this process, on a virtual clock and over topics in memory; ten times quicker"
+    virtual = "pairs and faults in this process, on a virtual clock and over topics in memory; ten times quicker"
     add("--virtual", action="store_true", help=virtual)
     add("--speed", type=float, default=8.0, help="times real time in pairs, at most (default: 8)")
     add("--out", type=Path, default=Path("runs/robot"), help="folder of what was measured (default: runs/robot)")
@@ -57,6 +57,9 @@ def main() -> None:
     ratios: dict[str, float] = {}
     if "limits" in options.only:
         figures |= limits(options.steps)
+    if "faults" in options.only and options.virtual:
+        figures |= summary([virtual_fault(cut, seed) for cut in CUTS for seed in range(options.faults)])
+        options.only = [part for part in options.only if part != "faults"]
     if set(options.only) & {"pairs", "faults"}:
         options.out.mkdir(parents=True, exist_ok=True)
         bundle = options.bundle or exported(options.out / "bundle")
@@ -352,6 +355,11 @@ def faults(bundle: Path, count: int, file: Path) -> dict[str, float]:
                         left[cut] -= 1
         finally:
             drive.close()
+    return summary(rows)
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """Return middle and worst times of the cuts."""
     figures: dict[str, float] = {}
     for cut in CUTS:
         those = [row for row in rows if row["cut"] == cut]
@@ -360,6 +368,42 @@ def faults(bundle: Path, count: int, file: Path) -> dict[str, float]:
             figures[f"{cut}_{what}_p50"], figures[f"{cut}_{what}_max"] = float(np.median(times)), max(times)
         figures[f"{cut}_count"] = len(those)
     return figures
+
+
+def virtual_fault(cut: str, seed: int) -> dict[str, Any]:
+    """Return what `one_fault` returns, of robot and driver in one thread; the driver knows only to go straight on."""
+    sys.path.append(str(Path(__file__).parents[1] / "tests"))
+    from robots import Chain, Straight
+
+    from zsdist.config import parse
+    from zsdist.piloting.limits import STANDSTILL
+    from zsdist.piloting.loop import DriveSettings
+    from zsdist.planning.grid import Grid
+    from zsdist.sim.scenes.scene import Scene, Start
+
+    rng = np.random.default_rng([seed, *cut.encode()])
+    scene = Scene("lane", "asphalt", Start(-8.4375, 0.3125, 0.0), (8.4375, 0.3125), ())
+    settings = DriveSettings(goal=scene.goal, armed=True)
+    small = parse({"camera": {"size_px": 32}})
+    chain = Chain(scene, Straight(Grid()), Grid(), settings, config=small)
+    chain.run(float(rng.uniform(3, 8)))
+    chain.run(60, lambda chain: chain.robot.speed_mps > rng.uniform(0.3, 0.7))
+    speed, cut_s = chain.robot.speed_mps, chain.topics.time_s
+    chain.commander.connected = cut != "router"
+    chain.topics.lost |= {"pictures": {"/camera/image/compressed"}, "odometry": {"/odom"}}.get(cut, set())
+    if cut == "router":
+        chain.topics.lost |= {"/camera/image/compressed", "/odom", "/clock"}
+    stands_s = math.nan
+    while chain.topics.time_s < cut_s + 1.5:
+        chain.step()
+        stands = abs(chain.robot.speed_mps) < 0.05
+        stands_s = (chain.topics.time_s - cut_s if math.isnan(stands_s) else stands_s) if stands else math.nan
+    zeros = [at_s - cut_s for at_s, velocity in chain.commander.sent if at_s > cut_s and velocity == STANDSTILL]
+    chain.robot.close()
+    row = {"cut": cut, "speed_mps": round(speed, 3), "zero_s": round(min(zeros, default=99.0), 3)}
+    row["stands_s"] = 99.0 if math.isnan(stands_s) else round(stands_s, 3)
+    print(row, flush=True)
+    return row
 
 
 def one_fault(drive: FaultyDrive, cut: str, wait_s: float) -> dict[str, Any]:

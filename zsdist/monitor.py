@@ -2,13 +2,14 @@
 
 import argparse
 import json
+import threading
 import time
 from contextlib import closing
 from pathlib import Path
 
 from zsdist.common import cli
 from zsdist.common.console import PlainConsole, say
-from zsdist.common.http_address import http_address
+from zsdist.common.http_address import LOOPBACK, HttpAddress, http_address
 from zsdist.errors import RunError, TransportError
 from zsdist.roles import permissions
 from zsdist.run import life as lives
@@ -23,6 +24,7 @@ from zsdist.transport.zenoh import ZenohTransport
 LOST = 1  # exit status: the run is gone without having ended
 STARTS_WITHIN_S = 180.0  # time from the folder of a run to its hub
 LOOK_EVERY_S = 0.5
+WEB_PORT = 8090
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -41,6 +43,8 @@ def make_parser() -> argparse.ArgumentParser:
     add("--plain", action="store_true", help="print lines, also on a terminal")
     metrics = "serve the figures to Prometheus at 127.0.0.1:PORT or HOST:PORT, of one run after the other"
     add("--prometheus", type=http_address, metavar="PORT", help=metrics)
+    web = f"show runs in a browser on this machine, at 127.0.0.1:PORT (default: {WEB_PORT})"
+    add("--web", type=_port, nargs="?", const=WEB_PORT, metavar="PORT", help=web)
     return parser
 
 
@@ -48,6 +52,8 @@ def main(options: argparse.Namespace) -> int:
     """Show a run until it ends or until Ctrl-C, or once; return 1 where it is gone without having ended."""
     if options.prometheus is not None:
         return _export(options)
+    if options.web is not None:
+        return _serve_pages(options)
     if options.connect is None:
         return _watch_folder(options, lives.find(options.runs, options.run))
     with closing(_connect(options.connect, options.tls)) as transport:
@@ -65,9 +71,7 @@ def main(options: argparse.Namespace) -> int:
 
 def _export(options: argparse.Namespace) -> int:
     """Serve the metrics of one run after the other, until a signal; a run that is not there yet is waited for."""
-    for name in ("once", "json", "plain"):
-        if getattr(options, name):
-            raise RunError(f"--{name} cannot be combined with --prometheus, which shows nothing here")
+    _refuse_display(options, "prometheus", "web")
     if options.connect is not None:
         _identity(options.connect, options.tls)  # what is wrong with the certificate is said at once
     from zsdist.telemetry import prometheus
@@ -78,16 +82,44 @@ def _export(options: argparse.Namespace) -> int:
     return 0
 
 
+def _serve_pages(options: argparse.Namespace) -> int:
+    """Show runs in a browser, until a signal."""
+    _refuse_display(options, "web")
+    if options.connect is not None:
+        _identity(options.connect, options.tls)  # what is wrong with the certificate is said at once
+    from zsdist.web.server import WebServer
+    from zsdist.web.source import RunsSource
+
+    source = RunsSource(lambda life: _open_run(options, life), options.runs, options.run, options.connect or "")
+    with WebServer(HttpAddress(LOOPBACK, options.web), source) as server:
+        port = server.where.port
+        say(f"live view at {server.where.url('')}; Ctrl-C ends it, which no run notices")
+        say(f"from another machine: ssh -N -L {port}:{LOOPBACK}:{port} USER@THIS_MACHINE, then the same address there")
+        threading.Event().wait()
+    return 0
+
+
+def _refuse_display(options: argparse.Namespace, server: str, *others: str) -> None:
+    """Raise an error where an option of the display stands beside a server."""
+    for name in ("once", "json", "plain", *others):
+        if getattr(options, name) not in (None, False):
+            raise RunError(f"--{name} cannot be combined with --{server}, which shows nothing here")
+
+
 def _find(options: argparse.Namespace) -> tuple[str, Transport]:
     """Return the name of a run that goes on and a connection to its hub; raise an error where there is none."""
-    if options.connect is not None:
+    return _open_run(options, None if options.connect is not None else lives.find(options.runs, options.run))
+
+
+def _open_run(options: argparse.Namespace, life: RunLife | None) -> tuple[str, Transport]:
+    """Return the name of a run and a connection to its hub; None stands for the hub that `--connect` names."""
+    if life is None:
         transport = _connect(options.connect, options.tls)
         try:
             return options.run or watching.only_run(transport, options.connect), transport
         except RunError:
             transport.close()
             raise
-    life = lives.find(options.runs, options.run)
     if life.ended or life.killed:
         raise RunError(f"run {life.title} has ended or was killed")
     reached = _reach(options, life)
@@ -127,7 +159,7 @@ def _watch_folder(options: argparse.Namespace, life: RunLife) -> int:
         time.sleep(LOOK_EVERY_S)
         life = lives.read(life.folder)
     if options.once and options.json:
-        print(json.dumps(_ended_fields(life), indent=1))
+        print(json.dumps(life.ended_fields(), indent=1))
     else:
         say(life.farewell(), error=options.json)
     return 0
@@ -203,16 +235,11 @@ def _say_lost(life: RunLife) -> int:
     return LOST
 
 
-def _ended_fields(life: RunLife) -> dict[str, object]:
-    """Return the fields of `--once --json` for a run that has ended."""
-    return {
-        "run": life.name,
-        "ended": life.summary(),
-        "last_seen": lives.clock(life.seen_s),
-        "alive": [],
-        "figures": {},
-        "roles": {},
-    }
+def _port(text: str) -> int:
+    """Return the value of an option that is a port on this machine."""
+    if not (text.isascii() and text.isdecimal()) or not 0 < int(text) < 2**16:
+        raise argparse.ArgumentTypeError(f"value is {text!r}; allowed is a port from 1 to 65535, such as {WEB_PORT}")
+    return int(text)
 
 
 if __name__ == "__main__":

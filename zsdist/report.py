@@ -27,6 +27,8 @@ def make_parser() -> argparse.ArgumentParser:
     )
     page = "folder of the page (default: runs/report)"
     parser.add_argument("--out", type=cli.path, metavar="DIR", default=Path("runs/report"), help=page)
+    html = "write the page as one HTML file too, with its pictures inside"
+    parser.add_argument("--html", action="store_true", help=html)
     vision = parser.add_argument_group("vision, instead of runs")
     vision.add_argument("--vision", action="store_true", help="report on the visual-act model")
     vision.add_argument("--config", type=cli.configuration, metavar="FILE", help="preset or file: camera and weights")
@@ -47,6 +49,10 @@ def main(options: argparse.Namespace) -> int:
         raise RunError(f"--{given[0]} is for --vision; a run has its own configuration; remove the option")
     page = _write_vision(options) if options.vision else _write_runs(options)
     say(f"page: {page}")
+    if options.html:
+        from zsdist.reporting import html
+
+        say(f"page: {html.write(page)}")
     return 0
 
 

@@ -15,7 +15,7 @@ ROWS = (  # a unit may import from rows above its own in this list; within a row
     {"driving", "datasets", "recording"},
     {"roles", "runtime"},
     {"evaluation", "run", "piloting"},
-    {"reporting", "diagnostics", "exporting"},
+    {"reporting", "diagnostics", "exporting", "web"},
     {"pretraining"},
     {
         "launch",

@@ -20,6 +20,7 @@ from zsdist.config import CameraConfig, parse
 from zsdist.errors import SimulationError, TransportError
 from zsdist.recording.log import Log
 from zsdist.replay.journal import Journal
+from zsdist.ros2.node import RosNode
 from zsdist.run.board import Board
 from zsdist.run.directory import RunDirectory
 from zsdist.run.episodes_file import EpisodesFile
@@ -80,6 +81,7 @@ OWNED = {  # copies and pickles are refused
     "EpisodesFile": lambda folder: EpisodesFile(folder / "episodes.jsonl"),
     "FiguresFile": lambda folder: FiguresFile(folder / "figures.jsonl"),
     "Log": lambda folder: Log(folder / "log.mcap"),
+    "RosNode": lambda folder: RosNode("node", connect=folder.hub.endpoint),
     "RunDirectory": run_directory,
     "ZenohHub": lambda folder: ZenohHub(free_endpoint()),
     "ZenohTransport": lambda folder: ZenohTransport(folder.hub.endpoint),
@@ -93,11 +95,14 @@ TESTED_WITH_THEIR_OWNER = {
     "Runner": "the transports of its roles",
     "Link": "ZenohTransport",
     "Fetcher": "ZenohTransport",
+    "Logbook": "its Log",
+    "RosPublisher": "its RosNode",
+    "SimulatedRobot": "its RosNode and its World",
     "Exporter": "its server, which holds no file (tests/unit/telemetry/test_prometheus.py)",
 }
-HOLDS_NOTHING = {  # `close` ends a stream, an epoch or a bar; or an interface; or a process of Ray
-    "ActorOutboxes", "Camera", "CameraEnv", "Display", "Inbox", "Limiter", "Outbox", "PretrainingProgress", "Recorder",
-    "RoleHost", "StepProgress", "TrajectoryBuilder", "Transport",
+HOLDS_NOTHING = {  # `close` ends a stream, an epoch, a bar or a thread; or an interface; or a process of Ray
+    "ActorOutboxes", "Camera", "CameraEnv", "Display", "DriveLoop", "Inbox", "Limiter", "Outbox",
+    "PretrainingProgress", "Recorder", "RoleHost", "StepProgress", "TrajectoryBuilder", "Transport", "_ThreadedPolicy",
 }  # fmt: skip
 
 

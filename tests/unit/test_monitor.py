@@ -122,6 +122,40 @@ def test_figures_are_served_to_prometheus_until_a_signal(capsys, hub, speaker):
     assert 'zsdist_actor_env_steps_total{host="here",id="0",level="",run="demo"} 7.0' in read[-1]
 
 
+def test_the_live_view_is_served_in_a_browser_until_a_signal(capsys, hub, speaker):
+    port = int(free_endpoint().rpartition(":")[2])
+    read = []
+
+    def browse():
+        for _ in range(400):
+            with contextlib.suppress(OSError):
+                page = urllib.request.urlopen(f"http://127.0.0.1:{port}/snapshot.json", timeout=10)
+                read.append(json.loads(page.read()))
+                break
+            threading.Event().wait(0.05)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    browsing = threading.Thread(target=browse)
+    browsing.start()
+    status, printed = run(capsys, "--connect", hub.endpoint, "--web", port)
+    browsing.join()
+    assert status == 130 and f"live view at http://127.0.0.1:{port}/" in printed.out
+    assert f"ssh -N -L {port}:127.0.0.1:{port}" in printed.out
+    assert read[0]["run"] == "demo" and read[0]["roles"]["actor/0"] == STATISTICS
+
+
+@pytest.mark.parametrize("text", ["0", "65536", "-1", "x", "127.0.0.1:80"])
+def test_the_live_view_is_for_this_machine_so_that_only_a_port_is_named(capsys, text):
+    status, printed = run(capsys, f"--web={text}")
+    assert status == cli.REFUSED and repr(text) in printed.err
+
+
+@pytest.mark.parametrize("option", ["--once", "--json", "--plain"])
+def test_an_option_of_the_display_is_refused_where_pages_are_served(capsys, option):
+    status, printed = run(capsys, "--web", "8091", option)
+    assert status == cli.REFUSED and f"{option} cannot be combined with --web" in printed.err
+
+
 @pytest.mark.parametrize("option", ["--once", "--json", "--plain"])
 def test_an_option_of_the_display_is_refused_where_figures_are_served(capsys, option):
     status, printed = run(capsys, "--prometheus", "9464", option)

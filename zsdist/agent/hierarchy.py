@@ -156,6 +156,16 @@ class HierarchicalAgent:
         """Believed map of the episode."""
         return self._memory.belief
 
+    @property
+    def high_choices(self) -> Choices:
+        """Choices of the high level at the last `observe` of the episode."""
+        return self._present().options
+
+    def high_values(self, q: QFunction) -> np.ndarray:
+        """Return the value of each choice of the high level at the last `observe`, `(9,)`; nothing is decided."""
+        values: np.ndarray = np.asarray(q(self._present().features.high()[None]))[0]
+        return values
+
     def observe(self, pose: Pose, view: View) -> None:
         """Add a pose and the view from there to the memory (lines 6 and 13), and complete the step that led there."""
         before = self._now

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from zsdist.agent.hierarchy import HierarchicalAgent, QFunctions
+from zsdist.agent.hierarchy import Decision, HierarchicalAgent, QFunctions
 from zsdist.agent.recorder import Recorder
 from zsdist.config import Config
 from zsdist.driving.episode import DrivingEnv, Episode
@@ -43,6 +43,15 @@ class EpisodeTask:
     def trains(self) -> bool:
         """True for a training episode, whose transitions are learned from."""
         return not self.candidate
+
+
+@dataclass(frozen=True)
+class Glance:
+    """Last decision of a car that drives, with the pose and the view on which it rests."""
+
+    pose: Pose
+    view: View
+    decision: Decision
 
 
 class CameraEnv(DrivingEnv, Protocol):
@@ -84,11 +93,17 @@ class ActorCar:
     Args:
         env: simulation of the car.
         config: configuration of the run; grid, simulation, camera, agent and rewards are used.
+
+    Attributes:
+        env: simulation of the car.
+        agent: agent that decides.
+        glance: last decision of the episode; None before the first.
     """
 
     def __init__(self, env: CameraEnv, config: Config) -> None:
         self.env = env
-        self._agent = HierarchicalAgent(agent_settings(config))
+        self.agent = HierarchicalAgent(agent_settings(config))
+        self.glance: Glance | None = None
         self._recorder_settings = recorder_settings(config)
         self._drive: _Drive | None = None
 
@@ -111,6 +126,11 @@ class ActorCar:
     def over(self) -> bool:
         """True once the episode has ended; its last state may still have to be observed."""
         return self._driven().episode.over
+
+    @property
+    def episode(self) -> Episode:
+        """Episode that is driven."""
+        return self._driven().episode
 
     @property
     def candidate_q(self) -> QFunctions | None:
@@ -143,12 +163,12 @@ class ActorCar:
             versions: versions of the present weights, by level.
             candidate_q: Q-functions of the candidate that drives to the end; None in training.
         """
-        episode = Episode(self.env, task.scene, task.most_steps)
+        episode, self.glance = Episode(self.env, task.scene, task.most_steps), None
         still = task.trains and not task.scene.walkers()
         scene_hash = task.scene.hash() if still else None
         recorder = Recorder(self._recorder_settings, versions) if task.trains else None
         self._drive = _Drive(task, episode, scene_hash, candidate_q, versions, recorder)
-        self._agent.begin(
+        self.agent.begin(
             episode.pose,
             episode.goal,
             epsilon=task.epsilon,
@@ -160,11 +180,13 @@ class ActorCar:
     def advance(self, view: View, q: QFunctions) -> None:
         """Observe, decide and drive one action; if the episode is over, observe its last state and finish it."""
         episode = self._driven().episode
-        self._agent.observe(episode.pose, view)
+        self.agent.observe(episode.pose, view)
         if episode.over:
-            self._agent.finish()
+            self.agent.finish()
         else:
-            self._agent.result(*episode.step(int(self._agent.act(q).action)))
+            decision = self.agent.act(q)
+            self.glance = Glance(episode.pose, view, decision)
+            self.agent.result(*episode.step(int(decision.action)))
 
     def drain(self) -> list[Trajectory]:
         """Return the trajectories finished since the last call; none where nothing is learned from the task."""
@@ -176,7 +198,7 @@ class ActorCar:
 
         The episode does not count.
         """
-        self._agent.finish()
+        self.agent.finish()
         trajectories = self.drain()
         self._drive = None
         return trajectories
@@ -205,7 +227,7 @@ class ActorCar:
             "epsilon": round(task.epsilon, 4),
             "shielded": task.shielded,
             **{f"{level}_version": version for level, version in drive.versions.items()},
-            **self._agent.statistics(),
+            **self.agent.statistics(),
             "start": [round(float(value), 3) for value in path[0]],
             "goal": [round(value, 3) for value in episode.goal],
             "path": [[round(float(x), 2), round(float(y), 2)] for x, y in path],

@@ -98,7 +98,7 @@ def export_policy(
         )
         vision = VisionIdentity.of(visual_act, settings.vision.network)
         manifest = _manifest(policy, name, vision, graphs).model_copy(
-            update={"trained_on": trained_on, "evaluated": tuple(evaluated)}
+            update={"trained_on": trained_on, "evaluated": evaluated}
         )
         (folder / CARD_FILE).write_text(model_card(manifest, steps), encoding="utf-8")
         hashes = {path.name: _sha256(path) for path in sorted(folder.iterdir())}
@@ -140,7 +140,7 @@ def _manifest(policy: Policy, name: str, vision: VisionIdentity, graphs: dict[st
             speed_mps=GAINS.speed_most_mps,
         ),
         trained_on={},
-        evaluated=(),
+        evaluated={},
     )
 
 

@@ -78,7 +78,7 @@ def model_card(manifest: BundleManifest, steps: int) -> str:
     return "\n".join(lines)
 
 
-def _evaluated(results: tuple[dict[str, Any], ...]) -> list[str]:
+def _evaluated(results: dict[str, dict[str, Any]]) -> list[str]:
     if not results:
         return [
             "Nothing that is recorded here. `zsdist evaluate POLICY --scenes SCENES --json FILE` evaluates, and "
@@ -90,9 +90,9 @@ def _evaluated(results: tuple[dict[str, Any], ...]) -> list[str]:
         "| scenes | n | success | collision | timeout | SPL |",
         "|---|---|---|---|---|---|",
     ]
-    for result in results:
+    for scenes, result in results.items():
         cells = [_cell(result[name], result[f"{name}_95"]) for name in _FIGURES]
-        lines.append(f"| {result['scenes']} | {result['episodes']} | {' | '.join(cells)} |")
+        lines.append(f"| {scenes} | {result['episodes']} | {' | '.join(cells)} |")
     return lines
 
 
@@ -104,6 +104,5 @@ def _cell(value: float | None, interval: list[float] | None) -> str:
 
 def _families_left(manifest: BundleManifest) -> list[str]:
     """Return a line with the families of scenes of the package that the policy was not evaluated on."""
-    tried = {result["scenes"] for result in manifest.evaluated}
-    left = [family for family in places.FAMILIES if family.startswith("ood-") and family not in tried]
+    left = [family for family in places.FAMILIES if family.startswith("ood-") and family not in manifest.evaluated]
     return [f"simulated scenes of {', '.join(left)}"] if left else []

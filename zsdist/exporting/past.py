@@ -31,8 +31,8 @@ def training_of(policy: Policy) -> dict[str, Any]:
     }
 
 
-def evaluations_of(policy: Policy, files: Sequence[Path]) -> list[dict[str, Any]]:
-    """Return how a policy did on test scenes, one entry for each set of scenes.
+def evaluations_of(policy: Policy, files: Sequence[Path]) -> dict[str, dict[str, Any]]:
+    """Return how a policy did on test scenes, by the name of the scenes; of two results on the same the later counts.
 
     Args:
         policy: policy whose run directory is searched too.
@@ -53,8 +53,7 @@ def evaluations_of(policy: Policy, files: Sequence[Path]) -> list[dict[str, Any]
                 "POLICY --json FILE` writes for the policy that is exported"
             )
         found += results
-    latest = {result["scenes"]: _short(result) for result in found}
-    return list(latest.values())
+    return {Path(result["scenes"]).name: _short(result) for result in found}  # a folder without its place
 
 
 def _results(file: Path) -> list[dict[str, Any]]:
@@ -81,7 +80,7 @@ def _is_of(policy: Policy, result: dict[str, Any]) -> bool:
 
 def _short(result: dict[str, Any]) -> dict[str, Any]:
     """Return the figures of a result that belong in a manifest, rounded."""
-    short = {name: result[name] for name in ("scenes", "episodes", "seed")}
+    short = {name: result[name] for name in ("episodes", "seed")}
     for name in FIGURES:
         interval = result["confidence_95"].get(name)
         short[name] = None if result[name] is None else round(result[name], 4)

@@ -39,7 +39,7 @@ class PolicyDecision(Protocol):
 
     @property
     def arrived(self) -> bool:
-        """Whether the goal is reached."""
+        """Return whether the goal is reached."""
 
     @property
     def no_way(self) -> str | None:

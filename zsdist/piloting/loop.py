@@ -130,6 +130,7 @@ class DriveLoop:
         self._fault_since_s = monotonic()
         self._fault_over_s: float | None = None
         self._started_s: float | None = None
+        self._left_out, self._left_out_s = "", math.inf
 
     def run(self) -> None:
         """Drive until the goal is reached or the drive cannot go on."""
@@ -314,14 +315,26 @@ class DriveLoop:
         except DecodeError as error:
             self._senses.picture = None
             self._senses.undecodable += 1
-            self._say(f"picture left out: {error}")
             self._command(STANDSTILL)
+            self._leave_out(error)
+        else:
+            if journey.phase is JourneyPhase.DECIDE:
+                self._left_out, self._left_out_s = "", math.inf
         if journey.phase is JourneyPhase.ARRIVED and self._settings.goal is None:
             if self._goal is not None:
                 self._goal = None
                 self._say(f"{self._elapsed_s():7.1f} s  the goal is reached; waiting for another one")
         elif journey.over:
             self._end("arrived" if journey.phase is JourneyPhase.ARRIVED else "stopped", journey.reason)
+
+    def _leave_out(self, error: DecodeError) -> None:
+        """Say once why pictures are left out, and end the drive where none has been any good for long."""
+        mono_s = self._monotonic()
+        if error.reason != self._left_out:
+            self._say(f"{self._elapsed_s():7.1f} s  picture left out: {error}")
+        self._left_out, self._left_out_s = error.reason, min(self._left_out_s, mono_s)
+        if mono_s - self._left_out_s > self._settings.give_up_s:
+            self._end("stopped", f"{error}; gave up after {self._settings.give_up_s:g} s")
 
     def _stand(self, mono_s: float) -> None:
         """Command zero, whatever the drive wants."""

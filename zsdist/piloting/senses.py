@@ -1,4 +1,4 @@
-"""What a driver hears: newest pictures, odometry, goals, the dead man's switch, the clock, and other commanders."""
+"""Senses of a driver: newest pictures, odometry, goals, the dead man's switch, the clock, and other commanders."""
 
 import math
 from collections.abc import Callable
@@ -30,7 +30,7 @@ class DriveClock:
 
     @property
     def simulated(self) -> bool:
-        """Whether the topic `/clock` gives the time."""
+        """Return whether the topic `/clock` gives the time."""
         return self._simulated_s is not None
 
     def tick(self, time_ns: int) -> None:

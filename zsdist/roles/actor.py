@@ -13,6 +13,7 @@ from zsdist.errors import DecodeError, RunError, WeightsError
 from zsdist.roles import schemas
 from zsdist.roles.actor_outboxes import ActorOutboxes, CreditAccount
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
+from zsdist.roles.car_views import CarViews
 from zsdist.roles.drive_share import DriveShare
 from zsdist.roles.schemas import ActorJobs, ActorOrders
 from zsdist.roles.shapes import SHAPES
@@ -73,6 +74,9 @@ class Actor(Role):
         self.transport.subscribe(keys.candidate(run, keys.ANY, keys.ANY), self._news, retained=True)
         self.transport.subscribe(keys.control(run, "actor"), self._orders, retained=True)
         self.transport.subscribe(keys.evaluation(run, context.name), self._orders, retained=True)
+        questions = self.mailbox("view")
+        self.transport.serve(keys.view(run, context.name, keys.ANY), questions)
+        self._views = CarViews(questions, context.name, context.config)
 
     def work(self, now: float) -> float:
         """Drive one action of every car that may act, and send what is due."""
@@ -89,6 +93,7 @@ class Actor(Role):
             self.perception.close()
             self._outboxes.close()
         self._outboxes.flush(self.transport, now)
+        self._views.answer(now, self.cars, self._online_q)
         self.finished = self._outboxes.drained
         return now if ready else min([now + HEARTBEAT_S, *self._outboxes.wakes(now)])
 

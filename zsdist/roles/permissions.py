@@ -72,7 +72,8 @@ def access_list(actors: int, certified: Iterable[str] = (), *, shards: int = 1, 
     trusted = Grant(TRUSTED, *[EVERYTHING] * 6)
     hub = Grant(HUB, publish=(keys.stats(ANY, "hub", ANY), keys.events(ANY)), alive=(keys.alive(ANY, "hub", ANY),))
     hub = replace(hub, relay=EVERYTHING) if hubs > 1 else hub
-    monitor = Grant(MONITOR, subscribe=(*WATCHED, keys.weights(ANY, ANY)), watch=TOKENS)
+    subscribed = (*WATCHED, keys.weights(ANY, ANY))
+    monitor = Grant(MONITOR, subscribe=subscribed, request=(keys.view(ANY, ANY, ANY),), watch=TOKENS)
     return [trusted, hub, monitor, _replay(shards), *map(_learner, Level), *map(_actor, own + joining)]
 
 
@@ -127,6 +128,7 @@ def _actor(name: str) -> Grant:
             keys.control(ANY, "actor"),
             keys.evaluation(ANY, name),
         ),
+        serve=(keys.view(ANY, name, ANY),),
         request=(keys.join(ANY, name),),
         alive=(keys.alive(ANY, "actor", identifier),),
         watch=(keys.alive(ANY, "scheduler", ANY),),

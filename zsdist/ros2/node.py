@@ -87,7 +87,7 @@ class RosPublisher:
 
     @property
     def matched(self) -> bool:
-        """Whether somebody subscribes to it."""
+        """Return whether somebody subscribes to it."""
         status = self._publisher.matching_status
         return bool(getattr(status, "matching", status))  # an object, other than zenoh's types say
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from zsdist import __version__, config
-from zsdist.common import atomic_files, commands, folders, json_lines, locks, output_files, strict_yaml
+from zsdist.common import atomic_files, commands, folders, json_lines, locks, output_files
 from zsdist.common.ownership import Owned
 from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
@@ -242,10 +242,14 @@ class RunDirectory(Owned):
             self._episodes = EpisodesFile(folder / "episodes.jsonl")
             self._figures = FiguresFile(folder / "metrics.jsonl")
             self._board = board.Board(folder / "tensorboard")
-            settings = (folder / location.CONFIG_FILE).read_text(encoding="utf-8")
-            self._board.add_settings(settings, strict_yaml.load(settings))
         self._close = weakref.finalize(self, _close, os.getpid(), self._episodes, self._figures, self._board)
         self._close.atexit = False
+
+    def show_settings(self, settings: Config) -> None:
+        """Show the configuration on TensorBoard, which can compare runs by it."""
+        self.check_process()
+        with _written(self.folder):
+            self._board.add_settings(config.dump(settings), settings.model_dump(mode="json"))
 
     def episode(self, record: dict[str, Any]) -> None:
         """Append one line to `episodes.jsonl`, unless it is there already.

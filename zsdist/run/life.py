@@ -89,6 +89,21 @@ class RunLife:
             raise RunError(f"{path} is not a run's summary; allowed is a JSON object")
         return content
 
+    def ended_fields(self) -> dict[str, Any]:
+        """Return the fields of `zsdist.monitor --once --json` for a run that has ended.
+
+        Raises:
+            RunError: its summary is damaged.
+        """
+        return {
+            "run": self.name,
+            "ended": self.summary(),
+            "last_seen": clock(self.seen_s),
+            "alive": [],
+            "figures": {},
+            "roles": {},
+        }
+
     def settings(self) -> config.Config:
         """Return its configuration.
 

@@ -190,7 +190,9 @@ class RunSpec:
         """Open the files of the run, as the scheduler writes them."""
         from zsdist.run.directory import RunDirectory
 
-        return RunDirectory(self.folder, self.vision, self.config.run.checkpoints_kept)
+        files = RunDirectory(self.folder, self.vision, self.config.run.checkpoints_kept)
+        files.show_settings(self.config)
+        return files
 
     def context(self, role_spec: RoleSpec, transport: Transport, wake: threading.Event) -> Context:
         """Return the context of one role."""

@@ -19,13 +19,13 @@ Length = Annotated[float, Field(gt=0, le=1000)]
 Pixels = Annotated[int, Field(ge=32, le=4096)]
 
 
-class Part(BaseModel):
+class ManifestPart(BaseModel):
     """Part of a manifest, frozen; an entry that it does not know is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class BundleCamera(Part):
+class BundleCamera(ManifestPart):
     """Camera that the policy expects: a pinhole without distortion, level, looking along the robot's heading.
 
     Attributes:
@@ -51,7 +51,7 @@ class BundleCamera(Part):
     encoding: Literal["rgb8"] = "rgb8"
 
 
-class BundleFootprint(Part):
+class BundleFootprint(ManifestPart):
     """Box that the policy keeps free of obstacles, around the robot's centre and along its heading.
 
     Attributes:
@@ -65,7 +65,7 @@ class BundleFootprint(Part):
     margin_m: Annotated[float, Field(ge=0, le=10)]
 
 
-class BundleAction(Part):
+class BundleAction(ManifestPart):
     """One action: a turn in place, then an advance.
 
     Attributes:
@@ -81,7 +81,7 @@ class BundleAction(Part):
     forward_diagonal_m: float
 
 
-class GraphPort(Part):
+class GraphPort(ManifestPart):
     """Input or output of a network.
 
     Attributes:
@@ -99,7 +99,7 @@ class GraphPort(Part):
     meaning: str
 
 
-class BundleGraph(Part):
+class BundleGraph(ManifestPart):
     """Network of a bundle, an ONNX file.
 
     Attributes:
@@ -115,7 +115,7 @@ class BundleGraph(Part):
     outputs: tuple[GraphPort, ...]
 
 
-class BundleLimits(Part):
+class BundleLimits(ManifestPart):
     """Limits within which the policy was trained; a robot that exceeds them is outside of what was tried.
 
     Attributes:
@@ -129,7 +129,7 @@ class BundleLimits(Part):
     speed_mps: Length
 
 
-class BundleManifest(Part):
+class BundleManifest(ManifestPart):
     """Content of `manifest.json`.
 
     Attributes:
@@ -148,7 +148,7 @@ class BundleManifest(Part):
         settings: settings on which a decision depends, by section, as in a configuration.
         limits: limits within which the policy was trained.
         trained_on: what the policy was trained on.
-        evaluated: success on test scenes, one entry for each set of scenes, with 95% intervals.
+        evaluated: success on test scenes by the name of the scenes, with 95% intervals.
     """
 
     format: Literal[1]
@@ -166,7 +166,7 @@ class BundleManifest(Part):
     settings: dict[str, dict[str, Any]]
     limits: BundleLimits
     trained_on: dict[str, Any]
-    evaluated: tuple[dict[str, Any], ...]
+    evaluated: dict[str, dict[str, Any]]
 
 
 def decisive_settings(settings: Config) -> dict[str, dict[str, Any]]:

@@ -4,6 +4,7 @@ import json
 from collections import deque
 from collections.abc import Callable, Collection, Iterable
 from operator import itemgetter
+from typing import Any
 
 from zsdist.transport.base import Message
 from zsdist.types import Level
@@ -12,7 +13,8 @@ from zsdist.wire.codec import MAX_COUNT
 
 Fields = dict[str, float | str]
 # Fields of statistics that are words; all others are numbers.
-WORDS = ("role", "id", "host", "stage", "states_awaited", "endpoint")
+WORDS = frozenset(("role", "id", "host", "stage", "states_awaited", "endpoint"))
+_NUMBERS = frozenset((int, float))  # as JSON is read; a truth value is none
 MAX_BYTES, MAX_ROLES = 65_536, 8192  # size of one message, and number of roles that are kept
 HISTORY = 12  # number of a role's last statistics from which its rates are computed
 
@@ -194,7 +196,7 @@ def _read(payload: bytes) -> Fields | None:
         return None
     if not isinstance(fields, dict):
         return None
-    flat = all(keys.is_name(name) and (_is_number(value) or _is_word(value)) for name, value in fields.items())
+    flat = all(map(keys.is_name, fields)) and all(_is_number(value) or _is_word(value) for value in fields.values())
     return fields if flat else None
 
 
@@ -208,6 +210,6 @@ def _is_word(value: object) -> bool:
     return isinstance(value, str) and len(value) <= 200 and value.isprintable()
 
 
-def _is_number(value: object) -> bool:
+def _is_number(value: Any) -> bool:
     """Return whether a value is a number, finite and so small that sums of several stay finite."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < MAX_COUNT
+    return type(value) in _NUMBERS and abs(value) < MAX_COUNT

@@ -6,6 +6,7 @@ all names.
 """
 
 import re
+from functools import lru_cache
 from typing import NamedTuple
 
 from zsdist.errors import ProtocolError
@@ -31,6 +32,7 @@ _FORMS: dict[str, tuple[str, ...]] = {
     "events": (),
     "alive": ("role", "id"),
     "join": ("actor",),
+    "view": ("actor", "car"),
 }
 _SHARDED = (
     "sample",
@@ -46,6 +48,7 @@ class ParsedKey(NamedTuple):
     fields: dict[str, str]
 
 
+@lru_cache(maxsize=4096)  # watchers ask for each field of each message
 def is_name(text: str) -> bool:
     """Return whether `text` may be a part of a key: 1 to 64 letters, digits, `.`, `_`, `-`."""
     return _NAME.fullmatch(text) is not None
@@ -117,6 +120,11 @@ def alive(run: str, role: str, identifier: str) -> str:
 def join(run: str, actor: str) -> str:
     """Return the key of the questions of an actor that joins a run from elsewhere, actor to runner."""
     return _join(run, "join", actor)
+
+
+def view(run: str, actor: str, car: int | str) -> str:
+    """Return the key of questions about what a car sees and believes, watcher to actor; car `all`: where all are."""
+    return _join(run, "view", actor, car)
 
 
 def parse(key: str) -> ParsedKey | None:

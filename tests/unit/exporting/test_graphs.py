@@ -59,9 +59,8 @@ def test_vision_in_one_file_reads_as_its_parts_do(tmp_path, network):
     check_vision(shipped(network), tmp_path / "vision.onnx")
 
 
-@pytest.mark.parametrize("layout", [clip_models.of_open_clip, clip_models.hugging_face])
-def test_vision_on_a_clip_encoder_is_one_file_too(tmp_path, layout):
-    check_vision(clip(tmp_path, layout), tmp_path / "vision.onnx")
+def test_vision_on_a_clip_encoder_is_one_file_too(tmp_path):
+    check_vision(clip(tmp_path, clip_models.hugging_face), tmp_path / "vision.onnx")
 
 
 @pytest.mark.parametrize("level", Level)

@@ -28,14 +28,14 @@ def test_the_training_is_that_of_the_checkpoint(policy):
 
 def test_results_given_for_the_policy_are_shortened_to_figures_and_intervals(policy, tmp_path):
     file = write(tmp_path / "result.json", result(policy, scenes="street", success=0.912345678))
-    found = evaluations_of(policy, [file])[-1]
-    assert found["scenes"] == "street" and found["success"] == 0.9123 and found["success_95"] == [0.6, 0.98]
+    found = evaluations_of(policy, [file])["street"]
+    assert found["success"] == 0.9123 and found["success_95"] == [0.6, 0.98]
     assert "per_scene" not in found
 
 
 def test_the_later_of_two_results_on_the_same_scenes_counts(policy, tmp_path):
     files = [write(tmp_path / f"{n}.json", result(policy, scenes="street", success=n / 10)) for n in (1, 2)]
-    assert [each["success"] for each in evaluations_of(policy, files) if each["scenes"] == "street"] == [0.2]
+    assert evaluations_of(policy, files)["street"]["success"] == 0.2
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,8 @@
+import errno
+
 import pytest
 
+from zsdist.errors import RunError
 from zsdist.piloting.logbook import Logbook
 from zsdist.planning.belief import BeliefMap
 from zsdist.planning.grid import Grid
@@ -33,3 +36,14 @@ def test_a_map_lies_where_the_arena_lies(tmp_path):
     message = written.decoded()
     assert (message.info.origin.position.x, message.info.origin.position.y) == pytest.approx((-9.5, -13.5))
     assert message.info.resolution == pytest.approx(0.15625) and set(message.data.tolist()) == {-1, 0}
+
+
+def test_a_full_disk_is_told_once_and_hinders_nothing_after(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(log.Log, "write_encoded", full)
+    logbook = Logbook(tmp_path / "drive.mcap", TOPICS)
+    with pytest.raises(RunError, match=r"drive\.mcap cannot be written: No space left on device"):
+        logbook.write("clock", messages.encode_clock(7))
+    logbook.write("clock", messages.encode_clock(8))

@@ -240,3 +240,16 @@ def test_without_a_goal_the_robot_waits_and_goes_on_after_each(chains):
         chain.run(120, lambda chain, wanted=x_m: any("goal is reached" in line for line in chain.lines[-3:]))
         chain.lines.clear()
         assert chain.loop.result()["pose"]["x_m"] == pytest.approx(x_m, abs=0.6) and not chain.loop.outcome
+
+
+def test_pictures_that_are_none_are_told_once_and_end_the_drive(chains, monkeypatch):
+    encode = messages.encode_picture
+    broken = lambda picture: encode(picture._replace(data=picture.data[:50]))  # noqa: E731
+    monkeypatch.setattr(messages, "encode_picture", broken)
+    chain = chains(give_up_s=3.0)
+    chain.run(10)
+    told = [
+        line for line in chain.lines if "picture left out: picture: 50 bytes of format 'jpeg' are no picture" in line
+    ]
+    assert len(told) == 1 and chain.loop.outcome == "stopped" and "gave up after 3 s" in chain.loop.reason
+    assert all(velocity == STANDSTILL for _, velocity in chain.commander.sent)

@@ -22,10 +22,11 @@ def test_each_actor_may_push_under_its_own_name_only():
 
 
 @pytest.mark.parametrize("name", ["hub", "monitor", "actor-0", "actor-2"])
-def test_neither_actors_nor_watchers_serve_request_or_publish_weights_and_orders(name):
+def test_watchers_ask_actors_for_their_cars_and_neither_has_weights_orders_or_batches(name):
     grant = GRANTS[name]
-    assert grant.serve == ()
-    assert grant.request == ((keys.join(keys.ANY, name),) if name.startswith("actor-") else ())
+    assert grant.serve == ((keys.view(keys.ANY, name, keys.ANY),) if name.startswith("actor-") else ())
+    asked = {"monitor": (keys.view(keys.ANY, keys.ANY, keys.ANY),), "hub": ()}
+    assert grant.request == asked.get(name, (keys.join(keys.ANY, name),))
     for key in (keys.weights("run", "low"), keys.candidate("run", "low", "best"), keys.control("run", "actor")):
         assert not covers(grant.publish, key)
 

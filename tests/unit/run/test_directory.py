@@ -34,7 +34,8 @@ def states(value=1.0):
     return {"scheduler": State("scheduler", META, {}), "replay": State("replay", {}, {"ring": np.full(3, value)})}
 
 
-def test_tensorboard_finds_episodes_and_metrics(folder, run_log):
+def test_tensorboard_finds_settings_episodes_and_metrics(folder, run_log):
+    run_log.show_settings(config.Config())
     for number in (1, 2):
         run_log.episode({"finished_as": number, "return": 10.0 * number, "steps": 7, "epsilon": 0.5})
     run_log.metrics({"time_s": 1.0, "env_steps": 14, "low_loss": 0.25, "stage": "train"})

@@ -22,6 +22,7 @@ EXAMPLES = [
     (keys.stats(RUN, "replay", "0"), "stats/replay/0", {"role": "replay", "id": "0"}),
     (keys.events(RUN), "events", {}),
     (keys.alive(RUN, "learner", "low"), "alive/learner/low", {"role": "learner", "id": "low"}),
+    (keys.view(RUN, "actor-3", 2), "view/actor-3/2", {"actor": "actor-3", "car": "2"}),
     (keys.join(RUN, "actor-3"), "join/actor-3", {"actor": "actor-3"}),
 ]
 
