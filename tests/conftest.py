@@ -37,3 +37,11 @@ def hears_ctrl_c():
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture(scope="session")
+def small_bundle(tmp_path_factory):
+    """Return the folder of a small bundle, which must not be changed."""
+    from bundles import write_bundle
+
+    return write_bundle(tmp_path_factory.mktemp("bundle") / "small")

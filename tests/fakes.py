@@ -18,7 +18,7 @@ from zsdist.sim.scenes import families
 from zsdist.sim.scenes.kinds import KINDS
 from zsdist.types import Action, Outcome, Pose, View
 from zsdist.vision import labels, rays
-from zsdist.vision.visual_act import Reading
+from zsdist.vision.reading import Reading
 
 CENTIMETRES = 100
 SAMPLES = 9  # poses along a move that are tested for contact

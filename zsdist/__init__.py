@@ -4,11 +4,10 @@ from zsdist.common import search_path  # (first: it decides where the other impo
 
 # isort: split
 import importlib
+import importlib.util
 import signal
 import sys
 from typing import Any
-
-import gymnasium
 
 __version__ = "0.1.0"
 
@@ -16,7 +15,10 @@ __version__ = "0.1.0"
 if search_path.is_command(sys.orig_argv) and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
-gymnasium.register(id="zsdist/CarNavigation-v0", entry_point="zsdist.sim.env:CarNavigation")
+if importlib.util.find_spec("gymnasium") is not None:  # an exported policy runs without it
+    importlib.import_module("gymnasium").register(
+        id="zsdist/CarNavigation-v0", entry_point="zsdist.sim.env:CarNavigation"
+    )
 
 
 def __getattr__(name: str) -> Any:

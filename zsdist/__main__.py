@@ -12,7 +12,7 @@ from typing import NoReturn
 
 import zsdist
 from zsdist.common import cli, folders
-from zsdist.common.console import say
+from zsdist.common.plain_lines import say
 
 _HELP, _VERSION = ("-h", "--help", "help"), ("-V", "--version")
 
@@ -44,7 +44,13 @@ def main() -> NoReturn:
         say(f"zsdist: error: command is {name!r}; allowed are {', '.join(commands)}{meant}", error=True)
         sys.exit(cli.REFUSED)
     del sys.argv[1]  # what follows is as in `python -m zsdist.COMMAND`
-    command = importlib.import_module(f"zsdist.{name}")
+    try:
+        command = importlib.import_module(f"zsdist.{name}")
+    except ModuleNotFoundError as error:
+        if cli.is_defect(error):
+            raise
+        say(f"zsdist {name}: error: {cli.lacking(error)}", error=True)
+        sys.exit(cli.REFUSED)
     parser = command.make_parser()
     parser.prog = f"zsdist {name}"
     cli.execute(command.main, parser)

@@ -165,6 +165,7 @@ class ReplayConfig(Section):
     target_return: float = 710.0  # R_target: mean paper return of A* on 60 training scenes of `iid`
     fsync_ms: Annotated[int, Field(ge=0)] | None = None  # time between syncs of journals; None: they are never synced
     journals: tuple[Folder, ...] = ()  # folders of the shards' journals, given in turn; none: the run directory's
+    start_from: tuple[Folder, ...] = ()  # sets of `zsdist record` whose transitions a new run has from the beginning
     max_bytes: Count = 256 * 2**20  # limit for the buffers of both levels; a run that needs more is refused
 
 

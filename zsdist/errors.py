@@ -61,6 +61,10 @@ class DamagedError(RunError):
     """File of a run that is missing, or whose content is not what was written."""
 
 
+class BundleError(ZsdistError):
+    """Bundle that is missing, damaged or of another version, or that a picture, a pose or a goal does not fit."""
+
+
 class DataError(ZsdistError):
     """Folder or file of a data set that is missing, damaged, or not in the expected layout."""
 

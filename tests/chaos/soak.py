@@ -24,7 +24,7 @@ from pathlib import Path
 
 import oracle
 import psutil
-from kills import MANY, ROLES, Killing
+from kills import MANY, ROLES, START_WITHIN_S, Killing
 from small_run import end_cleanly
 
 EVERY_S = 20.0
@@ -98,7 +98,11 @@ def soak(hours: float, seed: int) -> dict:
                 for victim in _victims(killing):
                     killed[victim] += 1
                 killed_s = time.time()
-                killing.wait_for(lambda since_s=killed_s: killing.tail.last_s > since_s, "a frame after a kill")
+
+                def flows(since_s: float = killed_s) -> bool:
+                    return killing.tail.last_s > since_s
+
+                killing.wait_for(flows, "a frame after a kill", START_WITHIN_S)
             assert full_s is not None, "the rings were never full"
             growth = memory.growth(full_s)
             endpoint = (killing.launcher.folder / "endpoint").read_text()

@@ -33,7 +33,7 @@ INSIDE_RAY = {  # starts that have no switch; only in releases with which it was
         "ray._raylet.persist_port",
     ]
 }
-LIGHT_PACKAGES = ("driving", "agent", "planning")
+LIGHT_PACKAGES = ("driving", "agent", "planning", "runtime", "ros2", "piloting")
 LIGHT_MODULES = ("zsdist.vision.visual_act", "zsdist.vision.reading_cache", "zsdist.vision.ray_ablation")
 
 

@@ -18,7 +18,9 @@ from sockets import free_endpoint
 import zsdist
 from zsdist.config import CameraConfig, parse
 from zsdist.errors import SimulationError, TransportError
+from zsdist.recording.log import Log
 from zsdist.replay.journal import Journal
+from zsdist.ros2.node import RosNode
 from zsdist.run.board import Board
 from zsdist.run.directory import RunDirectory
 from zsdist.run.episodes_file import EpisodesFile
@@ -78,6 +80,8 @@ OWNED = {  # copies and pickles are refused
     "Board": lambda folder: Board(folder / "board"),
     "EpisodesFile": lambda folder: EpisodesFile(folder / "episodes.jsonl"),
     "FiguresFile": lambda folder: FiguresFile(folder / "figures.jsonl"),
+    "Log": lambda folder: Log(folder / "log.mcap"),
+    "RosNode": lambda folder: RosNode("node", connect=folder.hub.endpoint),
     "RunDirectory": run_directory,
     "ZenohHub": lambda folder: ZenohHub(free_endpoint()),
     "ZenohTransport": lambda folder: ZenohTransport(folder.hub.endpoint),
@@ -87,14 +91,18 @@ TESTED_WITH_THEIR_OWNER = {
     "Perception": "its ReadingCache",
     "LevelJournal": "its Journal",
     "Belongings": "its RunDirectory",
+    "EpisodeFile": "its Log",
     "Runner": "the transports of its roles",
     "Link": "ZenohTransport",
     "Fetcher": "ZenohTransport",
+    "Logbook": "its Log",
+    "RosPublisher": "its RosNode",
+    "SimulatedRobot": "its RosNode and its World",
     "Exporter": "its server, which holds no file (tests/unit/telemetry/test_prometheus.py)",
 }
-HOLDS_NOTHING = {  # `close` ends a stream, an epoch or a bar; or an interface; or a process of Ray
-    "ActorOutboxes", "Camera", "CameraEnv", "Display", "Inbox", "Limiter", "Outbox", "PretrainingProgress", "Recorder",
-    "RoleHost", "StepProgress", "TrajectoryBuilder", "Transport",
+HOLDS_NOTHING = {  # `close` ends a stream, an epoch, a bar or a thread; or an interface; or a process of Ray
+    "ActorOutboxes", "Camera", "CameraEnv", "Display", "DriveLoop", "Inbox", "Limiter", "Outbox",
+    "PretrainingProgress", "Recorder", "RoleHost", "StepProgress", "TrajectoryBuilder", "Transport", "_ThreadedPolicy",
 }  # fmt: skip
 
 

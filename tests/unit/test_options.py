@@ -2,15 +2,17 @@
 
 import pytest
 
-from zsdist import certs, config, doctor, evaluate, launch, monitor, pretrain, report
+from zsdist import certs, config, doctor, evaluate, launch, monitor, pretrain, record, report
 from zsdist.common import cli, values
 from zsdist.config import Config
 from zsdist.errors import ConfigError, RunError
 
-COMMANDS = {module.__name__: module for module in (certs, doctor, evaluate, launch, monitor, pretrain, report)}
+COMMANDS = {module.__name__: module for module in (certs, doctor, evaluate, launch, monitor, pretrain, record, report)}
 OWN = {  # options with the name of a setting that stand for something else
     ("zsdist.evaluate", "episodes"),  # of the evaluation
     ("zsdist.evaluate", "seed"),  # selects scenes
+    ("zsdist.record", "episodes"),
+    ("zsdist.record", "seed"),
 }
 VALUES = {"encoder": ("a", "b"), "weights": ("a", "b"), "address": ("auto", "h:1")}
 

@@ -1,7 +1,7 @@
 """Epsilon-greedy choice of one level; most of its exploratory choices follow a guide policy."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,11 +20,13 @@ class Choice:
         index: index of the action or of the high level's choice.
         behaviour: policy that chose it.
         changed: whether the mask excluded the choice that the network values most.
+        values: `(A,)` values of the network; None where another policy chose.
     """
 
     index: int
     behaviour: Behaviour
     changed: bool
+    values: np.ndarray | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
@@ -65,4 +67,4 @@ class EpsilonGreedy:
         values = q(state[None])[0]
         finite.require("values of the network in a state", values)  # the greatest of them would be NaN itself
         best = int(network.greedy(values[None], mask[None])[0])
-        return Choice(best, Behaviour.GREEDY, best != int(values.argmax()))
+        return Choice(best, Behaviour.GREEDY, best != int(values.argmax()), values)

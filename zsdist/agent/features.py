@@ -30,6 +30,7 @@ from zsdist.planning.grid import Grid
 from zsdist.planning.lattice import successors_or_self
 from zsdist.types import Action, Level, Mirror
 
+VERSION = 1  # of the features' meaning; recorded transitions of another one are refused
 LOW_ACTIONS = len(Action)
 HERE_FEATURES = 10  # features of the goal and of the block the car is in
 LOW_STATE_SIZE = LOW_ACTIONS * ACTION_FEATURES + 2 * DIRECTIONS + 3 + 8

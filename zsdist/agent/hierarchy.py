@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -20,6 +20,7 @@ from zsdist.agent.shield import Judgement
 from zsdist.agent.situation import Situation
 from zsdist.config import AgentConfig
 from zsdist.dqn import network
+from zsdist.planning.belief import BeliefMap
 from zsdist.planning.grid import Grid
 from zsdist.planning.rewards import RewardTerms
 from zsdist.types import Action, Behaviour, Level, Outcome, Parameters, Pose, View
@@ -65,6 +66,9 @@ class Decision:
         subgoal: `(x_m, y_m)` that the low level is sent to.
         shield_changed: whether the action would be another one without the shield.
         option_started: whether the high level has just decided.
+        masks: choices that each level may make, `(A,)` bool.
+        values: values by the network of each level that decided now, `(A,)`; no entry where another policy chose.
+        stuck: whether every action would hit something on the believed map, so that a turn in place is tried.
     """
 
     action: Action
@@ -72,6 +76,9 @@ class Decision:
     subgoal: tuple[float, float]
     shield_changed: bool
     option_started: bool
+    masks: dict[Level, np.ndarray] = field(compare=False)
+    values: dict[Level, np.ndarray] = field(compare=False)
+    stuck: bool
 
 
 @dataclass(frozen=True)
@@ -112,6 +119,7 @@ class HierarchicalAgent:
         shielded: bool,
         rng: np.random.Generator,
         recorder: Recorder | None = None,
+        belief: BeliefMap | None = None,
     ) -> None:
         """Begin an episode.
 
@@ -123,10 +131,11 @@ class HierarchicalAgent:
             rng: generator of the exploration.
             recorder: recorder of a training episode; None: nothing is learned from it. Without one, guide policies and
                 planner are used only if `agent.high_policy` or `agent.low_policy` puts them in place of a network.
+            belief: map to go on with; None: an empty one, on which the ground around the start is free.
         """
         goal = (float(goal_xy[0]), float(goal_xy[1]))
         self._memory = EpisodeMemory(
-            self._grid, pose, goal, self._settings.success_radius_m, self._settings.camera_forward_m
+            self._grid, pose, goal, self._settings.success_radius_m, self._settings.camera_forward_m, belief
         )
         self._planner = Planner(self._grid, self._memory.goals)
         self._guide = LowGuide(self._policy)
@@ -143,13 +152,19 @@ class HierarchicalAgent:
         return self._present().situation
 
     @property
+    def belief(self) -> BeliefMap:
+        """Believed map of the episode."""
+        return self._memory.belief
+
+    @property
     def high_choices(self) -> Choices:
         """Choices of the high level at the last `observe` of the episode."""
         return self._present().options
 
     def high_values(self, q: QFunction) -> np.ndarray:
         """Return the value of each choice of the high level at the last `observe`, `(9,)`; nothing is decided."""
-        return np.asarray(q(self._present().features.high()[None]))[0]
+        values: np.ndarray = np.asarray(q(self._present().features.high()[None]))[0]
+        return values
 
     def observe(self, pose: Pose, view: View) -> None:
         """Add a pose and the view from there to the memory (lines 6 and 13), and complete the step that led there."""
@@ -175,7 +190,8 @@ class HierarchicalAgent:
         """
         now = self._present()
         started = self._option is None
-        option = self._decide_option(now, q[Level.HIGH]) if self._option is None else self._option
+        values: dict[Level, np.ndarray] = {}
+        option = self._decide_option(now, q[Level.HIGH], values) if self._option is None else self._option
         self._option = option
 
         # Lines 8 to 12: exploration follows the global policy, which is advice or potential field.
@@ -190,7 +206,18 @@ class HierarchicalAgent:
         self._counts["agent_steps"] += 1
         self._counts[f"low_{choice.behaviour.name.lower()}"] += 1
         self._counts["shield_changes"] += shield_changed
-        return Decision(Action(choice.index), choice.behaviour, option.subgoal, shield_changed, started)
+        if choice.values is not None:
+            values[Level.LOW] = choice.values
+        return Decision(
+            action=Action(choice.index),
+            behaviour=choice.behaviour,
+            subgoal=option.subgoal,
+            shield_changed=shield_changed,
+            option_started=started,
+            masks={Level.HIGH: now.options.mask, Level.LOW: now.low_mask},
+            values=values,
+            stuck=now.judgement.stuck,
+        )
 
     def result(self, terms: RewardTerms, outcome: Outcome | None) -> None:
         """Store the rewards of a step and the outcome if it ended the episode; the next `observe` completes it."""
@@ -220,7 +247,7 @@ class HierarchicalAgent:
         assert self._now is not None, "observe comes first in an episode"
         return self._now
 
-    def _decide_option(self, now: _Present, q: QFunction) -> Option:
+    def _decide_option(self, now: _Present, q: QFunction, values: dict[Level, np.ndarray]) -> Option:
         guided = None if self._recorder is None else self._planner.high_choice(now.situation, now.options)
         instead = self._instead_of_high(now)
         choice = self._rule.choose(q, now.features.high(), now.options.mask, guided=guided, instead=instead)
@@ -228,6 +255,8 @@ class HierarchicalAgent:
             self._recorder.start(*Level)
         self._counts["options"] += 1
         self._counts[f"high_{choice.behaviour.name.lower()}"] += 1
+        if choice.values is not None:
+            values[Level.HIGH] = choice.values
         return Option.start(now.options, choice.index, choice.behaviour)
 
     def _instead_of_high(self, now: _Present) -> int | None:

@@ -25,21 +25,31 @@ class EpisodeMemory:
         goal: `(x_m, y_m)` of the goal.
         success_radius_m: distance from the goal within which it is reached.
         camera_forward_m: distance of the camera ahead of the car's centre.
+        belief: map to go on with; None: an empty one.
 
     Attributes:
+        belief: believed map.
         goals: `(cells, cells)` bool, the cells in which the goal is reached.
         revisits: number of steps into a state that the car had visited before.
         tries: counts of the options that failed.
     """
 
     def __init__(
-        self, grid: Grid, pose: Pose, goal: tuple[float, float], success_radius_m: float, camera_forward_m: float
+        self,
+        grid: Grid,
+        pose: Pose,
+        goal: tuple[float, float],
+        success_radius_m: float,
+        camera_forward_m: float,
+        belief: BeliefMap | None = None,
     ) -> None:
         self._grid, self._goal, self._camera_forward_m = grid, goal, camera_forward_m
         self.goals = goal_mask(grid, goal, success_radius_m)
         self.revisits = 0
-        self._belief = BeliefMap(grid)
-        self._belief.clear_disc(pose.x_m, pose.y_m, START_DISC_M)
+        if belief is None:
+            belief = BeliefMap(grid)
+            belief.clear_disc(pose.x_m, pose.y_m, START_DISC_M)
+        self.belief = belief
         self._visits = np.zeros((grid.cells, grid.cells, HEADINGS), np.int32)
         self._block_visits = np.zeros((grid.blocks, grid.blocks), np.int32)
         self.tries = Tries.none(grid)
@@ -60,7 +70,7 @@ class EpisodeMemory:
         """
         for name in ("ray_probabilities", "clearance_m", "advice"):
             finite.require(f"{name} of a picture", getattr(view, name))
-        self._belief.update(pose, view, self._camera_forward_m)
+        self.belief.update(pose, view, self._camera_forward_m)
         state = self._grid.lattice_state(pose)
         block = self._grid.block_of(state.ix, state.iy)
         self.revisits += bool(self._visits[state.iy, state.ix, state.heading] > 0)
@@ -68,15 +78,15 @@ class EpisodeMemory:
         if block != self._block:
             self._block_visits[block[1], block[0]] += 1
         self._block = block
-        judgement = shield.judge(self._belief, state, self.goals, self._visits)
+        judgement = shield.judge(self.belief, state, self.goals, self._visits)
         situation = Situation(
             grid=self._grid,
             state=state,
             goal=self._goal,
             goals=self.goals,
             advice=view.advice,
-            occupied=self._belief.occupied(),
-            seen=self._belief.seen(),
+            occupied=self.belief.occupied(),
+            seen=self.belief.seen(),
             moves=judgement.moves,
             gave_way=judgement.gave_way,
             drive_m=forward_search.path_lengths_from(judgement.moves.blocked, state, path_costs(self._grid)),

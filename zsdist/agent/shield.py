@@ -82,12 +82,14 @@ class Judgement(NamedTuple):
         allowed: `(5,)` bool, actions that the car may take now. If all are blocked, these are the actions that hit
             nothing; if there are none, the turns in place.
         forced: whether all actions were blocked.
+        stuck: whether each of them hits something, the turns in place too.
         gave_way: whether full care leaves the car no path to the goal.
     """
 
     moves: BlockedMoves
     allowed: np.ndarray
     forced: bool
+    stuck: bool
     gave_way: bool
 
 
@@ -134,9 +136,10 @@ def _judgement(collisions: BlockedMoves, viable: np.ndarray, state: LatticeState
     forced = not allowed.any()
     if forced:
         allowed = ~collisions.at_state(state)
-    if not allowed.any():
+    stuck = not allowed.any()
+    if stuck:
         allowed[list(_IN_PLACE)] = True
-    return Judgement(blocked, allowed, forced, gave_way)
+    return Judgement(blocked, allowed, forced, bool(stuck), gave_way)
 
 
 @cache

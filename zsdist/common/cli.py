@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 from zsdist import config
 from zsdist.common import output_files, places, presets, signals, streams, values
-from zsdist.common.console import plain, say
+from zsdist.common.plain_lines import plain, say
 from zsdist.errors import ConfigError, ZsdistError
 
 REFUSED = 2
@@ -87,12 +87,29 @@ def _execute(
         if options.debug:
             raise
         say(f"{parser.prog}: error: {_LINE_END.sub(' ', str(error)).strip()}", error=True)
+    except ModuleNotFoundError as error:
+        if options.debug or is_defect(error):
+            raise
+        say(f"{parser.prog}: error: {lacking(error)}", error=True)
     except OSError as error:
         if options.debug or error.errno not in output_files.OF_THE_SYSTEM:
             raise
         place = "" if error.filename is None else f"{error.filename}: "
         say(f"{parser.prog}: error: {place}{error.strerror}", error=True)
     return REFUSED
+
+
+def is_defect(error: ModuleNotFoundError) -> bool:
+    """Return whether a module is missing that belongs to this package, rather than one that it needs."""
+    return error.name is None or error.name.partition(".")[0] == __name__.partition(".")[0]
+
+
+def lacking(error: ModuleNotFoundError) -> str:
+    """Return one line about a package that is missing, such as one of training where only a runner is installed."""
+    return (
+        f"Python module {error.name} is not installed here; allowed is an installation of the whole system, by "
+        "`pip install .` or `make install`"
+    )
 
 
 def _report(prog: str, interruption: KeyboardInterrupt) -> int:

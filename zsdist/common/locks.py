@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from zsdist.common.console import say
+from zsdist.common.plain_lines import say
 from zsdist.errors import RunError
 
 LOCK_FILE = ".lock"  # in a folder; beside a file: `.NAME.lock`

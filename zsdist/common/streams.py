@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, TextIO
 
 from zsdist.common import signals
-from zsdist.common.console import say
+from zsdist.common.plain_lines import say
 from zsdist.errors import RunError
 
 

@@ -10,8 +10,8 @@ from zsdist.planning.grid import Grid
 from zsdist.types import LatticeState, Pose, View
 from zsdist.vision.fingerprint import VisionHashes
 from zsdist.vision.ray_ablation import ablate_rays
+from zsdist.vision.reading import Reading
 from zsdist.vision.reading_cache import ReadingCache
-from zsdist.vision.visual_act import Reading
 
 NEAR_M = 0.10  # a car within both limits of a lattice state may use the reading made there
 NEAR_RAD = math.radians(5.0)

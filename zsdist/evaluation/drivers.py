@@ -8,12 +8,13 @@ from enum import StrEnum
 import numpy as np
 
 from zsdist.agent.hierarchy import Decision, HierarchicalAgent, q_functions
+from zsdist.agent.recorder import Recorder, RecorderSettings
 from zsdist.agent.situation import Situation
 from zsdist.config import Config
 from zsdist.driving.settings import agent_settings
 from zsdist.planning.rewards import RewardTerms
 from zsdist.sim.scenes.scene import Scene
-from zsdist.types import Level, Outcome, Parameters, Pose, View
+from zsdist.types import Level, Outcome, Parameters, Pose, Trajectory, View
 from zsdist.vision.ray_ablation import ablate_rays
 
 # Views of images `(B, px, px, 3)` for goals at bearings (rad) and distances (m) `(B,)`; see `zsdist.vision.visual_act`.
@@ -81,6 +82,18 @@ class Driver(ABC):
     def result(self, terms: RewardTerms, outcome: Outcome | None) -> None:  # noqa: B027 (most learn nothing)
         """Report the rewards of the action, and the outcome if it ended the episode."""
 
+    def record(self, settings: RecorderSettings) -> bool:
+        """Record the transitions of all episodes that begin from now on; return whether the driver makes any."""
+        return False
+
+    def drain(self, last: Observed | None = None) -> list[Trajectory]:
+        """Return the trajectories recorded since the last call.
+
+        Args:
+            last: observation in which the episode has ended, which completes its last ones; None: it goes on.
+        """
+        return []
+
 
 class LearnedDriver(Driver):
     """Greedy policy of both networks: argmax only, and the shield may only mask.
@@ -106,11 +119,14 @@ class LearnedDriver(Driver):
         self._agent = HierarchicalAgent(agent_settings(config))
         self._see, self._rays, self._shielded, self._shuffled = see, config.vision.rays, shielded, shuffled
         self._q = q_functions(parameters)
+        self._recorded: RecorderSettings | None = None
+        self._recorder: Recorder | None = None
 
     def begin(self, pose: Pose, goal: tuple[float, float], truth: Scene | None, rng: np.random.Generator) -> None:
-        """Start the agent without exploration and without a recorder."""
+        """Start the agent without exploration, and without a recorder unless `record` was called."""
         self.shield_changes, self._rng = 0, rng
-        self._agent.begin(pose, goal, epsilon=0.0, shielded=self._shielded, rng=rng)
+        self._recorder = Recorder(self._recorded, dict.fromkeys(Level, 0)) if self._recorded else None
+        self._agent.begin(pose, goal, epsilon=0.0, shielded=self._shielded, rng=rng, recorder=self._recorder)
 
     def act(self, observed: Observed) -> int:
         """Observe, and return the best action of Q_low under the best subgoal of Q_high."""
@@ -123,6 +139,20 @@ class LearnedDriver(Driver):
     def result(self, terms: RewardTerms, outcome: Outcome | None) -> None:
         """Report the outcome to the agent, whose options end with the episode."""
         self._agent.result(terms, outcome)
+
+    def record(self, settings: RecorderSettings) -> bool:
+        """Record the transitions of both levels; the decisions stay the same."""
+        self._recorded = settings
+        return True
+
+    def drain(self, last: Observed | None = None) -> list[Trajectory]:
+        """Return what the recorder has finished; the last observation is added to the agent's memory."""
+        if self._recorder is None:
+            return []
+        if last is not None:
+            self._agent.observe(last.pose, self._view(last))
+            self._agent.finish()
+        return self._recorder.drain()
 
     def _view(self, observed: Observed) -> View:
         """Return the view that reaches the agent: fields shuffled first, then limited as `vision.rays` says.

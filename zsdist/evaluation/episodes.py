@@ -15,6 +15,7 @@ from zsdist.evaluation.records import EpisodeRecord, path_length_m
 from zsdist.planning import shortest_path
 from zsdist.planning.footprint import FootprintTable
 from zsdist.planning.grid import Grid
+from zsdist.planning.rewards import RewardTerms
 from zsdist.sim.physics.collision import clearance_m
 from zsdist.sim.scenes.scene import Scene
 from zsdist.sim.scenes.solvability import footprints
@@ -32,6 +33,8 @@ class Moment:
         action: chosen action; None at the end.
         thought: decision behind the action and its situation; None for a driver without them.
         outcome: outcome of the episode; None before its end.
+        time_s: simulated time since the start.
+        rewards: rewards of the action before; None at the start.
     """
 
     scene: Scene
@@ -40,6 +43,8 @@ class Moment:
     action: int | None
     thought: Thought | None
     outcome: Outcome | None
+    time_s: float = 0.0
+    rewards: RewardTerms | None = None
 
 
 Watch = Callable[[Moment], None]
@@ -94,6 +99,9 @@ class EpisodeRunner:
         driver: driver that chooses the actions.
         observability: part of its surroundings that the driver observes.
         clock: returns monotonic seconds, with which decisions are timed.
+
+    Attributes:
+        driver: the driver.
     """
 
     def __init__(
@@ -106,7 +114,7 @@ class EpisodeRunner:
     ) -> None:
         self._env = env
         self._config = config
-        self._driver = driver
+        self.driver = driver
         self._observability = observability
         self._clock = clock
         self._table = footprints(Grid.from_config(config.grid))
@@ -119,23 +127,27 @@ class EpisodeRunner:
             rng: generator of the driver.
             watch: called with every decision as it is made, and with the end.
         """
-        driver = self._driver
+        driver = self.driver
         episode = Episode(self._env, scene)
         driver.begin(episode.pose, scene.goal, scene if self._observability is Observability.MAP else None, rng)
         decision_ms: list[float] = []
         least_m = self._clearance_m(scene, episode.pose)
+        time_s, rewards = 0.0, None
         while not episode.over:
             observed = self._observed(episode, scene)
             began_s = self._clock()
             action = driver.act(observed)
             decision_ms.append(round(1000 * (self._clock() - began_s), 3))
             if watch is not None:
-                watch(Moment(scene, observed, self._people(scene), action, driver.thought, None))
-            driver.result(*episode.step(action))
+                people = self._people(scene)
+                watch(Moment(scene, observed, people, action, driver.thought, None, time_s, rewards))
+            rewards, outcome = episode.step(action)
+            driver.result(rewards, outcome)
+            time_s += episode.info["sim_steps"] * self._config.sim.step_s
             least_m = min(least_m, self._clearance_m(scene, episode.pose))
         if watch is not None:
-            end = self._observed(episode, scene)
-            watch(Moment(scene, end, self._people(scene), None, driver.thought, episode.outcome))
+            end, people = self._observed(episode, scene), self._people(scene)
+            watch(Moment(scene, end, people, None, driver.thought, episode.outcome, time_s, rewards))
         return self._record(scene, episode, least_m, decision_ms)
 
     def _record(self, scene: Scene, episode: Episode, least_m: float, decision_ms: list[float]) -> EpisodeRecord:
@@ -153,7 +165,7 @@ class EpisodeRunner:
             min_clearance_m=0.0 if outcome is Outcome.COLLISION else least_m,
             static=not scene.walkers(),
             decision_ms=tuple(decision_ms),
-            shield_changes=self._driver.shield_changes,
+            shield_changes=self.driver.shield_changes,
             poses=tuple(poses),
         )
 

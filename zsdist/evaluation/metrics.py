@@ -1,6 +1,7 @@
 """Metrics of evaluated episodes: pure functions of records; lengths in metres, rates in [0, 1]."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -84,17 +85,19 @@ def summarise(records: Sequence[EpisodeRecord], rng: np.random.Generator) -> dic
             **{name: list(wilson_95(count, len(records))) for name, count in counts.items()},
             **{name: list(bootstrap_95(np.array(values), rng)) for name, values in means.items() if values},
         },
-        "per_scene": [
-            {
-                "scene": record.scene,
-                "outcome": record.outcome.value,
-                "steps": record.steps,
-                "path_m": record.path_m,
-                "shortest_m": record.shortest_m,
-                "min_clearance_m": record.min_clearance_m,
-            }
-            for record in records
-        ],
+        "per_scene": [scene_entry(record) for record in records],
+    }
+
+
+def scene_entry(record: EpisodeRecord) -> dict[str, Any]:
+    """Return the entry of an episode in `per_scene`."""
+    return {
+        "scene": record.scene,
+        "outcome": record.outcome.value,
+        "steps": record.steps,
+        "path_m": record.path_m,
+        "shortest_m": record.shortest_m,
+        "min_clearance_m": record.min_clearance_m,
     }
 
 

@@ -14,8 +14,9 @@ from zsdist.config import Config
 from zsdist.evaluation.contenders import FULL, Contender
 from zsdist.evaluation.report import Report, Trial, evaluate_all
 from zsdist.evaluation.selection import select
-from zsdist.reporting import curves, runs
+from zsdist.reporting import curves, results_board, runs
 from zsdist.reporting.maps import DrivenPath, draw_paths
+from zsdist.run import board
 from zsdist.run.checkpoint import Policy, check_vision, load_policy
 from zsdist.sim.scenes.families import SINGLETON_SCENES
 
@@ -39,6 +40,7 @@ def compare(folder: Path, settings: Config, console: PlainConsole) -> None:
     episodes = min(settings.run.final_evaluation_episodes, settings.run.episodes // TRAINING_EPISODES_A_DRIVE)
     if not episodes:
         console.say("no evaluation: the run was too short, or run.final_evaluation_episodes is 0")
+        results_board.add(folder)
         return
     trained = load_policy(folder, (), console.say)
     if note := check_vision(trained):
@@ -63,6 +65,8 @@ def compare(folder: Path, settings: Config, console: PlainConsole) -> None:
         "actions; 95% intervals"
     )
     console.say(f"figures: {folder / 'figures'}; those of the paper: {commands.module('zsdist.report', folder)}")
+    results_board.add(folder)
+    console.say(f"curves: {board.command(folder)}")
 
 
 def trials(trained: Policy, settings: Config, episodes: int) -> Iterator[Trial]:

@@ -74,7 +74,7 @@ def write(page: Path) -> Path:
 
 def _number_headings(tokens: Sequence[Token]) -> list[tuple[str, str, str]]:
     """Give headings names to link to, and return tag, name and text of each."""
-    headings = []
+    headings: list[tuple[str, str, str]] = []
     for token, content in pairwise(tokens):
         if token.type == "heading_open":
             name = f"part-{len(headings)}"

@@ -47,6 +47,7 @@ FIXED = (  # settings that cannot change when a run is resumed, since its states
     "grid.arena_m",
     "high.hidden",
     "low.hidden",
+    "replay.start_from",  # a run starts once
 )
 
 
@@ -244,6 +245,12 @@ class RunDirectory(Owned):
         self._close = weakref.finalize(self, _close, os.getpid(), self._episodes, self._figures, self._board)
         self._close.atexit = False
 
+    def show_settings(self, settings: Config) -> None:
+        """Show the configuration on TensorBoard, which can compare runs by it."""
+        self.check_process()
+        with _written(self.folder):
+            self._board.add_settings(config.dump(settings), settings.model_dump(mode="json"))
+
     def episode(self, record: dict[str, Any]) -> None:
         """Append one line to `episodes.jsonl`, unless it is there already.
 
@@ -264,7 +271,7 @@ class RunDirectory(Owned):
         with _written(self.folder):
             number = self._figures.append(row)
             if number % min(spacing(number, BOARD_DENSE), BOARD_LEAST_OFTEN) == 0:
-                shown = {f"run/{name}": value for name, value in row.items() if name != "time_s"}
+                shown = {board.tag(name): value for name, value in row.items() if name not in ("time_s", "stage")}
                 step = int(row.get("env_steps", 0))
                 self._board.add(step, {name: value for name, value in shown.items() if isinstance(value, int | float)})
 

@@ -39,6 +39,7 @@ def open_new(settings: Config, folder: Path | None, notify: Notify, held: ExitSt
     if folder is not None:
         _check_free(folder)
         directory.check_new(folder)
+    preflight.check_recorded(settings)
     vision = _check_parts(settings, notify, held)
     made = directory.create(folder, settings, lock=lambda path: _lock(path, held)).resolve()
     return RunSpec(settings, directory.key_name(made), made, {}, vision)
@@ -82,6 +83,8 @@ def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify, held:
             f"{commands.module('zsdist.launch', '--resume', folder, '--episodes', 2 * finished)}, or evaluate the run "
             f"with {commands.module('zsdist.evaluate', folder)}"
         )
+    if not states and killed is None:
+        preflight.check_recorded(settings)
     trained = checkpoint_files.read_vision(checkpoint_files.newest_checkpoint(folder)) if states else None
     vision = _check_parts(settings, notify, held)
     if trained is None and killed is None:

@@ -56,6 +56,17 @@ def check_certificates(config: Config) -> None:
         Identity.load(config.transport.tls, name)
 
 
+def check_recorded(config: Config) -> None:
+    """Check the recorded sets from which a new run starts.
+
+    Raises:
+        DataError: one is not there, or does not fit the configuration.
+    """
+    from zsdist.roles.replay import start
+
+    start.recorded_sets(config)
+
+
 def check_shards(config: Config, states: Mapping[str, State]) -> None:
     """Check that a run has at least as many shards as the checkpoint from which it resumes.
 

@@ -190,7 +190,9 @@ class RunSpec:
         """Open the files of the run, as the scheduler writes them."""
         from zsdist.run.directory import RunDirectory
 
-        return RunDirectory(self.folder, self.vision, self.config.run.checkpoints_kept)
+        files = RunDirectory(self.folder, self.vision, self.config.run.checkpoints_kept)
+        files.show_settings(self.config)
+        return files
 
     def context(self, role_spec: RoleSpec, transport: Transport, wake: threading.Event) -> Context:
         """Return the context of one role."""
@@ -228,6 +230,7 @@ class RunSpec:
                 log, ledger = run_directory or self.open_directory(), journals.ledger(self.folder, self.start)
                 return Scheduler(context, log, ledger, self.states.get(role_spec.role))
             case shards.ROLE:
+                from zsdist.roles.replay import start
                 from zsdist.roles.replay.role import Replay
                 from zsdist.roles.shapes import SHAPES
                 from zsdist.run import journals
@@ -236,7 +239,8 @@ class RunSpec:
                 has_predecessor = self.launch > 0 and role_spec.epoch >= self.launch + epoch_count(config)
                 where = (config, self.run, self.folder, self.start, index)
                 own = journals.begin(*where, has_predecessor=has_predecessor)
-                return Replay(context, SHAPES, own, self.states.get(shards.state_name(index)))
+                recorded = [] if self.states else start.recorded_sets(config)
+                return Replay(context, SHAPES, own, self.states.get(shards.state_name(index)), recorded)
             case "learner":
                 level = Level(role_spec.id)
                 from zsdist.roles.learner import Learner  # the only role that needs torch: two seconds and 150 MB

@@ -2,14 +2,16 @@
 
 import json
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import zenoh
 
 from zsdist.errors import TransportError
 from zsdist.transport import access
 from zsdist.transport.access import Grant
-from zsdist.transport.certificates import Identity
+
+if TYPE_CHECKING:  # a robot's driver needs no certificates, and no package for them
+    from zsdist.transport.certificates import Identity
 
 LEASE_S = 5.0  # time after which a process that hangs counts as gone; a killed one is noticed at once
 MAX_WHOLE_BYTES = 4 * 2**20  # largest message that is sent whole
@@ -25,7 +27,7 @@ def session_config(
     connect: str | Sequence[str] = (),
     listen: str | None = None,
     connect_timeout_s: float = 0.0,
-    identity: Identity | None = None,
+    identity: "Identity | None" = None,
     grants: Sequence[Grant] = (),
 ) -> zenoh.Config:
     """Return the configuration of a session.
@@ -76,7 +78,7 @@ def session_config(
     return config
 
 
-def _secure(identity: Identity | None, grants: Sequence[Grant], ends: Sequence[str]) -> dict[str, Any]:
+def _secure(identity: "Identity | None", grants: Sequence[Grant], ends: Sequence[str]) -> dict[str, Any]:
     """Return settings with which each end checks the other's certificate; the hub's must be for the hub's host."""
     if identity is None:
         return {}

@@ -38,7 +38,17 @@ def files_sha256(paths: Sequence[Path]) -> str:
     return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
 
 
-def cached_session(name: str, build: Callable[[Path], None], device: str = CPU_DEVICE) -> onnxruntime.InferenceSession:
+class FileSession(onnxruntime.InferenceSession):
+    """Session that a copy or a pickle opens anew from its file, on the machine that has it."""
+
+    path: Path
+    device: str
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return open_session, (self.path, self.device)
+
+
+def cached_session(name: str, build: Callable[[Path], None], device: str = CPU_DEVICE) -> FileSession:
     """Return a session of the network `name` from the cache; build it with `build(path)` if it is missing.
 
     Several processes may build at once: each writes its own file and renames it, so no process reads a partial file.
@@ -62,17 +72,7 @@ def cached_session(name: str, build: Callable[[Path], None], device: str = CPU_D
     return open_session(path, device)
 
 
-class _Session(onnxruntime.InferenceSession):
-    """Session that a copy or a pickle opens anew from its file, on the machine that has it."""
-
-    path: Path
-    device: str
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return open_session, (self.path, self.device)
-
-
-def open_session(path: Path, device: str = CPU_DEVICE) -> onnxruntime.InferenceSession:
+def open_session(path: Path, device: str = CPU_DEVICE) -> FileSession:
     """Return an onnxruntime session on one thread.
 
     Args:
@@ -85,11 +85,8 @@ def open_session(path: Path, device: str = CPU_DEVICE) -> onnxruntime.InferenceS
     """
     if not path.exists():
         raise WeightsError(f"cached network {path} is missing; load the model from its weights")
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3  # errors only
     try:
-        session = _Session(str(path), options, providers=_providers(device))
+        session = FileSession(str(path), session_options(1), providers=_providers(device))
     except Exception as error:  # onnxruntime's errors share no narrower base class
         reason = " ".join(str(error).split())
         raise WeightsError(f"cached network {path} is damaged ({reason}); delete it to have it rebuilt") from error
@@ -100,6 +97,14 @@ def open_session(path: Path, device: str = CPU_DEVICE) -> onnxruntime.InferenceS
             "machine with a GPU and the package onnxruntime-gpu in place of onnxruntime, or vision.device=cpu or auto"
         )
     return session
+
+
+def session_options(threads: int) -> onnxruntime.SessionOptions:
+    """Return the options of every session: as many threads as given, and no messages but errors."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
+    options.log_severity_level = 3  # errors only
+    return options
 
 
 def _providers(device: str) -> list[str]:

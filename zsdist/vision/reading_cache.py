@@ -19,7 +19,7 @@ from zsdist.common import folders, locks
 from zsdist.errors import ConfigError, RunError
 from zsdist.types import LatticeState
 from zsdist.vision.rays import BINS, RAYS
-from zsdist.vision.visual_act import Reading
+from zsdist.vision.reading import Reading
 
 SHAPES = ((3, BINS), (3,), (RAYS, BINS))  # shapes of the parts of one picture's `Reading`
 LENGTHS = tuple(int(np.prod(shape)) for shape in SHAPES)

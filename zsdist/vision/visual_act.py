@@ -17,9 +17,8 @@ from zsdist.vision import weights_folder
 from zsdist.vision.encoders import open_encoder
 from zsdist.vision.encoders.base import Encoder, check_images, resample
 from zsdist.vision.exported import cached_session, export
-from zsdist.vision.labels import expected_openness, progress, reward_label
 from zsdist.vision.models import COMPACT_PX, STUDENT_PX
-from zsdist.vision.rays import BIN_CENTRES_M, BIN_EDGES_M, RAYS, quantile_m, ray_angles_rad
+from zsdist.vision.reading import READING_OUTPUTS, Reading, Views
 from zsdist.vision.weights_folder import COMPACT_FILE, HEAD_FILE, PROJECTION_FILE, STUDENT_FILE, WeightsFolder
 
 if TYPE_CHECKING:
@@ -32,22 +31,7 @@ Made = TypeVar("Made")
 ALONE = {"student": (STUDENT_FILE, STUDENT_PX), "compact": (COMPACT_FILE, COMPACT_PX)}
 """File of weights and side of the pictures of each network that needs no encoder, by its name in `vision.network`."""
 
-READING_OUTPUTS = ["clearance", "dynamic", "rays"]
 OBSERVATION_OUTPUTS = ["attention", "embeddings"]
-
-
-class Reading(NamedTuple):
-    """Outputs of the model for B images; they do not depend on the goal.
-
-    Attributes:
-        clearance: `(B, 3, K)` distributions of the distance to the nearest obstacle forward, left and right.
-        dynamic: `(B, 3)` probabilities that the kind of this obstacle moves.
-        rays: `(B, R, K)` distributions of the distance along each ray.
-    """
-
-    clearance: np.ndarray
-    dynamic: np.ndarray
-    rays: np.ndarray
 
 
 class Observation(NamedTuple):
@@ -88,13 +72,12 @@ class VisualAct:
     def __init__(self, weights: WeightsFolder, config: VisionConfig) -> None:
         self._weights, self._network, self._spec = weights, config.network, config.encoder
         self._alone = config.network != "head"
-        self._quantile = config.ray_quantile
         file, self._px = ALONE.get(config.network, (HEAD_FILE, 0))
         self.encoder_name = config.network if self._alone else self._encoder.name
         content = weights.content(file)
         self.weights_sha256 = weights.sha256(file)
         self.encoder_sha256 = self.weights_sha256 if self._alone else self._encoder.sha256
-        self._angles = ray_angles_rad(RAYS, _field_of_view_rad(weights))
+        self._views = Views(config.ray_quantile, _field_of_view_rad(weights))
         self._session = cached_session(
             f"{Path(file).stem}-{self.weights_sha256[:16]}-{_code()}",
             partial(_build_alone, weights, content, config.network)
@@ -134,20 +117,7 @@ class VisualAct:
         Raises:
             ValueError: the number of goals is not that of images.
         """
-        clearance, dynamic, rays = reading
-        bearing, distance = np.asarray(goal_bearing_rad, np.float32), np.asarray(goal_distance_m, np.float32)
-        if bearing.shape != (len(rays),) or distance.shape != (len(rays),):
-            raise ValueError(
-                f"goal bearings are {bearing.shape} and distances {distance.shape}; allowed is ({len(rays)},), "
-                "one for each image"
-            )
-        advice = reward_label(
-            expected_openness(clearance, BIN_CENTRES_M, dynamic, distance), progress(bearing, distance)
-        ).astype(np.float32)
-        clearance_m = quantile_m(clearance, self._quantile)
-        return [
-            View(advice[i], clearance_m[i], dynamic[i], rays[i], self._angles, BIN_EDGES_M) for i in range(len(rays))
-        ]
+        return self._views.of(reading, goal_bearing_rad, goal_distance_m)
 
     def read(self, images: np.ndarray) -> Reading:
         """Return the outputs of the model for images; they do not depend on the goal.
@@ -172,6 +142,11 @@ class VisualAct:
         if self._alone:
             raise WeightsError(f"vision.network is {self._network!r}, which reads no tokens; allowed is 'head'")
         return Reading(*self._session.run(READING_OUTPUTS, {"tokens": tokens}))
+
+    @property
+    def network_files(self) -> list[Path]:
+        """Exported networks that read a picture, in order: encoder and head, or one network alone."""
+        return [self._session.path] if self._alone else [self._encoder.network_file, self._session.path]
 
     def observe(self, images: np.ndarray) -> Observation:
         """Return attention and embeddings of images `(B, px, px, 3)` uint8, always by encoder and head.

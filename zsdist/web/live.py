@@ -193,7 +193,7 @@ class LiveRun:
         """Return everything but close looks as JSON."""
         snapshot, now = self._snapshot, time.monotonic()
         done = any(fields.get("stage") == DONE for fields in snapshot.of("scheduler").values())
-        roles = [
+        roles: list[dict[str, Any]] = [
             {
                 "role": role,
                 "id": identifier,

@@ -1,4 +1,6 @@
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from zsdist.types import LatticeState, Level
 GRID = Grid()
 TABLE = FootprintTable(GRID)
 CELLS, FINE = GRID.cells, GRID.fine_size
+FEATURES = json.loads((Path(__file__).parents[2] / "data" / "features.json").read_text())
 
 
 def world(seed):
@@ -181,3 +184,11 @@ def test_blocks_beyond_the_edge_do_not_exist_and_walled_in_ones_cannot_be_chosen
     options = choices(situation(world(3) | {"state": LatticeState(2, 2, 0), "occupied": walls}))
     assert options.exists[[0, 1, 2]].all() and not options.exists[3:8].any()
     assert options.mask[0] and not options.mask[1] and not options.mask[2] and options.mask[GOAL_CHOICE]
+
+
+def test_features_of_this_version_have_not_changed():
+    """Recorded transitions hold such states. Who changes a feature raises `features.VERSION` and replaces the file."""
+    assert FEATURES["version"] == features.VERSION
+    for seed, expected in enumerate(FEATURES["states"]):
+        low, high, *_ = states(situation(world(seed)), (1.0, 2.0))
+        assert np.allclose(low, expected["low"], atol=1e-4) and np.allclose(high, expected["high"], atol=1e-4)

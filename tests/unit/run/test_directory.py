@@ -34,7 +34,8 @@ def states(value=1.0):
     return {"scheduler": State("scheduler", META, {}), "replay": State("replay", {}, {"ring": np.full(3, value)})}
 
 
-def test_tensorboard_finds_episodes_and_metrics(folder, run_log):
+def test_tensorboard_finds_settings_episodes_and_metrics(folder, run_log):
+    run_log.show_settings(config.Config())
     for number in (1, 2):
         run_log.episode({"finished_as": number, "return": 10.0 * number, "steps": 7, "epsilon": 0.5})
     run_log.metrics({"time_s": 1.0, "env_steps": 14, "low_loss": 0.25, "stage": "train"})
@@ -45,11 +46,12 @@ def test_tensorboard_finds_episodes_and_metrics(folder, run_log):
         return [(event.step, float(make_ndarray(event.tensor_proto))) for event in events.Tensors(tag)]
 
     assert curve("episode/return") == [(1, 10.0), (2, 20.0)]
-    assert curve("run/low_loss") == [(14, 0.25)]
+    assert curve("low/loss") == [(14, 0.25)]
     assert set(events.Tags()["tensors"]) == {
-        "episode/return", "episode/steps", "episode/epsilon", "run/env_steps", "run/low_loss"
+        "configuration", "_hparams_/session_start_info",
+        "episode/return", "episode/steps", "episode/epsilon", "run/env_steps", "low/loss",
     }  # fmt: skip
-    summary = events.SummaryMetadata("run/low_loss")
+    summary = events.SummaryMetadata("low/loss")
     assert summary.plugin_data.plugin_name == "scalars"
 
 

@@ -9,8 +9,8 @@ import pytest
 from zsdist.errors import ConfigError, RunError
 from zsdist.types import LatticeState
 from zsdist.vision import reading_cache
+from zsdist.vision.reading import Reading
 from zsdist.vision.reading_cache import HEAD_BYTES, SET_BYTES, SHAPES, SLOT_BYTES, WAYS, ReadingCache
-from zsdist.vision.visual_act import Reading
 
 HERE = LatticeState(3, 4, 5)
 WRITER = """

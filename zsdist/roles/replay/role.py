@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 
 from zsdist.common.console import say
+from zsdist.recording.recorded_set import RecordedSet
 from zsdist.roles.base import HEARTBEAT_S, Context, Role
+from zsdist.roles.replay import start
 from zsdist.roles.replay.level_replay import LevelReplay, WaitingRequest
 from zsdist.roles.replay.shards import ROLE, ReplayShard
 from zsdist.roles.schemas import ReplayOrders
@@ -34,10 +36,19 @@ class Replay(Role):
         shapes: sizes of each level's transitions.
         folder: folder of the journals, shared with this replay's predecessors in this start of the run.
         restored: state in a checkpoint; used only if there are no journals yet.
+        recorded: sets from whose transitions a new run starts.
+
+    Raises:
+        DataError: a recorded set is damaged.
     """
 
     def __init__(
-        self, context: Context, shapes: dict[Level, Shape], folder: Path, restored: State | None = None
+        self,
+        context: Context,
+        shapes: dict[Level, Shape],
+        folder: Path,
+        restored: State | None = None,
+        recorded: Sequence[RecordedSet] = (),
     ) -> None:
         super().__init__(context)
         run = context.run
@@ -50,6 +61,9 @@ class Replay(Role):
             level_replay = LevelReplay(level, shape, context.config, self.shard, context.epoch, folder / level)
             saved = (restored.meta[level.value], restored.part(f"{level}/")) if restored else None
             level_replay.recover(saved, context.launch)
+            if recorded:
+                shards = context.config.replay.shards
+                start.fill(level_replay, start.trajectories(recorded, level, self.shard.index, shards))
             self.level_replays[level] = level_replay
         self._pushes = self.mailbox("push")
         self._requests = self.mailbox("sample")

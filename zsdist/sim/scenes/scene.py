@@ -233,6 +233,11 @@ def files(path: str | Path) -> list[Path]:
 
 def write(scene: Scene, path: str | Path, comment: str = "") -> None:
     """Write a scene as a file from which `read` returns an equal scene; a comment becomes its first line."""
+    Path(path).write_text(content_of(scene, comment), encoding="utf-8")
+
+
+def content_of(scene: Scene, comment: str = "") -> str:
+    """Return the content of the file that `write` makes."""
     head = {
         "version": 1,
         "name": scene.name,
@@ -244,7 +249,7 @@ def write(scene: Scene, path: str | Path, comment: str = "") -> None:
     lines += [f"{key}: {_flow(value)}" for key, value in head.items()]
     lines.append("obstacles:" if scene.obstacles else "obstacles: []")
     lines += [f"  - {_flow(_entry(obstacle))}" for obstacle in scene.obstacles]
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return "\n".join(lines) + "\n"
 
 
 def _entry(obstacle: Obstacle) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Protocol of an image encoder, and the resampling of pictures to its size."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -35,6 +36,10 @@ class Encoder(Protocol):
     input_px: int
     side: int
     features: int
+
+    @property
+    def network_file(self) -> Path:
+        """Exported image tower, an ONNX file with the input "image" and the output "tokens"."""
 
     @property
     def text_sha256(self) -> str:

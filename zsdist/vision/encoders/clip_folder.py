@@ -41,6 +41,11 @@ class ClipFolder:
         self._texts: ClipTextEncoder | None = None
         self._session = cached_session(f"{self._cached}-image", self._build)
 
+    @property
+    def network_file(self) -> Path:
+        """Exported image tower."""
+        return self._session.path
+
     def tokens(self, images: np.ndarray) -> np.ndarray:
         """Return tokens `(B, side, side, features)` float32 of images `(B, px, px, 3)` uint8, from the top left.
 

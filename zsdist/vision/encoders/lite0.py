@@ -42,6 +42,11 @@ class EfficientNetLite0:
         self._texts: MiniLm | None = None
         self._session = cached_session(f"efficientnet-lite0-block10-{self.sha256[:16]}", lambda out: _build(path, out))
 
+    @property
+    def network_file(self) -> Path:
+        """Exported image tower."""
+        return self._session.path
+
     def tokens(self, images: np.ndarray) -> np.ndarray:
         """Return tokens `(B, 14, 14, 112)` float32 of images `(B, px, px, 3)` uint8, resampled to 224 pixels.
 
