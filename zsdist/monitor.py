@@ -71,7 +71,8 @@ def main(options: argparse.Namespace) -> int:
 
 def _export(options: argparse.Namespace) -> int:
     """Serve the metrics of one run after the other, until a signal; a run that is not there yet is waited for."""
-    _refuse_display(options, "prometheus", "web")
+    if (other := _first_given(options, "once", "json", "plain", "web")) is not None:
+        raise RunError(f"--{other} cannot be combined with --prometheus, which shows nothing here")
     if options.connect is not None:
         _identity(options.connect, options.tls)  # what is wrong with the certificate is said at once
     from zsdist.telemetry import prometheus
@@ -84,7 +85,8 @@ def _export(options: argparse.Namespace) -> int:
 
 def _serve_pages(options: argparse.Namespace) -> int:
     """Show runs in a browser, until a signal."""
-    _refuse_display(options, "web")
+    if (other := _first_given(options, "once", "json", "plain")) is not None:
+        raise RunError(f"--{other} cannot be combined with --web, which shows nothing here")
     if options.connect is not None:
         _identity(options.connect, options.tls)  # what is wrong with the certificate is said at once
     from zsdist.web.server import WebServer
@@ -99,11 +101,9 @@ def _serve_pages(options: argparse.Namespace) -> int:
     return 0
 
 
-def _refuse_display(options: argparse.Namespace, server: str, *others: str) -> None:
-    """Raise an error where an option of the display stands beside a server."""
-    for name in ("once", "json", "plain", *others):
-        if getattr(options, name) not in (None, False):
-            raise RunError(f"--{name} cannot be combined with --{server}, which shows nothing here")
+def _first_given(options: argparse.Namespace, *names: str) -> str | None:
+    """Return the first of some options that was given; None where none was."""
+    return next((name for name in names if getattr(options, name) not in (None, False)), None)
 
 
 def _find(options: argparse.Namespace) -> tuple[str, Transport]:

@@ -1,6 +1,6 @@
 """The live view in Chromium: `make test-browser`. Skipped where Chromium or Playwright is missing.
 
-With `ZSDIST_SCREENSHOTS=docs` the pictures of docs/monitoring.md are taken anew.
+With `ZSDIST_SCREENSHOTS=FOLDER` pictures of the page are left there to be looked at.
 """
 
 import os

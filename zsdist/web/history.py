@@ -7,6 +7,7 @@ of two: while a file grows, the same lines are read again, and curves do not fli
 import json
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,21 @@ _ABOUT = ("seed", "run.name", "placement", "transport.", "cluster.")  # settings
 
 def curves(folder: Path) -> dict[str, list[float | None]]:
     """Return the figures of `metrics.jsonl` by name, thinned out; a line that is not complete is left out."""
-    rows = [row for row in map(_parse, _lines(folder / "metrics.jsonl")) if row is not None]
+    return _curves(folder / "metrics.jsonl", _version(folder / "metrics.jsonl"))
+
+
+def _version(path: Path) -> tuple[int, int]:
+    """Return size and time of a file, by which a file that has not changed is not read again."""
+    try:
+        state = path.stat()
+    except OSError:  # not there yet
+        return 0, 0
+    return state.st_size, state.st_mtime_ns
+
+
+@lru_cache(maxsize=64)
+def _curves(path: Path, version: tuple[int, int]) -> dict[str, list[float | None]]:
+    rows = [row for row in map(_parse, _lines(path)) if row is not None]
     if len(rows) > POINTS:
         rows = rows[:: math.ceil(len(rows) / POINTS)]
     names = dict.fromkeys(name for row in rows for name, value in row.items() if _is_figure(value))
@@ -30,15 +45,16 @@ def curves(folder: Path) -> dict[str, list[float | None]]:
 
 def differences(folders: Sequence[Path]) -> dict[str, list[str]]:
     """Return the settings in which runs differ, with the value of each run as text; `?` where it cannot be read."""
-    trees = [_settings(folder) for folder in folders]
+    trees = [_settings(folder / "config.yaml", _version(folder / "config.yaml")) for folder in folders]
     names = dict.fromkeys(name for tree in trees for name in tree if not name.startswith(_ABOUT))
     found = {name: [tree.get(name, "?") for tree in trees] for name in names}
     return {name: values for name, values in sorted(found.items()) if len(set(values)) > 1}
 
 
-def _settings(folder: Path) -> dict[str, str]:
+@lru_cache(maxsize=64)
+def _settings(path: Path, version: tuple[int, int]) -> dict[str, str]:
     try:
-        tree = config.load(folder / "config.yaml").model_dump(mode="json")
+        tree = config.load(path).model_dump(mode="json")
     except ConfigError:
         return {}
     return {name: str(value) for name, value in setting_trees.flat(tree).items()}

@@ -38,7 +38,7 @@ IDLE_AFTER_S = 30.0  # a connection without a request is closed
 
 
 class PageSource(Protocol):
-    """What the page shows."""
+    """Source of what the page shows."""
 
     def runs(self) -> dict[str, Any]:
         """Return the runs that there are."""

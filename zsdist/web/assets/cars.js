@@ -79,7 +79,7 @@ function showTile(tile, name, car) {
     return;
   }
   const drive = `${car.kind} ${car.number}`;
-  if (tile.drive !== drive || !tile.path.length) { tile.drive = drive; tile.path = [car.start]; }
+  if (tile.drive !== drive || !tile.path.length) { tile.drive = drive; tile.path = car.step <= 2 ? [car.start] : []; }
   drawTile(tile.canvas, car, tile.path, ARENA_M);
   tile.path.push(car.pose);
   if (tile.path.length > MOST_PATH) tile.path.shift();
