@@ -16,6 +16,7 @@ USER_ERRORS = {
     "WeightsError",
     "RunError",
     "DamagedError",
+    "BundleError",
     "DataError",
     "CacheError",
     "SimulationError",
