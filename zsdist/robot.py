@@ -7,10 +7,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from zsdist import config
-from zsdist.common import cli, output_files, signals
+from zsdist.common import cli, output_files, random_streams, signals
 from zsdist.common.plain_lines import say
 from zsdist.config import Config
 from zsdist.errors import DecodeError, RunError
@@ -136,11 +134,13 @@ class SimulatedRobot:
         self._world = RobotWorld(self._grid, settings.sim.step_s)
         self._world.begin(scene)
         self._camera = make_camera(settings.camera)
-        odometry_seed, camera_seed = np.random.SeedSequence(options.seed).spawn(2)
         self._odometry = SimulatedOdometry(
-            scene.start.pose, _odometry_errors(options), np.random.default_rng(odometry_seed), settings.sim.step_s
+            scene.start.pose,
+            _odometry_errors(options),
+            random_streams.robot_odometry(options.seed),
+            settings.sim.step_s,
         )
-        self._pictures = LatePictures(_camera_faults(options), np.random.default_rng(camera_seed))
+        self._pictures = LatePictures(_camera_faults(options), random_streams.robot_camera(options.seed))
         self._wake = threading.Event()
         self._commands = NewestMessage(self._wake.set)
         self._clock = node.publisher("/clock", messages.CLOCK, SENSOR_DATA)

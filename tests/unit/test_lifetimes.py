@@ -98,6 +98,7 @@ TESTED_WITH_THEIR_OWNER = {
     "Logbook": "its Log",
     "RosPublisher": "its RosNode",
     "SimulatedRobot": "its RosNode and its World",
+    "WebServer": "its server, which holds no file (tests/unit/web/test_server.py)",
     "Exporter": "its server, which holds no file (tests/unit/telemetry/test_prometheus.py)",
 }
 HOLDS_NOTHING = {  # `close` ends a stream, an epoch, a bar or a thread; or an interface; or a process of Ray

@@ -32,6 +32,8 @@ Runs are repeatable only with the same numbers: a changed number changes every r
 | `check_words` | 1019 | seed |
 | `fresh_pictures` | 1020 | seed, characters of the split's name |
 | `map_scenes` | 1030 | seed |
+| `robot_odometry` | 1040 | seed |
+| `robot_camera` | 1041 | seed |
 """
 
 import numpy as np
@@ -90,6 +92,16 @@ def intervals(seed: int) -> Generator:
 def map_scenes(seed: int) -> Generator:
     """Return the stream that draws starts and goals on a map."""
     return _generator(1030, seed)
+
+
+def robot_odometry(seed: int) -> Generator:
+    """Return the stream of the errors of a simulated robot's odometry."""
+    return _generator(1040, seed)
+
+
+def robot_camera(seed: int) -> Generator:
+    """Return the stream of the errors of a simulated robot's camera."""
+    return _generator(1041, seed)
 
 
 def scene(family: int, seed: int) -> Generator:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from zsdist import __version__
-from zsdist.common import output_files
+from zsdist.common import folders, output_files
 from zsdist.config import Config
 from zsdist.errors import RunError
 from zsdist.evaluation.contenders import Contender
@@ -101,7 +101,7 @@ def export_policy(
             update={"trained_on": trained_on, "evaluated": evaluated}
         )
         (folder / CARD_FILE).write_text(model_card(manifest, steps), encoding="utf-8")
-        hashes = {path.name: _sha256(path) for path in sorted(folder.iterdir())}
+        hashes = {path.name: _sha256(path) for path in folders.visible(folder)}
         whole = manifest.model_copy(update={"files": hashes})
         (folder / MANIFEST_FILE).write_text(whole.model_dump_json(indent=1) + "\n", encoding="utf-8")
         return check(Bundle.load(folder), on_step=lambda done, total: progress("checking steps", done, total))
@@ -109,7 +109,7 @@ def export_policy(
 
 def check_new(out: Path) -> None:
     """Raise `RunError` unless a path can become the folder of a bundle: it does not exist, or is an empty folder."""
-    if out.is_dir() and not any(out.iterdir()):
+    if out.is_dir() and not folders.visible(out):
         return
     if out.exists() or out.is_symlink():
         raise RunError(f"--out {str(out)!r} exists already; allowed is a new folder, or an empty one")

@@ -20,6 +20,7 @@ import sys
 from pathlib import Path
 from typing import Any, cast
 
+from zsdist.common import folders
 from zsdist.run import allocator
 from zsdist.run.nursery_shim import FORK, PREPARE, TAKEN
 
@@ -109,7 +110,7 @@ class Nursery:
         ):  # it reads its environment when it is imported; that of all its workers is the same
             os.environ.update(request["environment"])
             importlib.import_module(WORKER)
-        if (threads := sum(1 for _ in _THREADS.iterdir())) > 1:
+        if (threads := len(folders.visible(_THREADS))) > 1:
             raise SystemExit(f"the nursery cannot be forked, since a library has started {threads - 1} threads in it")
         gc.collect()
         allocator.return_freed_memory()

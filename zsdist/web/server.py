@@ -9,11 +9,12 @@ import threading
 from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from importlib import resources
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol
 from urllib.parse import parse_qs, urlsplit
 
+from zsdist.common import folders
 from zsdist.common.http_address import HttpAddress
 from zsdist.errors import RunError, ZsdistError
 
@@ -172,9 +173,9 @@ def _one(asked: dict[str, list[str]], name: str) -> str:
 def _read_files() -> dict[str, tuple[str, bytes]]:
     """Return the files of the page with their kinds, by name."""
     found = {}
-    for file in resources.files("zsdist.web").joinpath("assets").iterdir():
+    for file in folders.visible(Path(__file__).parent / "assets"):
         kind = KINDS.get(file.name.rpartition(".")[2])
-        if kind is not None and not file.name.startswith("."):
+        if kind is not None:
             found[file.name] = kind, file.read_bytes()
     return found
 
