@@ -195,9 +195,10 @@ class _Fetch:
     assembly: Assembly
     deliver: Deliver
     is_reply: bool
-    following: tuple[Manifest, Deliver] | None = None
+    following: tuple[Manifest, Deliver, bool] | None = None
     payload: bytes | None = None  # complete, waiting for room
     next_delivery_s: float = 0.0
+    handed_over: bool = False  # while it is delivered: its receiver may ask for another one at once
 
 
 class Fetcher:
@@ -221,9 +222,10 @@ class Fetcher:
         self._thread: threading.Thread | None = None
 
     def fetching(self, key: str, receiver: int) -> bool:
-        """Return whether a payload of a key is being fetched for a receiver."""
+        """Return whether a payload of a key is on its way to a receiver that has not got it yet."""
         with self._changed:
-            return (key, receiver) in self._fetches
+            fetch = self._fetches.get((key, receiver))
+            return fetch is not None and not fetch.handed_over
 
     def fetch(self, key: str, receiver: int, manifest: Manifest, deliver: Deliver, *, is_reply: bool = True) -> None:
         """Fetch a payload.
@@ -242,8 +244,8 @@ class Fetcher:
                 return
             fetch = self._fetches.get(place)
             if fetch is not None:
-                if fetch.assembly.manifest != manifest:
-                    fetch.following = (manifest, deliver)
+                if (is_reply and fetch.handed_over) or fetch.assembly.manifest != manifest:
+                    fetch.following = (manifest, deliver, is_reply)
             elif is_reply or self._delivered.get(place) != manifest.digest:
                 self._begin(place, manifest, deliver, is_reply)
 
@@ -298,12 +300,14 @@ class Fetcher:
         if fetch.assembly.complete:
             if fetch.payload is None:
                 fetch.payload = fetch.assembly.payload()
+                if fetch.payload is not None and fetch.is_reply:
+                    self._ask(place[0], _QUESTION.pack(digest, _EVERYTHING), lambda _: None)
             if fetch.payload is not None:
+                fetch.handed_over = True
                 if not fetch.deliver(fetch.payload):
+                    fetch.handed_over = False
                     fetch.next_delivery_s = self._clock() + DELIVER_AGAIN_S
                     return
-                if fetch.is_reply:
-                    self._ask(place[0], _QUESTION.pack(digest, _EVERYTHING), lambda _: None)
         with self._changed:
             if self._closed:
                 return
@@ -311,7 +315,7 @@ class Fetcher:
             if fetch.payload is not None:
                 self._delivered[place] = digest
             if fetch.following is not None:
-                self._begin(place, *fetch.following, fetch.is_reply)
+                self._begin(place, *fetch.following)
 
 
 def _is_due(fetch: _Fetch, now: float) -> bool:

@@ -210,6 +210,21 @@ def test_a_value_that_has_been_delivered_is_fetched_again_only_as_a_reply(link):
     link.wait(lambda: len(link.arrived) == 2)
 
 
+def test_a_receiver_may_ask_for_the_next_reply_while_it_gets_one(link):
+    asked = []
+
+    def deliver(payload):
+        if not asked:
+            asked.append(link.fetcher.fetching("key", 1))
+            link.announce(PAYLOAD)
+        return Link.deliver(link, payload)
+
+    link.deliver = deliver
+    link.announce(PAYLOAD)
+    link.wait(lambda: len(link.arrived) == 2)
+    assert asked == [False]
+
+
 def test_a_payload_waits_for_room(link):
     link.room = False
     link.announce(PAYLOAD)
