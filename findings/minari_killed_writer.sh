@@ -17,7 +17,7 @@ set -eu
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 python3 -m venv "$folder/venv"
-"$folder/venv/bin/pip" install --quiet 'minari[arrow]==0.5.4'
+"$folder/venv/bin/pip" install --quiet 'minari[arrow]==0.5.4' pillow==13.0.0
 cat > "$folder/killed.py" <<'PYTHON'
 import json
 import os
