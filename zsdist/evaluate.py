@@ -12,7 +12,6 @@ from typing import Any
 
 from zsdist import config
 from zsdist.common import cli, commands, locks, output_files, places, streams
-from zsdist.common.allowed_resources import allowed_cores
 from zsdist.common.console import PlainConsole, say
 from zsdist.errors import RunError
 from zsdist.evaluation.baselines import BASELINES
@@ -46,19 +45,7 @@ def make_parser() -> argparse.ArgumentParser:
     add("--compare", nargs=2, type=cli.path, metavar="FILE.jsonl", help=compared)
     add("--video", type=cli.path, metavar="DIR", help="film the first episodes into DIR, an MP4 and a still of each")
     add("--video-episodes", type=cli.count, default=3, metavar="N", help="number of episodes to film (default: 3)")
-    add(
-        "--config",
-        type=cli.configuration,
-        metavar="FILE",
-        help="preset or file of a baseline's world; a run has its own",
-    )
-    parser.add_set()
-    add(
-        "--workers",
-        type=cli.count,
-        default=allowed_cores(),
-        help="processes (default: one per core that this process may use)",
-    )
+    parser.add_drives()
     return parser
 
 

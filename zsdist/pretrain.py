@@ -14,7 +14,6 @@ from pathlib import Path
 
 from zsdist import config as configuration
 from zsdist.common import cli, commands, locks, output_files, places, signals, streams
-from zsdist.common.allowed_resources import allowed_cores
 from zsdist.common.console import say
 from zsdist.config import Config
 from zsdist.errors import ConfigError
@@ -52,13 +51,7 @@ def make_parser() -> argparse.ArgumentParser:
     add("--stages", metavar="A,B", help=f"parts to train (default: {','.join(STAGES)})")
     encoder = "vision.encoder: efficientnet-lite0, or a folder with a CLIP model"
     parser.add_setting("--encoder", "vision.encoder", metavar="NAME|DIR", help=encoder)
-    add(
-        "--workers",
-        type=cli.count,
-        default=allowed_cores(),
-        metavar="N",
-        help="processes (default: one per core that this process may use)",
-    )
+    parser.add_workers()
     add("--keep-pictures", action="store_true", help="keep the pictures when training has ended")
     add("--check", action="store_true", help="check trained weights instead of training")
     add("--json", type=cli.path, metavar="FILE", help="write the figures of the check to FILE")

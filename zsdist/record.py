@@ -12,7 +12,6 @@ from pathlib import Path
 
 import zsdist
 from zsdist.common import cli, commands, locks, output_files, places, streams
-from zsdist.common.allowed_resources import allowed_cores
 from zsdist.common.console import say
 from zsdist.errors import RunError
 from zsdist.evaluate import find_policy
@@ -49,19 +48,7 @@ def make_parser() -> argparse.ArgumentParser:
     add("--out", type=cli.path, metavar="DIR", help="folder of the set")
     add("--resume", action="store_true", help="resume the set in --out DIR: keep its episodes, drive the others")
     add("--variant", default=FULL, metavar="NAME", help=f"variant of a learned policy: {', '.join(VARIANTS)}")
-    add(
-        "--config",
-        type=cli.configuration,
-        metavar="FILE",
-        help="preset or file of a baseline's world; a run has its own",
-    )
-    parser.add_set()
-    add(
-        "--workers",
-        type=cli.count,
-        default=allowed_cores(),
-        help="processes (default: one per core that this process may use)",
-    )
+    parser.add_drives()
     repair = "make FILE whole again, the MCAP file of a recording that was killed"
     add("--repair", type=cli.path, metavar="FILE.mcap", help=repair)
     return parser

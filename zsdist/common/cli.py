@@ -16,6 +16,7 @@ from typing import Any, NoReturn
 
 from zsdist import config
 from zsdist.common import output_files, places, presets, signals, streams, values
+from zsdist.common.allowed_resources import allowed_cores
 from zsdist.common.plain_lines import plain, say
 from zsdist.errors import ConfigError, ZsdistError
 
@@ -44,6 +45,18 @@ class Parser(argparse.ArgumentParser):
         (group or self).add_argument(
             "--set", action="append", default=[], metavar="KEY.PATH=VALUE", help="change one setting; repeatable"
         )
+
+    def add_drives(self) -> None:
+        """Add `--config`, `--set` and `--workers`, for a command that drives a policy in parallel processes."""
+        world = "preset or file of a baseline's world; a run has its own"
+        self.add_argument("--config", type=configuration, metavar="FILE", help=world)
+        self.add_set()
+        self.add_workers()
+
+    def add_workers(self) -> None:
+        """Add `--workers`."""
+        processes = "processes (default: one per core that this process may use)"
+        self.add_argument("--workers", type=count, default=allowed_cores(), metavar="N", help=processes)
 
     def error(self, message: str) -> NoReturn:
         """Print the error and exit with status 2."""
