@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from zsdist.common import folders
+from zsdist.reporting.markdown import table
 from zsdist.run.board import Board
 
 _SHOWN = ("success", "collision", "timeout", "spl")
@@ -31,7 +32,7 @@ def add(folder: Path) -> None:
         for result in results:
             name = f"evaluation/{result['scenes']}/{result['policy']}"
             board.add(episodes, {f"{name}/{key}": result[key] for key in _SHOWN if result[key] is not None})
-        for path in sorted(folders.visible(folder / "figures", "*.png")):
+        for path in folders.visible(folder / "figures", "*.png"):
             board.add_picture(f"figures/{path.stem}", path.read_bytes(), episodes)
         board.sync()
     finally:
@@ -43,9 +44,13 @@ def _read(path: Path) -> Any:
 
 
 def _table(results: list[dict[str, Any]]) -> str:
-    head = ("scenes", "policy", "episodes", *_SHOWN)
-    lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
-    for result in results:
-        figures = ("-" if result[key] is None else f"{result[key]:.2f}" for key in _SHOWN)
-        lines.append(f"| {result['scenes']} | {result['policy']} | {result['episodes']} | {' | '.join(figures)} |")
-    return "\n".join(lines)
+    rows = [
+        (
+            result["scenes"],
+            result["policy"],
+            str(result["episodes"]),
+            *("-" if result[key] is None else f"{result[key]:.2f}" for key in _SHOWN),
+        )
+        for result in results
+    ]
+    return "\n".join(table(("scenes", "policy", "episodes", *_SHOWN), rows))
