@@ -2,6 +2,7 @@
 
 import time
 
+import episode_records
 import numpy as np
 import pytest
 from endurance.conftest import DAY_S
@@ -24,18 +25,7 @@ RUN, ACTORS, CARS = "month", 4, 4
 ROLES = ("replay", "learner-high", "learner-low")
 WEIGHTS = {"w": np.zeros(1, np.float32)}
 STANDSTILL_ROUNDS = 50
-RECORD = {
-    "scene": "made up",
-    "outcome": "success",
-    "steps": 60,
-    "return": 1.0,
-    "epsilon": 0.5,
-    "shielded": True,
-    "path_m": 1.0,
-    "start": [0.0, 0.0],
-    "goal": [1.0, 1.0],
-    "path": [[0.0, 0.0]] * 5,
-}
+RECORD = episode_records.RECORD | {"steps": 60, "path": [[0.0, 0.0]] * 5}
 
 
 class FakeRun:

@@ -9,6 +9,7 @@ import os
 from collections import Counter
 from functools import partial
 
+import episode_records
 import numpy as np
 import pytest
 
@@ -39,16 +40,7 @@ CONFIG = parse(
         "merge": {"every_episodes": 4, "validation_scenes": 2, "drop_after_scenes": 1},
     }
 )
-RECORD = {
-    "scene": "made up",
-    "return": 1.0,
-    "epsilon": 0.5,
-    "shielded": True,
-    "path_m": 1.0,
-    "start": [0.0, 0.0],
-    "goal": [1.0, 1.0],
-    "path": [[0.0, 0.0]] * 5,
-}
+RECORD = episode_records.RECORD | {"path": [[0.0, 0.0]] * 5}
 
 
 class KilledError(Exception):
