@@ -1,7 +1,6 @@
 """Whole export of a policy: networks, recorded steps, model card and manifest, in a folder that is whole or absent."""
 
 import contextlib
-import hashlib
 import math
 import os
 import shutil
@@ -21,7 +20,7 @@ from zsdist.exporting.past import evaluations_of, training_of
 from zsdist.exporting.recording import record_steps
 from zsdist.planning.footprint import ADVANCES, CAR_LENGTH_M, CAR_WIDTH_M, MARGIN_M, TURNS
 from zsdist.run.checkpoint import Policy
-from zsdist.runtime.bundle import CARD_FILE, MANIFEST_FILE, NETWORK_FILES, PARITY_FILE, VISION_FILE, Bundle
+from zsdist.runtime.bundle import CARD_FILE, MANIFEST_FILE, NETWORK_FILES, PARITY_FILE, VISION_FILE, Bundle, sha256
 from zsdist.runtime.manifest import (
     FORMAT,
     BundleAction,
@@ -101,7 +100,7 @@ def export_policy(
             update={"trained_on": trained_on, "evaluated": evaluated}
         )
         (folder / CARD_FILE).write_text(model_card(manifest, steps), encoding="utf-8")
-        hashes = {path.name: _sha256(path) for path in folders.visible(folder)}
+        hashes = {path.name: sha256(path) for path in folders.visible(folder)}
         whole = manifest.model_copy(update={"files": hashes})
         (folder / MANIFEST_FILE).write_text(whole.model_dump_json(indent=1) + "\n", encoding="utf-8")
         return check(Bundle.load(folder), on_step=lambda done, total: progress("checking steps", done, total))
@@ -180,8 +179,3 @@ def _folder(out: Path) -> Iterator[Path]:
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -59,8 +59,8 @@ class Bundle:
         for name in FILES:
             if name not in manifest.files:
                 raise BundleError(f"bundle {folder}: {MANIFEST_FILE} has no hash of {name}; {_AGAIN}")
-        for name, sha256 in manifest.files.items():
-            _check_file(folder, name, sha256)
+        for name, expected in manifest.files.items():
+            _check_file(folder, name, expected)
         try:
             return cls(folder, manifest, configuration(manifest))
         except ConfigError as error:
@@ -122,16 +122,21 @@ def _check_versions(file: Path, content: Any) -> None:
         )
 
 
-def _check_file(folder: Path, name: str, sha256: str) -> None:
+def sha256(path: Path) -> str:
+    """Return the hash of a file as a manifest has it; raise `OSError` where it cannot be read."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _check_file(folder: Path, name: str, expected: str) -> None:
     if Path(name).name != name:
         raise BundleError(f"bundle {folder}: {MANIFEST_FILE} names the file {name!r}; allowed is a name in the folder")
     try:
-        with (folder / name).open("rb") as file:
-            found = hashlib.file_digest(file, "sha256").hexdigest()
+        found = sha256(folder / name)
     except OSError as error:
         raise BundleError(f"bundle {folder}: {name} cannot be read: {error.strerror or error}; {_AGAIN}") from error
-    if found != sha256:
+    if found != expected:
         raise BundleError(
             f"bundle {folder}: {name} is damaged: its SHA-256 is {found[:16]}..., and {MANIFEST_FILE} has "
-            f"{sha256[:16]}...; {_AGAIN}"
+            f"{expected[:16]}...; {_AGAIN}"
         )
