@@ -64,6 +64,9 @@ TEXTS_BY_OPTION = [  # that YAML would not take for one text
     ("/x/it's", "/x/it's"),
     ("/*&!%@`|>", "/*&!%@`|>"),
     ("/x, y", "/x, y"),
+    ("  /x/y ", "/x/y"),
+    ('"/x/ y "', "/x/ y "),
+    ('"/x/\'y\'"', "/x/'y'"),
 ]
 
 
