@@ -119,6 +119,7 @@ test: lint
 	$(BIN)/python -m pytest tests/integration -q -m alone
 
 test-docs: install
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[examples]'
 	$(BIN)/python -m pytest tests/documents -q
 
 # Playwright drives the Chromium that is installed; it brings none. axe has the rules of accessibility.

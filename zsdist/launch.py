@@ -16,8 +16,6 @@ from zsdist.run.program import RunSpec
 from zsdist.telemetry.display import Display
 from zsdist.transport.base import Transport
 
-ONE_PROCESS = ("placement=inline", "transport.kind=memory", "run.address=null")  # `--single-process`
-
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command's options."""
@@ -31,7 +29,7 @@ def make_parser() -> argparse.ArgumentParser:
     preset = f"YAML configuration, or a preset: {', '.join(presets.names())}"
     add("--config", type=cli.configuration, metavar="FILE", help=preset)
     parser.add_set()
-    setting("--single-process", *ONE_PROCESS, action="store_true", help="run all roles here, on a virtual clock")
+    setting("--single-process", *config.ONE_PROCESS, action="store_true", help="run all roles here, on a virtual clock")
     add("--run-dir", type=cli.path, metavar="DIR", help="folder of the run (default: a new one in runs/)")
     add("--resume", type=cli.path, metavar="DIR", help="resume the run in DIR and append to its files")
     again = "with --run-dir DIR: resume the run in DIR where there is one, and do nothing where it is complete"
