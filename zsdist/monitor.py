@@ -8,7 +8,7 @@ import time
 from contextlib import closing
 from pathlib import Path
 
-from zsdist.common import cli
+from zsdist.common import cli, output_files
 from zsdist.common.console import PlainConsole, say
 from zsdist.common.http_address import LOOPBACK, HttpAddress, http_address
 from zsdist.errors import RunError, TransportError
@@ -18,12 +18,13 @@ from zsdist.run import program
 from zsdist.run.life import RunLife
 from zsdist.telemetry import watching
 from zsdist.telemetry.curves import CurveHistory
-from zsdist.telemetry.display import Display
+from zsdist.telemetry.display import MAILBOX_BYTES, Display
 from zsdist.telemetry.watching import Sight
-from zsdist.transport.base import Transport
+from zsdist.transport.base import Mailbox, Transport
 from zsdist.transport.certificates import Identity
 from zsdist.transport.zenoh import ZenohTransport
 from zsdist.web import history
+from zsdist.wire import keys
 
 LOST = 1  # exit status: the run is gone without having ended
 STARTS_WITHIN_S = 180.0  # time from the folder of a run to its hub
@@ -48,6 +49,8 @@ def make_parser() -> argparse.ArgumentParser:
     add("--plain", action="store_true", help="print lines, also on a terminal")
     metrics = "serve the figures to Prometheus at 127.0.0.1:PORT or HOST:PORT, of one run after the other"
     add("--prometheus", type=http_address, metavar="PORT", help=metrics)
+    add("--rerun", metavar="FILE.rrd", help="record one car for the Rerun viewer, or show it there: live")
+    add("--car", type=_car, default="actor-0/0", metavar="ACTOR/CAR", help="car to record (default: actor-0/0)")
     web = f"show runs in a browser on this machine, at 127.0.0.1:PORT (default: {WEB_PORT})"
     add("--web", type=_port, nargs="?", const=WEB_PORT, metavar="PORT", help=web)
     return parser
@@ -59,6 +62,8 @@ def main(options: argparse.Namespace) -> int:
         return _export(options)
     if options.web is not None:
         return _serve_pages(options)
+    if options.rerun is not None:
+        return _record_car(options)
     if options.wait and (other := _first_given(options, "once", "connect", "run")) is not None:
         raise RunError(f"--{other} cannot be combined with --wait, which takes the next run that starts")
     if options.connect is None:
@@ -78,7 +83,7 @@ def main(options: argparse.Namespace) -> int:
 
 def _export(options: argparse.Namespace) -> int:
     """Serve the metrics of one run after the other, until a signal; a run that is not there yet is waited for."""
-    if (other := _first_given(options, "once", "json", "plain", "wait", "web")) is not None:
+    if (other := _first_given(options, "once", "json", "plain", "wait", "rerun", "web")) is not None:
         raise RunError(f"--{other} cannot be combined with --prometheus, which shows nothing here")
     if options.connect is not None:
         _identity(options.connect, options.tls)  # what is wrong with the certificate is said at once
@@ -92,7 +97,7 @@ def _export(options: argparse.Namespace) -> int:
 
 def _serve_pages(options: argparse.Namespace) -> int:
     """Show runs in a browser, until a signal."""
-    if (other := _first_given(options, "once", "json", "plain", "wait")) is not None:
+    if (other := _first_given(options, "once", "json", "plain", "wait", "rerun")) is not None:
         raise RunError(f"--{other} cannot be combined with --web, which shows nothing here")
     if options.connect is not None:
         _identity(options.connect, options.tls)  # what is wrong with the certificate is said at once
@@ -106,6 +111,38 @@ def _serve_pages(options: argparse.Namespace) -> int:
         say(f"from another machine: ssh -N -L {port}:{LOOPBACK}:{port} USER@THIS_MACHINE, then the same address there")
         threading.Event().wait()
     return 0
+
+
+def _record_car(options: argparse.Namespace) -> int:
+    """Record what one car sees, believes and does, until a signal or until it is silent."""
+    if (other := _first_given(options, "once", "json", "plain", "wait")) is not None:
+        raise RunError(f"--{other} cannot be combined with --rerun, which shows nothing here")
+    from zsdist.reporting import rerun_frames, rerun_log
+    from zsdist.web.attention import Attention
+    from zsdist.web.live import ANSWER_WITHIN_S, EVERY_S, read_answer
+
+    rerun_log.require_rerun()
+    target: Path | str = options.rerun if options.rerun == rerun_log.LIVE else cli.path(options.rerun)
+    if isinstance(target, Path):
+        output_files.check_place("--rerun", target)
+    run, transport = _find(options)
+    attend = Attention(lambda: lives.find(options.runs, options.run).settings())
+    answers, last, heard_s = Mailbox(MAILBOX_BYTES), None, time.monotonic()
+    with closing(transport), rerun_log.RerunLog(target) as log:
+        say(f"car {options.car} of run {run} is recorded into {options.rerun}; Ctrl-C ends it, which no run notices")
+        while time.monotonic() - heard_s < watching.GONE_AFTER_S:
+            transport.request(keys.view(run, *options.car.split("/")), b"", answers, timeout_s=ANSWER_WITHIN_S)
+            time.sleep(EVERY_S)
+            for message in answers.drain():
+                if (view := read_answer(message.payload)) is None:
+                    continue
+                heard_s = time.monotonic()
+                now = view.get("kind"), view.get("number"), view.get("step")
+                if now != last and (frame := rerun_frames.frame_of_view(view | attend(view))) is not None:
+                    last = now
+                    log.add(frame)
+    say(f"car {options.car} of run {run} does not answer any more; the run ended, or has no such car", error=True)
+    return LOST
 
 
 def _first_given(options: argparse.Namespace, *names: str) -> str | None:
@@ -269,6 +306,14 @@ def _port(text: str) -> int:
     if not (text.isascii() and text.isdecimal()) or not 0 < int(text) < 2**16:
         raise argparse.ArgumentTypeError(f"value is {text!r}; allowed is a port from 1 to 65535, such as {WEB_PORT}")
     return int(text)
+
+
+def _car(text: str) -> str:
+    """Return the value of an option that names a car."""
+    actor, _, car = text.partition("/")
+    if not (actor.startswith("actor-") and actor[6:].isdecimal() and car.isascii() and car.isdecimal()):
+        raise argparse.ArgumentTypeError(f"value is {text!r}; allowed is ACTOR/CAR, such as actor-0/0")
+    return text
 
 
 if __name__ == "__main__":
