@@ -23,7 +23,7 @@ EVERY = ["attention", "belief", "camera", "decision", "scene/boxes", "scene/car"
 class Made:
     """Any object of the fake SDK: knows how it was made."""
 
-    def __init__(self, name, *values, **fields):
+    def __init__(self, name, /, *values, **fields):
         self.name, self.values, self.fields = name, values, fields
 
     def compress(self, **options):
