@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from zsdist.agent import features
-from zsdist.agent.options import choices
+from zsdist.agent.blocks import choices
 from zsdist.agent.reward_shaping import path_costs
 from zsdist.common import random_streams
 from zsdist.common.progress import StepProgress
