@@ -81,6 +81,12 @@ def role_count(config: Config) -> int:
     return len(_names(config))
 
 
+def reporting(config: Config) -> list[str]:
+    """Return the names of all roles that report once the run has started; where Ray runs them, of the hub too."""
+    hub = ["hub-0"] if config.placement == "ray" else []
+    return hub + [f"{role}-{identifier}" for role, identifier in _names(config)]
+
+
 def epoch_count(config: Config) -> int:
     """Return the number of epochs that a start takes: for the runner, the hub and each role, in this order."""
     return 2 + role_count(config)
