@@ -104,7 +104,8 @@ def main(folder: str = str(ROOT / "build" / "docs")) -> int:
     wrong = faults(place / "site")
     for line in wrong:
         print(line, file=sys.stderr)
-    print(f"{len(list((place / 'site').rglob('*.html')))} pages: {place / 'site' / 'index.html'}")
+    print(f"{len(list((place / 'site').rglob('*.html')))} pages: {place / 'site' / 'index.html'}; with its search:")
+    print(f"  python -m http.server --bind 127.0.0.1 --directory {place / 'site'}")
     return 1 if wrong else 0
 
 

@@ -9,6 +9,7 @@ import json
 import re
 import tokenize
 from collections.abc import Iterator
+from enum import Enum
 from types import NoneType
 from typing import Any, get_args
 
@@ -203,6 +204,7 @@ def _number(value: float) -> str:
 def _options(parser: argparse.ArgumentParser) -> list[str]:
     """Return usage and options of a parser, and those of its orders."""
     usage = " ".join(parser.format_usage().split()).removeprefix("usage: ")
+    usage = usage.replace(" [-h]", "").replace(" [--debug]", "")  # said once for all commands
     lines = ["", f"```text\n{_folded(usage)}\n```", "", "| option | meaning |", "|---|---|"]
     orders = None
     formatter = argparse.HelpFormatter(parser.prog)
@@ -216,6 +218,7 @@ def _options(parser: argparse.ArgumentParser) -> list[str]:
         lines = lines if len(lines) > 5 else lines[:2]  # without an empty table
         helps = {choice.dest: choice.help for choice in orders._choices_actions}
         for name, each in orders.choices.items():
+            each.prog = f"{parser.prog} {name}"
             what = helps.get(name) or ""
             lines += ["", f"### {parser.prog} {name}", "", f"{what[:1].upper()}{what[1:]}.", *_options(each)]
     return lines
@@ -247,6 +250,8 @@ def _described(thing: Any, name: str, level: int) -> list[str]:
 
 
 def _signature(thing: Any, name: str) -> str:
+    if inspect.isclass(thing) and issubclass(thing, Enum):
+        return "\n".join(f"{name}.{member.name} = {member.value!r}" for member in thing)
     try:
         found = inspect.signature(thing)
     except ValueError:  # of an enumeration or an exception

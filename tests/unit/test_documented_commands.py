@@ -72,3 +72,8 @@ def test_the_tutorial_shows_what_the_check_of_its_place_prints(tmp_path, monkeyp
 def test_every_preset_is_in_the_document():
     text = (ROOT / "docs" / "usage.md").read_text()
     assert [name for name in presets.names() if f"`{name}`" not in text] == []
+
+
+def test_every_command_is_in_the_document():
+    named = {command.name for command in COMMANDS if command.document == "docs/usage.md"}
+    assert set(__main__.describe_commands()) <= named
