@@ -46,7 +46,7 @@ def tutorial(folder: Path) -> Iterator[tuple[Documented, list[str]]]:
     made = {" ".join((command.name, *command.words)): command for command in commands()}
     blocks = re.findall(r"^(?: {4}.*\n)+", text, re.MULTILINE)
     for block, shown in pairwise([*blocks, ""]):
-        words = shlex.split(block)
+        words = shlex.split(block.replace("\\\n", " "))
         if words[0] == "zsdist":
             yield made[" ".join(words[1:])], [] if shown.startswith("    zsdist") else shown.splitlines()
         if "no way" in block:  # the reader is told to move a wall, and to check again
