@@ -17,6 +17,9 @@ from pages import ROOT, Pages
 LOADED = {"img": "src", "script": "src", "link": "href", "iframe": "src", "source": "src", "video": "src"}
 _REMOTE_STYLE = re.compile(r"(?:@import|url\()\s*['\"]?(?:https?:)?//")
 
+_CODE = re.compile(r"(?<=<code>)[^<\n]*(?=</code>)")
+_HYPHENED = re.compile(r"(?<!\S)(?=\S*-)[\w./=-]{2,28}(?!\S)")
+
 
 class Html(HTMLParser):
     """Links, what is loaded, and anchors of one page.
@@ -54,6 +57,16 @@ def make_pages(folder: Path) -> None:
     pages.put("reference/python.md", reference.python())
     pages.write()
     shutil.copy(ROOT / "docs" / "mkdocs.yml", folder / "mkdocs.yml")
+
+
+def keep_options_whole(site: Path) -> None:
+    """Mark the words with hyphens in code between other text, so that no line ends within one of them."""
+    for path in site.rglob("*.html"):
+        text = path.read_text(encoding="utf-8")
+        path.write_text(
+            _CODE.sub(lambda found: _HYPHENED.sub(r'<span class="whole">\g<0></span>', found.group()), text),
+            encoding="utf-8",
+        )
 
 
 def faults(site: Path) -> list[str]:
@@ -101,6 +114,7 @@ def main(folder: str = str(ROOT / "build" / "docs")) -> int:
     ]
     if (status := subprocess.run(command, check=False).returncode) != 0:
         return status
+    keep_options_whole(place / "site")
     wrong = faults(place / "site")
     for line in wrong:
         print(line, file=sys.stderr)

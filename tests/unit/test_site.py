@@ -130,6 +130,13 @@ def test_links_lead_from_page_to_page_and_code_keeps_its_own(tmp_path):
     assert pages.relative("a.md", "b/c.md") == "../a.md" and pages.relative("b/a.md", "b/c.md") == "a.md"
 
 
+def test_no_line_ends_within_an_option(tmp_path):
+    (tmp_path / "a.html").write_text("<p>a-b <code>zsdist launch --run-dir &lt;x-y&gt;</code></p>")
+    build_site.keep_options_whole(tmp_path)
+    whole = '<code>zsdist launch <span class="whole">--run-dir</span> &lt;x-y&gt;</code>'
+    assert (tmp_path / "a.html").read_text() == f"<p>a-b {whole}</p>"
+
+
 def test_a_site_with_a_dead_link_or_something_from_elsewhere_is_refused(tmp_path):
     (tmp_path / "a.html").write_text(
         '<a href="b.html#x">x</a><a href="c.html">c</a><a id="y" href="https://a.org">z</a>'
