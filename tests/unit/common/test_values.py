@@ -66,7 +66,7 @@ TEXTS_BY_OPTION = [  # that YAML would not take for one text
     ("/x, y", "/x, y"),
     ("  /x/y ", "/x/y"),
     ('"/x/ y "', "/x/ y "),
-    ('"/x/\'y\'"', "/x/'y'"),
+    ("\"/x/'y'\"", "/x/'y'"),
 ]
 
 
