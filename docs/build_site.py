@@ -18,7 +18,7 @@ LOADED = {"img": "src", "script": "src", "link": "href", "iframe": "src", "sourc
 _REMOTE_STYLE = re.compile(r"(?:@import|url\()\s*['\"]?(?:https?:)?//")
 
 _CODE = re.compile(r"(?<=<code>)[^<\n]*(?=</code>)")
-_HYPHENED = re.compile(r"(?<!\S)(?=\S*-)[\w./=-]{2,28}(?!\S)")
+_HYPHENED = re.compile(r"(?<!\S)(?=\S*[-.])[\w./=-]{2,28}(?!\S)")
 
 
 class Html(HTMLParser):
@@ -60,7 +60,7 @@ def make_pages(folder: Path) -> None:
 
 
 def keep_options_whole(site: Path) -> None:
-    """Mark the words with hyphens in code between other text, so that no line ends within one of them."""
+    """Mark options and names of files in code between other text, so that no line ends within one of them."""
     for path in site.rglob("*.html"):
         text = path.read_text(encoding="utf-8")
         path.write_text(

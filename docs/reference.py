@@ -127,7 +127,9 @@ def python() -> str:
         for name in names:
             module, _, attribute = name.rpartition(".")
             thing = getattr(importlib.import_module(module), attribute)
-            lines += _described(thing, SHORT.get(name, name), 3)
+            home = module.rpartition(".")[2]
+            short = SHORT.get(name) or (attribute if inspect.isclass(thing) else f"{home}.{attribute}")
+            lines += _described(thing, short, 3, _import(name, short))
             if inspect.isclass(thing):
                 for member, value in vars(thing).items():
                     if not member.startswith("_") and _is_documented(value):
@@ -240,12 +242,20 @@ def _is_documented(value: Any) -> bool:
     return inspect.isfunction(function) and bool(function.__doc__)
 
 
-def _described(thing: Any, name: str, level: int) -> list[str]:
+def _import(name: str, short: str) -> str:
+    """Return the line that makes a name known under its short form."""
+    if short.startswith("zsdist."):
+        return "import zsdist"
+    return f"from {name.removesuffix(f'.{short}')} import {short.partition('.')[0]}"
+
+
+def _described(thing: Any, name: str, level: int, imported: str = "") -> list[str]:
     """Return heading, signature and docstring of a function, a class or a property."""
     lines = ["", f"{'#' * level} {name}", ""]
     doc = inspect.getdoc(thing) or ""
     if inspect.isclass(thing) or inspect.isfunction(thing) or inspect.ismethod(thing):
-        lines += [f"```python\n{_signature(thing, name)}\n```", ""]
+        before = f"{imported}\n\n" if imported else ""
+        lines += [f"```python\n{before}{_signature(thing, name)}\n```", ""]
     return [*lines, *_docstring(doc)]
 
 

@@ -110,6 +110,8 @@ def test_the_reference_names_every_command_and_its_options():
 def test_the_reference_of_python_has_docstrings_with_their_sections():
     page = reference.python()
     assert "### zsdist.load_policy\n" in page
+    assert "### families.draw\n\n```python\nfrom zsdist.sim.scenes import families\n\nfamilies.draw(\n" in page
+    assert "from zsdist.runtime.runner import BundleRunner\n\nBundleRunner(" in page
     assert "#### BundleRunner.decide" in page and "- `picture`: `(px, px, 3)` uint8" in page
 
 
