@@ -10,6 +10,8 @@
 # make chaos    kill, stop, cut off and slow down the processes of small runs; KILLS=N of each kind, RESULTS=DIR elsewhere
 # make soak     an hour of a small run in which something is killed every 20 seconds; HOURS=N
 # make chaos-learning  train `scattered` with a kill every 20 seconds and without, and compare; SEEDS=N; hours
+# make cluster-test  a run across network namespaces as hosts, with cuts and a lost host; as root, some minutes
+# make hosts    the rates of such a run, also with slow links, and how fast an actor is back after a cut; half an hour
 # make damage   flip a bit at 1,000 places of a journal and of a checkpoint, one at a time; FLIPS=N
 # make proof    show whether this checkout behaves like another one, bit for bit: make proof OLD=/path/to/other/checkout
 # make resumption  stop a single-process run at 20 random actions, resume it, and compare all bits
@@ -55,7 +57,7 @@ FLIPS ?= 1000
 SEEDS ?= 5
 RESULTS ?= runs/chaos
 
-.PHONY: robot install runtime runtime-resolve run test test-docs test-browser docs lint dist endurance lowest chaos soak chaos-learning damage proof resumption manifests clean peers
+.PHONY: robot cluster-test hosts install runtime runtime-resolve run test test-docs test-browser docs lint dist endurance lowest chaos soak chaos-learning damage proof resumption manifests clean peers
 
 install: $(TOOLS)
 
@@ -118,6 +120,7 @@ test: lint
 	$(BIN)/python -m pytest tests/integration -q -m alone
 
 test-docs: install
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[examples]'
 	$(BIN)/python -m pytest tests/documents -q
 
 # The site's generator is no part of the tools of the tests.
@@ -184,6 +187,13 @@ soak: install
 chaos-learning: install
 	@mkdir -p $(RESULTS)
 	$(BIN)/python tests/chaos/learning.py --seeds $(SEEDS) --results $(RESULTS)/learning.jsonl
+
+cluster-test: install
+	$(BIN)/python -m pytest tests/cluster -q -rs
+
+hosts: install
+	@mkdir -p $(RESULTS)
+	$(BIN)/python tests/chaos/hosts.py --results $(RESULTS)/hosts.jsonl
 
 damage: install
 	$(BIN)/python tests/damage.py --flips $(FLIPS)

@@ -1,4 +1,18 @@
-"""Visual navigation of a car by zero-shot vision and hierarchical reinforcement learning, trained on many processes."""
+"""Visual navigation of a car by zero-shot vision and hierarchical reinforcement learning, trained on many processes.
+
+Importing the package registers the Gymnasium environment `zsdist/CarNavigation-v0`, which `load_policy` drives:
+
+    import gymnasium, zsdist
+
+    policy = zsdist.load_policy("pretrained")  # or a run directory, a checkpoint, a baseline
+    env = gymnasium.make("zsdist/CarNavigation-v0", config=policy.config)
+    observation, info = env.reset(seed=1)
+    action = policy.act(observation)
+
+`zsdist.config.load` reads settings, `zsdist.evaluate.find_policy` and `zsdist.evaluation` measure policies, and
+`zsdist.run.training` trains. Each command, such as `zsdist launch`, is a module with `make_parser` and `main`.
+`examples/` has programs, docs/environment.md the tables of the environment.
+"""
 
 from zsdist.common import search_path  # (first: it decides where the other imports are found)
 
@@ -9,6 +23,7 @@ import signal
 import sys
 from typing import Any
 
+__all__ = ["__version__", "load_policy"]
 __version__ = "0.1.0"
 
 # While a command is being imported, a Ctrl-C ends it without a traceback; `zsdist.common.cli` handles it from then on.
@@ -26,3 +41,8 @@ def __getattr__(name: str) -> Any:
     if name == "load_policy":
         return importlib.import_module("zsdist.policy").load_policy
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """Return the names of the package, `load_policy` included."""
+    return sorted({*globals(), *__all__})

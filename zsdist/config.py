@@ -181,6 +181,7 @@ class MergeConfig(Section):
 
 
 SHORT_FORMS = {"transport": "transport.kind"}  # settings that the name of their section alone stands for
+ONE_PROCESS = ("placement=inline", "transport.kind=memory", "run.address=null")  # `launch --single-process`
 
 
 def is_loopback(endpoint: str) -> bool:

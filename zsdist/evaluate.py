@@ -44,7 +44,15 @@ def make_parser() -> argparse.ArgumentParser:
     compared = "paired differences between two files of episodes"
     add("--compare", nargs=2, type=cli.path, metavar="FILE.jsonl", help=compared)
     add("--video", type=cli.path, metavar="DIR", help="film the first episodes into DIR, an MP4 and a still of each")
-    add("--video-episodes", type=cli.count, default=3, metavar="N", help="number of episodes to film (default: 3)")
+    add(
+        "--video-episodes",
+        type=cli.count,
+        default=3,
+        metavar="N",
+        help="number of episodes to film or record (default: 3)",
+    )
+    rerun = "record as many episodes for the Rerun viewer (needs the extra rerun)"
+    add("--rerun", type=cli.path, metavar="FILE.rrd", help=rerun)
     parser.add_drives()
     return parser
 
@@ -165,6 +173,13 @@ def _evaluate_all(options: argparse.Namespace, console: PlainConsole) -> list[Re
         raise RunError(f"--video {options.video} is a file; allowed is a folder, which is made where it does not exist")
     if line := places.find_clash("--scenes", options.scenes, BUILT_IN):
         _note(line)
+    if options.rerun is not None:
+        if len(options.policy) > 1:
+            raise RunError(f"--rerun {options.rerun}: {len(options.policy)} policies were named; allowed is one")
+        from zsdist.reporting import rerun_log
+
+        rerun_log.require_rerun()
+        output_files.check_place("--rerun", options.rerun)
     policies = []
     for name in options.policy:
         policies.append(find_policy(name, options.config, options.variant, cli.overrides(options), _note))
@@ -180,6 +195,8 @@ def _evaluate_all(options: argparse.Namespace, console: PlainConsole) -> list[Re
         if options.video is not None:
             folder = options.video if len(policies) == 1 else options.video / Path(policy.name).name
             _film(options, policy.contender, folder)
+        if options.rerun is not None:
+            _record(options, policy.contender)
     return reports
 
 
@@ -213,6 +230,16 @@ def _film(options: argparse.Namespace, contender: Contender, folder: Path) -> No
         folder.mkdir(parents=True, exist_ok=True)
         with locks.held(folder, f"--video {folder}"):
             film(contender, scenes, options.seed, folder, lambda file: say(f"film: {file}"))
+
+
+def _record(options: argparse.Namespace, contender: Contender) -> None:
+    """Drive the first episodes a second time, and record what the car sees, believes and does."""
+    from zsdist.reporting import rerun_frames
+
+    scenes = select(options.scenes, contender.config, options.episodes, options.seed)[: options.video_episodes]
+    with output_files.written(f"--rerun {options.rerun}"), locks.held(options.rerun, f"--rerun {options.rerun}"):
+        rerun_frames.record(contender, scenes, options.seed, options.rerun)
+    say(f"recording: {options.rerun}; open it with: rerun --bind 127.0.0.1 {commands.quoted(options.rerun)}")
 
 
 def _check_out(out: Path | None, resume: bool) -> None:

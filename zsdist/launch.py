@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import signal
+import time
 from dataclasses import replace
 
 from zsdist import config
@@ -11,12 +12,12 @@ from zsdist.common.console import PlainConsole
 from zsdist.common.signals import Interrupted, Interruption, handled_by, status_of
 from zsdist.errors import CompleteError, ConfigError
 from zsdist.roles import permissions
-from zsdist.run import location, opening, training
+from zsdist.run import location, opening, program, training
 from zsdist.run.program import RunSpec
+from zsdist.telemetry.curves import CurveHistory
 from zsdist.telemetry.display import Display
 from zsdist.transport.base import Transport
-
-ONE_PROCESS = ("placement=inline", "transport.kind=memory", "run.address=null")  # `--single-process`
+from zsdist.web import history
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -31,7 +32,7 @@ def make_parser() -> argparse.ArgumentParser:
     preset = f"YAML configuration, or a preset: {', '.join(presets.names())}"
     add("--config", type=cli.configuration, metavar="FILE", help=preset)
     parser.add_set()
-    setting("--single-process", *ONE_PROCESS, action="store_true", help="run all roles here, on a virtual clock")
+    setting("--single-process", *config.ONE_PROCESS, action="store_true", help="run all roles here, on a virtual clock")
     add("--run-dir", type=cli.path, metavar="DIR", help="folder of the run (default: a new one in runs/)")
     add("--resume", type=cli.path, metavar="DIR", help="resume the run in DIR and append to its files")
     again = "with --run-dir DIR: resume the run in DIR where there is one, and do nothing where it is complete"
@@ -110,6 +111,7 @@ def _saved(summary: training.Summary) -> str:
 
 def _conclude(spec: RunSpec, summary: training.Summary, console: PlainConsole) -> None:
     """Check and draw the training."""
+    console.say("the training has ended and is saved; its figures are drawn, and its evaluation follows")
     from zsdist.reporting import final_evaluation  # matplotlib and scipy: 3 s that no start should wait for
 
     training.check_accounts(summary)
@@ -165,7 +167,16 @@ def _join(options: argparse.Namespace, console: PlainConsole) -> int:
 
 
 def _train(spec: RunSpec, console: PlainConsole, interruption: Interruption, *, prefer_lines: bool) -> training.Summary:
-    with handled_by(interruption), Display(spec.run, console, prefer_lines=prefer_lines) as display:
+    display = Display(
+        spec.run,
+        console,
+        prefer_lines=prefer_lines,
+        started_s=time.time(),
+        expected=program.reporting(spec.config),
+        history=CurveHistory(history.curves(spec.folder)),
+    )
+    with handled_by(interruption), display:
+        display.show()  # nothing is received before Ray and the hub have started
         told = False
 
         def watch(transport: Transport, now: float) -> None:
@@ -173,7 +184,7 @@ def _train(spec: RunSpec, console: PlainConsole, interruption: Interruption, *, 
             display.refresh(transport, now)
             if interruption() and not told:
                 told = True
-                console.say(f"{interruption.name}: stopping and saving; a second signal stops at once, unsaved")
+                display.tell(f"{interruption.name}: stopping and saving; a second signal stops at once, unsaved")
 
         return training.train(spec, interruption, watch)
 

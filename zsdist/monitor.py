@@ -1,25 +1,30 @@
 """`python -m zsdist.monitor`: watch a run from outside, as an ordinary zenoh subscriber."""
 
 import argparse
+import contextlib
 import json
 import threading
 import time
 from contextlib import closing
 from pathlib import Path
 
-from zsdist.common import cli
+from zsdist.common import cli, output_files
 from zsdist.common.console import PlainConsole, say
 from zsdist.common.http_address import LOOPBACK, HttpAddress, http_address
 from zsdist.errors import RunError, TransportError
 from zsdist.roles import permissions
 from zsdist.run import life as lives
+from zsdist.run import program
 from zsdist.run.life import RunLife
 from zsdist.telemetry import watching
-from zsdist.telemetry.display import Display
+from zsdist.telemetry.curves import CurveHistory
+from zsdist.telemetry.display import MAILBOX_BYTES, Display
 from zsdist.telemetry.watching import Sight
-from zsdist.transport.base import Transport
+from zsdist.transport.base import Mailbox, Transport
 from zsdist.transport.certificates import Identity
 from zsdist.transport.zenoh import ZenohTransport
+from zsdist.web import history
+from zsdist.wire import keys
 
 LOST = 1  # exit status: the run is gone without having ended
 STARTS_WITHIN_S = 180.0  # time from the folder of a run to its hub
@@ -38,11 +43,14 @@ def make_parser() -> argparse.ArgumentParser:
     add("--runs", type=cli.path, default=Path("runs"), help="folder in which the run is looked for (default: runs)")
     tls = "folder with ca.pem, monitor.pem and monitor.key, for a hub that asks for certificates"
     add("--tls", metavar="DIR", help=tls)
+    add("--wait", action="store_true", help="where no run is alive, wait for the next one to start")
     add("--once", action="store_true", help="print one snapshot, then exit")
     add("--json", action="store_true", help="with --once: print the snapshot as JSON")
     add("--plain", action="store_true", help="print lines, also on a terminal")
     metrics = "serve the figures to Prometheus at 127.0.0.1:PORT or HOST:PORT, of one run after the other"
     add("--prometheus", type=http_address, metavar="PORT", help=metrics)
+    add("--rerun", metavar="FILE.rrd", help="record one car for the Rerun viewer, or show it there: live")
+    add("--car", type=_car, default="actor-0/0", metavar="ACTOR/CAR", help="car to record (default: actor-0/0)")
     web = f"show runs in a browser on this machine, at 127.0.0.1:PORT (default: {WEB_PORT})"
     add("--web", type=_port, nargs="?", const=WEB_PORT, metavar="PORT", help=web)
     return parser
@@ -54,8 +62,12 @@ def main(options: argparse.Namespace) -> int:
         return _export(options)
     if options.web is not None:
         return _serve_pages(options)
+    if options.rerun is not None:
+        return _record_car(options)
+    if options.wait and (other := _first_given(options, "once", "connect", "run")) is not None:
+        raise RunError(f"--{other} cannot be combined with --wait, which takes the next run that starts")
     if options.connect is None:
-        return _watch_folder(options, lives.find(options.runs, options.run))
+        return _watch_folder(options, _await_run(options) if options.wait else lives.find(options.runs, options.run))
     with closing(_connect(options.connect, options.tls)) as transport:
         run = options.run or watching.only_run(transport, options.connect)
         display = Display(run, PlainConsole(stderr=options.json), prefer_lines=options.once or options.plain)
@@ -71,7 +83,7 @@ def main(options: argparse.Namespace) -> int:
 
 def _export(options: argparse.Namespace) -> int:
     """Serve the metrics of one run after the other, until a signal; a run that is not there yet is waited for."""
-    if (other := _first_given(options, "once", "json", "plain", "web")) is not None:
+    if (other := _first_given(options, "once", "json", "plain", "wait", "rerun", "web")) is not None:
         raise RunError(f"--{other} cannot be combined with --prometheus, which shows nothing here")
     if options.connect is not None:
         _identity(options.connect, options.tls)  # what is wrong with the certificate is said at once
@@ -85,7 +97,7 @@ def _export(options: argparse.Namespace) -> int:
 
 def _serve_pages(options: argparse.Namespace) -> int:
     """Show runs in a browser, until a signal."""
-    if (other := _first_given(options, "once", "json", "plain")) is not None:
+    if (other := _first_given(options, "once", "json", "plain", "wait", "rerun")) is not None:
         raise RunError(f"--{other} cannot be combined with --web, which shows nothing here")
     if options.connect is not None:
         _identity(options.connect, options.tls)  # what is wrong with the certificate is said at once
@@ -101,9 +113,55 @@ def _serve_pages(options: argparse.Namespace) -> int:
     return 0
 
 
+def _record_car(options: argparse.Namespace) -> int:
+    """Record what one car sees, believes and does, until a signal or until it is silent."""
+    if (other := _first_given(options, "once", "json", "plain", "wait")) is not None:
+        raise RunError(f"--{other} cannot be combined with --rerun, which shows nothing here")
+    from zsdist.reporting import rerun_frames, rerun_log
+    from zsdist.web.attention import Attention
+    from zsdist.web.live import ANSWER_WITHIN_S, EVERY_S, read_answer
+
+    rerun_log.require_rerun()
+    target: Path | str = options.rerun if options.rerun == rerun_log.LIVE else cli.path(options.rerun)
+    if isinstance(target, Path):
+        output_files.check_place("--rerun", target)
+    run, transport = _find(options)
+    attend = Attention(lambda: lives.find(options.runs, options.run).settings())
+    answers, last, heard_s = Mailbox(MAILBOX_BYTES), None, time.monotonic()
+    with closing(transport), rerun_log.RerunLog(target) as log:
+        say(f"car {options.car} of run {run} is recorded into {options.rerun}; Ctrl-C ends it, which no run notices")
+        while time.monotonic() - heard_s < watching.GONE_AFTER_S:
+            transport.request(keys.view(run, *options.car.split("/")), b"", answers, timeout_s=ANSWER_WITHIN_S)
+            time.sleep(EVERY_S)
+            for message in answers.drain():
+                if (view := read_answer(message.payload)) is None:
+                    continue
+                heard_s = time.monotonic()
+                now = view.get("kind"), view.get("number"), view.get("step")
+                if now != last and (frame := rerun_frames.frame_of_view(view | attend(view))) is not None:
+                    last = now
+                    log.add(frame)
+    say(f"car {options.car} of run {run} does not answer any more; the run ended, or has no such car", error=True)
+    return LOST
+
+
 def _first_given(options: argparse.Namespace, *names: str) -> str | None:
     """Return the first of some options that was given; None where none was."""
     return next((name for name in names if getattr(options, name) not in (None, False)), None)
+
+
+def _await_run(options: argparse.Namespace) -> RunLife:
+    """Return the newest run that is alive, which may start only later."""
+    told = False
+    while True:
+        with contextlib.suppress(RunError):
+            life = lives.find(options.runs)
+            if life.runs:
+                return life
+        if not told:
+            told = True
+            say(f"no run is alive in {options.runs}; waiting for the next one to start", error=options.json)
+        time.sleep(LOOK_EVERY_S)
 
 
 def _find(options: argparse.Namespace) -> tuple[str, Transport]:
@@ -130,16 +188,23 @@ def _open_run(options: argparse.Namespace, life: RunLife | None) -> tuple[str, T
 
 def _watch_folder(options: argparse.Namespace, life: RunLife) -> int:
     """Show the run in a folder until its end, wherever its hub moves."""
-    silent_from_s = None  # monotonic time from which on no hub was reached
+    watched, silent_from_s = False, None  # monotonic time from which on no hub was reached
     while not life.ended:
         if life.killed:
             return _say_lost(life)
         transport = _reach(options, life)
         if transport is not None:
-            silent_from_s = None
+            watched, silent_from_s = True, None
             console = PlainConsole(stderr=options.json)
             lines = options.once or options.plain
-            display = Display(life.name, console, prefer_lines=lines, started_s=life.started_s)
+            display = Display(
+                life.name,
+                console,
+                prefer_lines=lines,
+                started_s=life.started_s,
+                expected=program.reporting(life.settings()),
+                history=CurveHistory(history.curves(life.folder)),
+            )
             with closing(transport):
                 sight = _watch(options, display, transport, life)
             if sight is Sight.ONCE:
@@ -161,7 +226,8 @@ def _watch_folder(options: argparse.Namespace, life: RunLife) -> int:
     if options.once and options.json:
         print(json.dumps(life.ended_fields(), indent=1))
     else:
-        say(life.farewell(), error=options.json)
+        hint = "; --wait waits for the next run" if options.run is None and not (watched or options.once) else ""
+        say(life.farewell() + hint, error=options.json)
     return 0
 
 
@@ -240,6 +306,14 @@ def _port(text: str) -> int:
     if not (text.isascii() and text.isdecimal()) or not 0 < int(text) < 2**16:
         raise argparse.ArgumentTypeError(f"value is {text!r}; allowed is a port from 1 to 65535, such as {WEB_PORT}")
     return int(text)
+
+
+def _car(text: str) -> str:
+    """Return the value of an option that names a car."""
+    actor, _, car = text.partition("/")
+    if not (actor.startswith("actor-") and actor[6:].isdecimal() and car.isascii() and car.isdecimal()):
+        raise argparse.ArgumentTypeError(f"value is {text!r}; allowed is ACTOR/CAR, such as actor-0/0")
+    return text
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from types import ModuleType
 import pytest
 from sockets import free_endpoint
 
+from zsdist.evaluation.baselines import BASELINES
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 from zsdist.types import Outcome
 from zsdist.wire import keys
@@ -48,6 +49,21 @@ def test_a_run_in_the_scenes_of_a_folder_leaves_a_policy(tmp_path, capsys):
     scenes = {json.loads(line)["scene"] for line in (run / "episodes.jsonl").read_text().splitlines()}
     assert scenes <= {path.stem for path in (ROOT / "configs" / "scenes").glob("*.yaml")}
     assert f"is in {run}/checkpoints" in capsys.readouterr().out
+
+
+def test_a_baseline_of_ones_own_is_evaluated_beside_ours():
+    before = set(BASELINES)
+    try:
+        rates = example("custom_baseline").main(["--quick", "--scenes", "iid"])
+    finally:
+        for name in set(BASELINES) - before:
+            del BASELINES[name]
+    assert set(rates) == {"widest-way", "random"} and all(0 <= rate <= 1 for rate in rates.values())
+
+
+def test_deep_q_learning_in_one_file_learns_and_drives(capsys):
+    assert 0 <= example("cleanrl_dqn").main(["--quick"]) <= 1
+    assert "greedy drives after 150 steps" in capsys.readouterr().out
 
 
 def test_a_plain_zenoh_client_hears_the_statistics_of_a_run():

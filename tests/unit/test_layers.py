@@ -16,7 +16,7 @@ ROWS = (  # a unit may import from rows above its own in this list; within a row
     {"roles", "runtime"},
     {"evaluation", "run", "piloting"},
     {"reporting", "diagnostics", "exporting", "web"},
-    {"pretraining"},
+    {"pretraining", "sweeping"},
     {
         "launch",
         "evaluate",
@@ -29,6 +29,7 @@ ROWS = (  # a unit may import from rows above its own in this list; within a row
         "export",
         "drive",
         "robot",
+        "sweep",
     },
     {"__main__", "policy", "record"},  # the last two take policies by the names that `evaluate` knows
 )

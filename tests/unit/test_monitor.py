@@ -16,8 +16,7 @@ from zsdist import config, monitor
 from zsdist.common import cli, locks
 from zsdist.roles import permissions
 from zsdist.run.program import RoleSpec, RunSpec
-from zsdist.telemetry import display as displays
-from zsdist.telemetry import watching
+from zsdist.telemetry import view, watching
 from zsdist.transport import certificates
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 from zsdist.wire import keys
@@ -256,7 +255,7 @@ def test_a_run_whose_hub_is_gone_is_left_after_a_while_with_the_time_of_its_last
 
 
 def test_a_run_is_followed_to_a_hub_elsewhere(capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr(displays, "QUIET_AFTER_S", 0.5)
+    monkeypatch.setattr(view, "QUIET_AFTER_S", 0.5)
     monkeypatch.setattr(watching, "LOOK_EVERY_S", 0.1)
     folder = make_run(tmp_path / "demo")
     with ZenohHub("tcp/127.0.0.1:17980") as first, ZenohHub("tcp/127.0.0.1:17985") as second:
@@ -285,6 +284,37 @@ def test_a_run_in_one_process_is_refused_with_the_reason(capsys, tmp_path):
     make_run(tmp_path / "demo", "placement=inline", "transport.kind=memory")
     status, printed = run(capsys, "--runs", tmp_path)
     assert status == cli.REFUSED and "one process" in printed.err and "metrics.jsonl" in printed.err
+
+
+def test_the_next_run_is_waited_for_where_none_is_alive(capsys, tmp_path, hub):
+    make_run(tmp_path / "old", summary=ENDED)
+    transport = ZenohTransport(hub.endpoint)
+
+    def live():
+        folder = make_run(tmp_path / "demo")
+        with locks.held(folder, "the run"):
+            (folder / "endpoint").write_text(hub.endpoint)
+            fields = {"time_s": 1.0, "role": "scheduler", "id": "0", "stage": "done", "episodes": 11}
+            while not over.wait(0.2):
+                transport.publish(keys.stats("demo", "scheduler", "0"), json.dumps(fields).encode(), json=True)
+
+    over, starts = threading.Event(), threading.Timer(0.7, live)
+    starts.start()
+    summary = threading.Timer(2.5, lambda: (tmp_path / "demo" / "summary.json").write_text(json.dumps(ENDED)))
+    summary.start()
+    status, printed = run(capsys, "--runs", tmp_path, "--wait")
+    over.set()
+    starts.join()
+    summary.join()
+    transport.close()
+    assert status == 0 and "old" not in printed.out and "run demo ended at" in printed.out
+    assert "no run is alive" in printed.out.splitlines()[0]
+
+
+@pytest.mark.parametrize("other", [["--once"], ["--run", "x"], ["--connect", "tcp/127.0.0.1:1"]])
+def test_an_option_that_names_a_run_is_refused_beside_waiting_for_the_next(capsys, other):
+    status, printed = run(capsys, "--wait", *other)
+    assert status == cli.REFUSED and f"{other[0]} cannot be combined with --wait" in printed.err
 
 
 def test_a_run_that_was_killed_a_moment_ago_is_told_by_its_lock_in_one_process_too(capsys, tmp_path):

@@ -1,3 +1,6 @@
+import ast
+from pathlib import Path
+
 import numpy as np
 import pytest
 from fakes import FakeVisualAct, LatticeEnv
@@ -90,3 +93,10 @@ def test_a_baseline_is_loaded_if_it_needs_no_more_than_an_observation():
 def test_the_package_has_no_other_names_by_chance():
     with pytest.raises(AttributeError, match="no attribute 'load_polcy'"):
         _ = zsdist.load_polcy
+
+
+def test_editors_and_help_see_the_names_of_the_package():
+    stub = ast.parse(Path(zsdist.__file__).with_suffix(".pyi").read_text())
+    imported = {alias.name for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert imported | {"__version__"} == set(zsdist.__all__) <= set(dir(zsdist))
+    assert all(hasattr(zsdist, name) for name in zsdist.__all__)

@@ -114,7 +114,7 @@ def _thought(agent: HierarchicalAgent, glance: Glance, q: QFunction) -> Fields:
             for k in np.flatnonzero(choices.mask).tolist()
         ],
         "gradients": _gradients(situation, cost),
-        "way": _way(situation, cost),
+        "way": believed_way(situation, cost),
     }
 
 
@@ -141,8 +141,13 @@ def _gradients(situation: Situation, cost: np.ndarray) -> list[Fields]:
     return found
 
 
-def _way(situation: Situation, cost: np.ndarray) -> list[list[float]]:
-    """Return the shortest believed way to the goal, which no network needs; empty where none leads there."""
+def believed_way(situation: Situation, cost: np.ndarray) -> list[list[float]]:
+    """Return the shortest believed way to the goal, which no network needs; empty where none leads there.
+
+    Args:
+        situation: situation of the car.
+        cost: cost to go from each state of the lattice, metres.
+    """
     grid, state = situation.grid, situation.state
     if not math.isfinite(cost[state.iy, state.ix, state.heading]):
         return []

@@ -142,7 +142,8 @@ def evaluate_all(trials: Sequence[Trial], *, seed: int, workers: int) -> list[Re
         for drive, record in driven:
             records[drive.contender][drive.number] = record
             ended[record.outcome] += 1
-            progress.step(_counts(ended))
+            trial = trials[drive.contender]
+            progress.step(f"{trial.name} on {trial.scenes}; {_counts(ended)}")
     return [
         _report(trial.contender, trial.name, trial.sha256, trial.scenes, seed, chosen, [of[i] for i in range(len(of))])
         for trial, chosen, of in zip(trials, scenes, records, strict=True)

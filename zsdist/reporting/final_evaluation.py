@@ -46,6 +46,8 @@ def compare(folder: Path, settings: Config, console: PlainConsole) -> None:
     if note := check_vision(trained):
         console.say(note)
     compared = list(trials(trained, settings, episodes))
+    drives = "; ".join(f"{trial.name} {trial.episodes} on {trial.scenes}" for trial in compared)
+    console.say(f"evaluating greedily, {sum(trial.episodes for trial in compared)} drives: {drives}")
     reports = list(zip(compared, evaluate_all(compared, seed=settings.seed, workers=allowed_cores()), strict=True))
     (folder / "evaluation.json").write_text(
         json.dumps([report.result for _, report in reports], indent=1) + "\n", encoding="utf-8"

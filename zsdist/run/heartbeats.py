@@ -6,6 +6,7 @@ the role has neither computed nor been woken for a while. A role that computes i
 for a processor on a busy machine.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 SILENT_S = 2.0  # silence after which a process is looked at
@@ -13,6 +14,7 @@ STOPPED_S = 3.0  # silence after which a process that is stopped by a signal is 
 HUNG_S = 6.0  # time without any movement after which a silent role is replaced: a hung disk, a deadlock
 HUNG_START_S = 60.0  # the same before its first word: a start reads libraries, perhaps from a slow disk
 UNSEEN_S = {"actor": 15.0, "hub": 30.0, "replay": 30.0, "learner": 120.0}  # on another machine; distilling takes long
+UNSEEN_WITHOUT_ROOM_S = 60.0  # the same where a successor would find no room: its machine may be cut off for a while
 UNSEEN_START_S = 300.0  # the same before its first word, from the first answer of its process on
 PAUSE_S = STOPPED_S  # time between two looks after which the watcher itself was stopped, and nobody else is blamed
 HUB = "hub-0"  # name of the role through which all others are heard
@@ -105,19 +107,23 @@ class Heartbeats:
         found = [name for name, role in self._roles.items() if now - role.since_s >= SILENT_S]
         return [HUB] if HUB in found else found
 
-    def verdict(self, name: str, pulse: Pulse | None, now: float) -> str | None:
+    def verdict(
+        self, name: str, pulse: Pulse | None, now: float, has_room: Callable[[], bool] = lambda: True
+    ) -> str | None:
         """Return why a silent role has to be replaced, in a few words; None: it has not.
 
         Args:
             name: name of a role that `silent` returned, whose process has answered.
             pulse: condition of its process; None: it is on another machine.
             now: time, seconds.
+            has_room: tells whether a machine has room for a successor; asked only where it matters.
         """
         role = self._roles[name]
         silence_s = now - role.since_s
         if pulse is None:
-            patience_s = UNSEEN_S.get(name.partition("-")[0])
-            lost = patience_s is not None and silence_s >= (patience_s if role.heard else UNSEEN_START_S)
+            patience_s = UNSEEN_S.get(name.partition("-")[0]) if role.heard else UNSEEN_START_S
+            lost = patience_s is not None and silence_s >= patience_s
+            lost = lost and (silence_s >= UNSEEN_WITHOUT_ROOM_S or has_room())
             return f"nothing was heard of it for {silence_s:.0f} s" if lost else None
         if pulse.stopped:
             return f"its process was stopped for {silence_s:.0f} s" if silence_s >= STOPPED_S else None

@@ -81,6 +81,12 @@ def role_count(config: Config) -> int:
     return len(_names(config))
 
 
+def reporting(config: Config) -> list[str]:
+    """Return the names of all roles that report once the run has started; where Ray runs them, of the hub too."""
+    hub = ["hub-0"] if config.placement == "ray" else []
+    return hub + [f"{role}-{identifier}" for role, identifier in _names(config)]
+
+
 def epoch_count(config: Config) -> int:
     """Return the number of epochs that a start takes: for the runner, the hub and each role, in this order."""
     return 2 + role_count(config)
@@ -136,6 +142,7 @@ class RunSpec:
         states: states of the checkpoint from which the run resumes, by role name; empty for a new run.
         vision: vision model that every car uses.
         make_parts: factory of the parts of an actor; tests put a kinematic car in the place of the simulation.
+        make_dqn: factory of the DQN of a level, from configuration and level; another algorithm goes in here.
         start: unique word for this start of the run, part of the names of its journals; a start that goes on with the
             journals of one whose launcher was killed has the same.
         launch: epoch of the runner; 0: none was issued yet.
@@ -148,6 +155,7 @@ class RunSpec:
     states: dict[str, State]
     vision: VisionIdentity
     make_parts: Callable[[Config], ActorParts] = simulation
+    make_dqn: "Callable[[Config, Level], BaseDqnLearner]" = field(default_factory=lambda: make_learner)
     start: str = field(default_factory=lambda: uuid.uuid4().hex)
     launch: int = 0
     profile: bool = False
@@ -246,7 +254,7 @@ class RunSpec:
                 from zsdist.roles.learner import Learner  # the only role that needs torch: two seconds and 150 MB
                 from zsdist.run import learners
 
-                dqn, restored = make_learner(config, level), self.states.get(role_spec.name)
+                dqn, restored = self.make_dqn(config, level), self.states.get(role_spec.name)
                 if config.placement != "ray":  # in one process it has neither a predecessor nor a successor
                     return Learner(context, level, dqn, restored, refused=self.folder / "nan")
                 return learners.resumed(context, level, dqn, restored, folder=self.folder, start=self.start)

@@ -197,7 +197,8 @@ class _Supervisor:
             return  # its process waits until a machine has room for it
         host, now = self.hosts[name], time.monotonic()
         place = self.places.get(host)
-        reason = self.heartbeats.verdict(name, None if place is None else place.pulse(), now)
+        pulse = None if place is None else place.pulse()
+        reason = self.heartbeats.verdict(name, pulse, now, lambda: self.nodes.have_room(self.role_specs[name]))
         if reason is None:
             return
         ray.kill(host)

@@ -193,6 +193,11 @@ class Places:
         same = not self._is_cluster or self._need(role_spec) == self._need(placement.SPARE)
         return self.lives_here(role_spec) and same
 
+    def have_room(self, role_spec: RoleSpec) -> bool:
+        """Return whether a node has room for one more process of a role."""
+        need = self._need(role_spec)
+        return any(need.admits(node, self._here) and need.fits(node.free) for node in nodes())
+
     def lack(self, role_spec: RoleSpec) -> str:
         """Return in a few words what a role needs whose process does not start, and what the nodes have left."""
         if not self._is_cluster:

@@ -1,33 +1,46 @@
-"""Progress of a run: a live table on a terminal, plain lines elsewhere. It uses only what any subscriber receives."""
+"""Progress of a run: a full screen on a terminal, plain lines elsewhere. It uses only what any subscriber receives."""
 
+import contextlib
+import io
 import sys
+import textwrap
 import time
+from collections.abc import Callable, Collection
 from types import TracebackType
+from typing import IO, Any
 
 from rich.live import Live
 from rich.table import Table
 
 from zsdist.common.console import PlainConsole, pairs_table
+from zsdist.common.plain_lines import plain
+from zsdist.telemetry.curves import CurveHistory
+from zsdist.telemetry.screen import RunScreen
 from zsdist.telemetry.snapshot import Fields, Snapshot
+from zsdist.telemetry.view import DONE as DONE
+from zsdist.telemetry.view import LINE_LENGTH, Clock, Role, RunView, news, view_of
 from zsdist.transport.base import Mailbox, Transport
-from zsdist.types import Level
 from zsdist.wire import keys
 
 LINE_EVERY_S = 5.0
-TABLE_EVERY_S = 0.5
-QUIET_AFTER_S = 3.0  # every role reports twice a second
-DONE = "done"  # last stage that a scheduler reports
+SCREEN_EVERY_S = 1.0
+NOTICES = 50  # lines said meanwhile that are kept
 MAILBOX_BYTES = 8 * 2**20
 
 
 class Display:
     """Display of a run's statistics, as a context manager; the first `refresh` subscribes to them.
 
+    On a terminal it fills the screen, and leaves it as it was. What is printed meanwhile is shown among the events, and
+    stands on the terminal afterwards.
+
     Args:
         run: name of the run on the key space.
         console: the output; the default is standard output.
         prefer_lines: whether to print plain lines on a terminal too.
-        started_s: unix time at which the run started; None: now.
+        started_s: unix time at which the run started; None: it is not known, and the time since now is shown.
+        expected: names of the roles that the run has once it has started, where they are known.
+        history: figures of the run so far.
 
     Attributes:
         heard_s: unix time of the last report of a role; None: there was none yet.
@@ -40,44 +53,76 @@ class Display:
         *,
         prefer_lines: bool = False,
         started_s: float | None = None,
+        expected: Collection[str] = (),
+        history: CurveHistory | None = None,
     ) -> None:
         self.run = run
         self.heard_s: float | None = None
         self.snapshot = Snapshot()
         self.console = console or PlainConsole(file=sys.stdout)
+        self._expected, self._history = expected, history or CurveHistory()
         self._mailbox: Mailbox | None = None
         self._announced_s = 0.0  # time of the last event that was printed
         self._opened_s = self._heard_s = time.monotonic()
+        self._started_is_known = started_s is not None
         self._earlier_s = 0.0 if started_s is None else max(0.0, time.time() - started_s)
         self._next_s = self._opened_s
         self._shown_s = 0.0
-        self._live = (
-            Live(console=self.console, auto_refresh=False) if self.console.is_terminal and not prefer_lines else None
-        )
+        self._reports: dict[Role, tuple[Fields, float]] = {}  # last report of each role, and since when it is known
+        self._was_shown = False
+        self._said: list[str] = []  # lines said while the screen was full, which it shows
+        self._afterwards: list[str] = []  # lines that the terminal keeps
+        self._full_screen = not prefer_lines and _can_fill_screen(self.console)
+        self._live: Live | None = None
+        self._closing = contextlib.ExitStack()
 
     def __enter__(self) -> "Display":
-        if self._live is not None:
-            self._live.__enter__()
+        if self._full_screen:
+            screen = PlainConsole(file=self.console.file, force_terminal=True)
+            said: Any = _SaidLines(self.tell, self.console.file)
+            self._closing.enter_context(contextlib.redirect_stdout(said))
+            self._closing.enter_context(contextlib.redirect_stderr(said))
+            live = Live(console=screen, screen=True, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
+            self._live = self._closing.enter_context(live)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._live is not None:
-            self._live.__exit__(kind, error, trace)
+        self._live = None
+        self._closing.close()
+        if self._full_screen:
+            for line in self._afterwards:
+                self._say(line)
+        if self._was_shown and self.snapshot.roles:
+            self._say(self.line())  # the last state stays
 
     def refresh(self, transport: Transport, now: float) -> None:
         """Receive what has arrived, and show it when that is due."""
         self.update(transport)
         self._announce()
+        self.show()
+
+    def show(self) -> None:
+        """Show the present state when that is due."""
         if time.monotonic() < self._next_s:
             return
+        self._was_shown = True
         if self._live is not None:
-            self._next_s = time.monotonic() + TABLE_EVERY_S
-            self._live.update(self.table(), refresh=True)
-        elif self.snapshot.roles:
+            self._next_s = time.monotonic() + SCREEN_EVERY_S
+            self._live.update(RunScreen(self.view()), refresh=True)
+        else:
             self._next_s = time.monotonic() + LINE_EVERY_S
-            self.console.say(self.line())
+            self._say(self.line())
+
+    def tell(self, line: str) -> None:
+        """Say a line: at once, or where the screen is full among the events, and afterwards."""
+        if self._live is None:
+            self._say(line)
+            return
+        self._said = [*self._said[1 - NOTICES :], plain(line)]
+        self._keep(line)
+        self._next_s = self._opened_s
 
     def update(self, transport: Transport) -> None:
         """Receive statistics, events and liveliness; the first call subscribes to them."""
@@ -89,6 +134,8 @@ class Display:
         before = self.snapshot.reports
         self.snapshot.update(self._mailbox.drain())
         if self.snapshot.reports > before:
+            if self.heard_s is None:
+                self._next_s = self._opened_s  # the first word is shown at once
             self.heard_s, self._heard_s = time.time(), time.monotonic()
 
     @property
@@ -99,101 +146,111 @@ class Display:
     @property
     def is_quiet(self) -> bool:
         """True if reports are overdue, so that the last figures are old."""
-        return self.silent_s > QUIET_AFTER_S
+        return self._clock().is_quiet
 
     @property
     def done(self) -> bool:
         """True if the scheduler has reported the end of the run."""
         return any(fields.get("stage") == DONE for fields in self.snapshot.of("scheduler").values())
 
+    def view(self) -> RunView:
+        """Return what is shown now."""
+        now = time.monotonic()
+        for role, fields in self.snapshot.roles.items():
+            if role not in self._reports or self._reports[role][0] is not fields:
+                self._reports[role] = fields, now
+        self._history.add(self.snapshot.row() | {"time_s": time.time()})  # the run's own clock may be a virtual one
+        return view_of(
+            self.run,
+            self.snapshot,
+            self._clock(),
+            history=self._history,
+            expected=self._expected,
+            silent_s={role: now - since_s for role, (_, since_s) in self._reports.items()},
+            notices=self._said,
+        )
+
+    def line(self) -> str:
+        """Return the progress as one plain line."""
+        return self.view().line()
+
+    def table(self) -> Table:
+        """Return the progress as a table, for one snapshot."""
+        view = self.view()
+        target = "?" if view.target is None else view.target
+        rows = [
+            ("run", self.run),
+            ("time", f"{view.clock.age_s:.0f} s" + ("" if view.clock.known else " watched")),
+            ("episodes", f"{view.episodes}/{target}"),
+            ("stage", view.state),
+            *view.figures.items(),
+            ("waiting", view.waiting),
+        ]
+        return pairs_table([*rows, *(("event", event) for event in view.events[-3:])])
+
+    def _say(self, line: str) -> None:
+        for part in textwrap.wrap(plain(line), LINE_LENGTH, subsequent_indent="  ", break_on_hyphens=False):
+            self.console.say(part)
+
     def _announce(self) -> None:
         """Print new events that nobody may miss."""
         told_s = self._announced_s  # several events may have one time
         for event in self.snapshot.events:
             time_s = event.get("time_s", 0.0)
-            if isinstance(time_s, str) or time_s <= told_s or not (line := _news(event)):
+            if isinstance(time_s, str) or time_s <= told_s or not (line := news(event)):
                 continue
             self._announced_s = max(self._announced_s, float(time_s))
-            self.console.say(line)
+            if self._live is None:
+                self._say(line)
+            else:
+                self._keep(line)  # the screen shows all events
 
-    def figures(self) -> dict[str, str]:
-        """Return the text under each heading."""
-        snapshot, row = self.snapshot, self.snapshot.row()
+    def _keep(self, line: str) -> None:
+        self._afterwards = [*self._afterwards[1 - NOTICES :], line]
 
-        def number(name: str, digits: int = 2) -> str:
-            value = row.get(name)
-            return "-" if value is None else f"{float(value):.{digits}f}"
-
-        counts = " ".join(f"{row.get(name, 0)}" for name in ("success", "collision", "timeout"))
-        levels = [level.value for level in Level]
-        still = self.done or self.is_quiet  # then rates are those of the past
-        left = f", {row['drives_left']:.0f} drives left" if row.get("drives_left") else ""
-        if row.get("states_awaited"):
-            left = f", saving: {row['states_awaited']} not there yet"
-        return {
-            "episodes": f"{row.get('episodes', 0)}/{row.get('episodes_target', '?')}",
-            "stage": f"{row.get('stage', 'starting')}{left}",
-            "success, last 50": number("recent_success"),
-            "success collision timeout": counts,
-            "return": number("mean_return", 1),
-            "epsilon": number("epsilon"),
-            "env steps": f"{row.get('env_steps', 0):.0f}" + ("" if still else f" ({row['env_steps_per_s']:.0f}/s)"),
-            **{f"loss {level}": number(f"{level}_loss", 4) for level in levels},
-            "updates": " ".join(f"{level} {row.get(f'{level}_learner_updates', 0)}" for level in levels),
-            "updates/s": "-"
-            if still
-            else " ".join(f"{level} {row.get(f'{level}_updates_per_s', 0):.0f}" for level in levels),
-            "replay": " ".join(f"{level} {row.get(f'replay_{level}_size', 0)}" for level in levels),
-            "batch": f"{row.get('replay_low_batch_size', '-')}",
-            "weight lag": " ".join(f"{level} {lag}" for level, lag in snapshot.lag_versions().items()),
-            "merges": f"{row.get('merges', 0)}",
-            "restarts": f"{row.get('restarts', 0)}",
-            "roles alive": "-" if still else f"{len(snapshot.alive)}",
-            "waiting": self._waiting(),
-        }
-
-    def line(self) -> str:
-        """Return the progress as one plain line."""
-        shown = "  ".join(f"{name} {value}" for name, value in self.figures().items())
-        return f"[{self._time_s():6.1f} s] {shown}"
-
-    def table(self) -> Table:
-        """Return the progress as a table for terminals."""
-        rows = [("run", self.run), ("time", f"{self._time_s():.0f} s"), *self.figures().items()]
-        for event in self.snapshot.events[-3:]:
-            shown = {name: value for name, value in event.items() if name not in ("time_s", "host", "pid", "id")}
-            rows.append(("event", " ".join(f"{name}={value}" for name, value in shown.items())))
-        return pairs_table(rows)
-
-    def _waiting(self) -> str:
-        if self.done:
-            return "nothing: the run has ended"
-        if self.is_quiet:
-            return f"for a word of the run, the last came {self.silent_s:.0f} s ago"
-        return "; ".join(self.snapshot.waits()) or "nothing"
-
-    def _time_s(self) -> float:
-        """Return the age of the run at its last report."""
-        still = self.done or self.is_quiet
-        age_s = self._earlier_s + (self._heard_s if still else time.monotonic()) - self._opened_s
+    def _clock(self) -> Clock:
+        """Return the age of the run at its last report, and the silence since then."""
+        silent_s = self.silent_s
+        still = self.done or Clock(0.0, silent_s).is_quiet
+        stands = still and self.heard_s is not None  # before the first word the time of the start is shown
+        age_s = self._earlier_s + (self._heard_s if stands else time.monotonic()) - self._opened_s
         self._shown_s = max(self._shown_s, age_s)
-        return self._shown_s
+        return Clock(self._shown_s, silent_s, self._started_is_known)
 
 
-def _news(event: Fields) -> str:
-    """Return the line about an event that nobody may miss; empty for any other one."""
-    match event.get("event"):
-        case "standstill":
-            since_s, waits, in_flight = (event.get(name) for name in ("since_s", "waits", "in_flight"))
-            return f"nothing has moved for {since_s} s: waiting are {waits}; {in_flight} messages are in flight"
-        case "journal_damaged":
-            return f"{event.get('role')}-{event.get('id')}: {event.get('what')}"
-        case "role_replaced":
-            return f"{event.get('name')} is replaced: {event.get('reason')}"
-        case "role_waits":
-            return f"{event.get('name')} waits: {event.get('reason')}"
-        case "actor_joined":
-            return f"{event.get('actor')} has joined the run"
-        case "actor_left":
-            return f"{event.get('actor')} has left the run"
-    return ""
+class _SaidLines(io.TextIOBase):
+    """Stream in the place of standard output while the screen is full: whole lines go to `tell`.
+
+    Args:
+        tell: called with each line.
+        file: stream that it stands for.
+    """
+
+    def __init__(self, tell: Callable[[str], None], file: IO[str]) -> None:
+        super().__init__()
+        self._tell, self._file, self._rest = tell, file, ""
+
+    def fileno(self) -> int:
+        """Return the number of the open file that it stands for, for what writes past Python."""
+        return self._file.fileno()
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]  # typeshed has an attribute
+        """Encoding of what is written."""
+        return "utf-8"
+
+    def writable(self) -> bool:
+        """Return True."""
+        return True
+
+    def write(self, text: str) -> int:
+        """Take a text; each line that is complete is told."""
+        *told, self._rest = (self._rest + text).split("\n")
+        for line in told:
+            self._tell(line)
+        return len(text)
+
+
+def _can_fill_screen(console: PlainConsole) -> bool:
+    """Return whether the output is a terminal that can place the cursor and show the signs of a screen."""
+    return console.is_terminal and not console.is_dumb_terminal and console.encoding.startswith("utf")

@@ -2,7 +2,7 @@
 
 import json
 from collections import deque
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from operator import itemgetter
 from typing import Any
 
@@ -16,6 +16,7 @@ Fields = dict[str, float | str]
 WORDS = frozenset(("role", "id", "host", "stage", "states_awaited", "endpoint"))
 _NUMBERS = frozenset((int, float))  # as JSON is read; a truth value is none
 MAX_BYTES, MAX_ROLES = 65_536, 8192  # size of one message, and number of roles that are kept
+_ENDING = ("closing", "saving", "done")  # stages in which a run only ends
 HISTORY = 12  # number of a role's last statistics from which its rates are computed
 
 _COMBINE: dict[str, Callable[[Iterable[float]], float]] = {  # over shards; all other fields are summed
@@ -84,15 +85,14 @@ class Snapshot:
 
     def rate(self, role: str, name: str, identifier: str | None = None) -> float:
         """Return the growth of a counter per second over the last statistics, of all instances of a role or of one."""
-        total = 0.0
-        for (kind, instance), past in self._history.items():
-            span_s = float(past[-1]["time_s"]) - float(past[0]["time_s"])
-            if kind == role and identifier in (None, instance) and span_s > 0:
-                total += (float(past[-1].get(name, 0)) - float(past[0].get(name, 0))) / span_s
-        return total
+        if identifier is not None:
+            return _growth(self._history.get((role, identifier)), name)
+        return sum((_growth(past, name) for (kind, _), past in self._history.items() if kind == role), 0.0)
 
     def waits(self) -> list[str]:
-        """Return the roles that spent most of the last seconds waiting, with the reason."""
+        """Return the roles that spent most of the last seconds of training waiting, with the reason."""
+        if any(fields.get("stage") in _ENDING for fields in self.of("scheduler").values()):
+            return []  # nothing is produced or learned any more
         waits = []
         if self.rate("actor", "waiting_credit_s") > 0.5 * max(1, len(self.of("actor"))):
             waits.append("actors for credit")
@@ -180,6 +180,12 @@ class Snapshot:
             self.max_lag_s = max(self.max_lag_s, float(fields.get("weights_max_lag_s", 0.0)))
         else:
             self.malformed += 1
+
+
+def _growth(past: Sequence[Fields] | None, name: str) -> float:
+    """Return the growth of a counter per second over statistics; 0 where they span no time."""
+    span_s = float(past[-1]["time_s"]) - float(past[0]["time_s"]) if past else 0.0
+    return (float(past[-1].get(name, 0)) - float(past[0].get(name, 0))) / span_s if past and span_s > 0 else 0.0
 
 
 def _figure(fields: Fields, name: str) -> float:

@@ -9,6 +9,7 @@ from zsdist.run.heartbeats import (
     STOPPED_S,
     UNSEEN_S,
     UNSEEN_START_S,
+    UNSEEN_WITHOUT_ROOM_S,
     Heartbeats,
     Pulse,
 )
@@ -24,7 +25,7 @@ class Watch:
     def __init__(self):
         self.now = 0.0
         self.heartbeats = Heartbeats(self.now)
-        self.silent, self.pulses, self.movement = set(), {}, 0
+        self.silent, self.pulses, self.movement, self.room = set(), {}, 0, True
         for epoch, name in enumerate(NAMES):
             self.heartbeats.expect(name, epoch, self.now)
         self.ride(1.0)
@@ -40,7 +41,7 @@ class Watch:
                     self.heartbeats.hear(name, epoch, self.now)
             for name in self.heartbeats.silent(self.now):
                 pulse = self.pulses.get(name, Pulse(False, self.movement))
-                if (reason := self.heartbeats.verdict(name, pulse, self.now)) is not None:
+                if (reason := self.heartbeats.verdict(name, pulse, self.now, lambda: self.room)) is not None:
                     return name, self.now, reason
         return None
 
@@ -134,6 +135,21 @@ def test_a_role_on_another_machine_is_given_up_after_a_long_silence_only(watch, 
     found, at_s, reason = watch.ride(600.0)
     assert found == name and patience_s <= at_s - silent_s <= patience_s + ROUND_S
     assert reason == f"nothing was heard of it for {patience_s:.0f} s"
+
+
+def test_an_actor_whose_machine_is_cut_off_is_waited_for_while_no_other_has_room(watch):
+    watch.silent, watch.pulses, watch.room = {"actor-0"}, {"actor-0": None}, False
+    silent_s = watch.now
+    assert watch.ride(UNSEEN_WITHOUT_ROOM_S - 2 * ROUND_S) is None
+    found, at_s, _ = watch.ride(600.0)
+    assert found == "actor-0" and at_s - silent_s <= UNSEEN_WITHOUT_ROOM_S + ROUND_S
+
+
+def test_it_is_replaced_at_once_where_another_machine_gets_room_meanwhile(watch):
+    watch.silent, watch.pulses, watch.room = {"actor-0"}, {"actor-0": None}, False
+    assert watch.ride(UNSEEN_S["actor"] + 5.0) is None
+    watch.room = True
+    assert watch.ride(2 * ROUND_S)[0] == "actor-0"
 
 
 def test_a_role_on_another_machine_may_take_minutes_to_start_once_its_process_is_there(watch):

@@ -1,5 +1,6 @@
 import io
 import json
+import re
 
 import pytest
 
@@ -10,6 +11,7 @@ from zsdist.transport.memory import MemoryBroker, MemoryTransport
 from zsdist.wire import keys
 
 RUN = "test"
+OPENED, CLOSED = "\x1b[?1049h", "\x1b[?1049l"  # the screen that a terminal keeps for programs that fill it
 
 
 class Watched:
@@ -38,39 +40,25 @@ def watched(monkeypatch):
     return Watched(monkeypatch)
 
 
-def test_figures_are_shown_under_their_headings(watched):
-    watched.publish("scheduler", "0", stage="merge", episodes=7, episodes_target=20, drives_left=3, epsilon=0.25,
-                    recent_success=0.5, success=4, collision=2, timeout=1, merges=1, restarts=2)  # fmt: skip
-    watched.publish("learner", "low", weight_version=9, learner_updates=30, loss=0.125)
-    watched.publish("actor", "0", low_weight_version=7, env_steps=120)
-    watched.publish("replay", "0", low_size=50, low_batch_size=16)
-    watched.publisher.declare_alive(keys.alive(RUN, "actor", "0"))
-    watched.display.update(watched.subscriber)
-    shown = watched.display.figures()
-    assert shown["episodes"] == "7/20" and shown["stage"] == "merge, 3 drives left"
-    assert shown["success, last 50"] == "0.50" and shown["success collision timeout"] == "4 2 1"
-    assert shown["epsilon"] == "0.25" and shown["loss low"] == "0.1250" and shown["loss high"] == "-"
-    assert shown["updates"] == "high 0 low 30" and shown["weight lag"] == "high 0 low 2"
-    assert shown["replay"] == "high 0 low 50" and shown["batch"] == "16"
-    assert shown["merges"] == "1" and shown["restarts"] == "2" and shown["roles alive"] == "1"
-    assert shown["waiting"] == "nothing"
-
-
-def test_before_any_statistics_every_heading_has_a_text(watched):
-    shown = watched.display.figures()
-    assert shown["episodes"] == "0/?" and shown["stage"] == "starting" and shown["return"] == "-"
-    assert all(shown.values())
-
-
-def test_lines_are_printed_from_the_first_statistics_on_and_not_too_often(watched):
-    assert watched.refresh() == ""
+def test_lines_are_printed_from_the_start_on_and_not_too_often(watched):
+    assert "starting" in watched.refresh() and watched.output.getvalue().count("\n") == 1
     watched.publish("scheduler", "0", stage="train", episodes=1)
-    assert watched.refresh().count("\n") == 1
-    assert "episodes 1/?" in watched.output.getvalue() and "[   0.0 s]" in watched.output.getvalue()
+    watched.publish("actor", "0", env_steps=1)
+    assert watched.refresh().count("\n") == 2  # the first word is shown at once
+    assert "episodes 1/?" in watched.output.getvalue() and "[   0.0 s" in watched.output.getvalue()
     watched.now_s += displays.LINE_EVERY_S / 2
-    assert watched.refresh().count("\n") == 1
-    watched.now_s += displays.LINE_EVERY_S
     assert watched.refresh().count("\n") == 2
+    watched.now_s += displays.LINE_EVERY_S
+    assert watched.refresh().count("\n") == 3
+
+
+def test_the_last_state_stays_in_lines_too(watched):
+    with watched.display:
+        watched.publish("scheduler", "0", stage="train", episodes=29, episodes_target=30)
+        watched.refresh()
+        watched.publish("scheduler", "0", stage="done", episodes=30, episodes_target=30)
+        assert "30/30" not in watched.refresh()  # it is not due
+    assert "done" in (last := watched.output.getvalue().splitlines()[-1]) and "episodes 30/30" in last
 
 
 def test_a_table_has_all_figures_and_the_last_events_as_plain_text(watched):
@@ -80,35 +68,78 @@ def test_a_table_has_all_figures_and_the_last_events_as_plain_text(watched):
     watched.display.update(watched.subscriber)
     watched.display.console.print(watched.display.table())
     text = watched.output.getvalue()
-    assert all(heading in text for heading in watched.display.figures())
+    assert all(heading in text for heading in ("episodes", "stage", "waiting", *watched.display.view().figures))
     assert [f"chosen=[red]{number}" in text for number in range(5)] == [False, False, True, True, True]
     assert "host=" not in text
 
 
-def test_a_terminal_gets_a_live_table_and_no_lines(monkeypatch):
+def test_a_terminal_gets_a_full_screen_and_then_the_last_state_and_what_was_said(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm-256color")
     watched = Watched(monkeypatch, force_terminal=True)
     with watched.display:
         watched.publish("scheduler", "0", stage="train", episodes=12)
         text = watched.refresh()
-    assert "12/?" in text and "episodes 12/?" not in text
+        print("said by somebody")
+        watched.display.tell("stopping")
+        event = {"event": "role_replaced", "name": "actor-0", "reason": "it died", "time_s": 1.0}
+        watched.publisher.publish(keys.events(RUN), json.dumps(event).encode())
+        assert "said by somebody" in watched.refresh()
+    assert OPENED in text and "12 of ? episodes" in text and "episodes 12/?" not in text
+    _, _, after = watched.output.getvalue().rpartition(CLOSED)
+    assert all(after.count(line) == 1 for line in ("said by somebody", "stopping", "actor-0 is replaced", "12/?"))
 
 
-def test_a_stage_says_which_states_it_waits_for(watched):
-    watched.publish("scheduler", "0", stage="merge", drives_left=0, states_awaited="replay-0 learner-low")
-    watched.display.update(watched.subscriber)
-    assert watched.display.figures()["stage"] == "merge, saving: replay-0 learner-low not there yet"
+def test_ctrl_c_leaves_a_clean_terminal(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm-256color")
+    watched = Watched(monkeypatch, force_terminal=True)
+    with pytest.raises(KeyboardInterrupt), watched.display:
+        watched.refresh()
+        raise KeyboardInterrupt
+    text = watched.output.getvalue()
+    assert text.count(OPENED) == text.count(CLOSED) == 1 and text.rindex("\x1b[?25h") > text.rindex("\x1b[?25l")
+
+
+def test_no_color_is_honoured(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("NO_COLOR", "1")
+    watched = Watched(monkeypatch, force_terminal=True)
+    with watched.display:
+        watched.publish("scheduler", "0", stage="train", episodes=12)
+        assert not re.search(r"\x1b\[[0-9;]*[34][0-7]m", watched.refresh())
+
+
+@pytest.mark.parametrize("wrong", [{"TERM": "dumb"}, {"encoding": "ascii"}])
+def test_a_terminal_that_cannot_show_the_screen_gets_lines(monkeypatch, wrong):
+    monkeypatch.setenv("TERM", wrong.get("TERM", "xterm"))
+    output = io.TextIOWrapper(io.BytesIO(), encoding=wrong.get("encoding", "utf-8"))
+    display = Display(RUN, PlainConsole(file=output, force_terminal=True))
+    with display:
+        display.show()
+    output.flush()
+    assert b"waiting" in (printed := output.buffer.getvalue()) and OPENED.encode() not in printed
 
 
 @pytest.mark.parametrize("terminal", [False, True])
 def test_a_standstill_is_printed_once_for_each_event(monkeypatch, terminal):
+    monkeypatch.setenv("TERM", "xterm-256color")
     watched = Watched(monkeypatch, force_terminal=terminal)
     about = {"event": "standstill", "waits": "2 of 2 driving cars for credit", "in_flight": 0}
-    for time_s, since_s in ((200.0, 60.0), (260.0, 120.0)):
-        event = about | {"time_s": time_s, "since_s": since_s}
-        watched.publisher.publish(keys.events(RUN), json.dumps(event).encode())
-        watched.refresh()
-        shown = watched.refresh()
+    with watched.display:
+        for time_s, since_s in ((200.0, 60.0), (260.0, 120.0)):
+            event = about | {"time_s": time_s, "since_s": since_s}
+            watched.publisher.publish(keys.events(RUN), json.dumps(event).encode())
+            watched.refresh()
+            watched.refresh()
+    shown = watched.output.getvalue().rpartition(CLOSED)[2]
+    for since_s in (60.0, 120.0):
         assert shown.count(f"nothing has moved for {since_s} s: waiting are 2 of 2 driving cars for credit; 0") == 1
+
+
+def test_long_news_are_folded_where_there_are_only_lines(watched):
+    event = {"event": "role_replaced", "name": "actor-0", "reason": "because " * 25, "time_s": 1.0}
+    watched.publisher.publish(keys.events(RUN), json.dumps(event).encode())
+    lines = watched.refresh().splitlines()
+    assert max(map(len, lines)) <= 120 and sum(line.count("because") for line in lines) == 25
 
 
 def test_an_event_with_strange_fields_is_not_printed(watched):
@@ -116,32 +147,24 @@ def test_an_event_with_strange_fields_is_not_printed(watched):
     assert "nothing has moved" not in watched.refresh()
 
 
-def test_rates_of_the_past_are_not_shown_and_the_silence_is(watched):
-    for second in range(3):
-        watched.now_s = 100.0 + second
-        watched.publish("actor", "0", env_steps=40 * second)
-        watched.publish("learner", "low", learner_updates=30 * second, waiting_data_s=0.9 * second)
-        watched.display.update(watched.subscriber)
-    shown = watched.display.figures()
-    assert shown["env steps"] == "0 (40/s)" and "low 30" in shown["updates/s"] and "learner low" in shown["waiting"]
+def test_the_clock_stands_where_nothing_is_heard_any_more(watched):
+    watched.now_s += 2.0
+    watched.publish("actor", "0", env_steps=40)
+    watched.display.update(watched.subscriber)
     watched.now_s += 25.0
-    shown = watched.display.figures()
-    assert shown["env steps"] == "0" and shown["updates/s"] == shown["roles alive"] == "-"
-    assert "25 s ago" in shown["waiting"] and "learner" not in shown["waiting"]
-    assert watched.display.line().startswith("[   2.0 s]")
+    assert watched.display.line().startswith("[   2.0 s") and "25 s ago" in watched.display.line()
 
 
 def test_after_the_end_nothing_is_waited_for_and_the_clock_stands(watched):
-    watched.publish("scheduler", "0", stage="done", episodes=9)
-    watched.publish("learner", "low", learner_updates=30, waiting_data_s=0.0)
     watched.now_s += 1.0
-    watched.publish("learner", "low", learner_updates=30, waiting_data_s=1.0)
+    watched.publish("scheduler", "0", stage="done", episodes=9)
     watched.display.update(watched.subscriber)
     watched.now_s += 60.0
-    assert watched.display.done and watched.display.figures()["waiting"] == "nothing: the run has ended"
-    assert watched.display.line().startswith("[   1.0 s]")
+    assert watched.display.done and watched.display.line().startswith("[   1.0 s")
+    assert watched.display.line().endswith("waiting nothing: the run has ended")
 
 
 def test_the_clock_counts_from_the_start_of_the_run_where_that_is_known(monkeypatch):
     monkeypatch.setattr(displays.time, "time", lambda: 1000.0)
     assert Display(RUN, PlainConsole(file=io.StringIO()), started_s=940.0).line().startswith("[  60.")
+    assert " s watched]" in Display(RUN, PlainConsole(file=io.StringIO())).line()
