@@ -2,6 +2,7 @@
 # make test     the same set-up, then lint, unit tests and integration tests
 # make test-docs     run the commands and the Python of the documents that take long, as they are written
 # make test-browser  play a film and use the live view in Chromium, where there is one
+# make docs     build the documentation's site in build/docs/site, with its reference, and check every link
 # make lint     ruff check, ruff format --check and mypy
 # make dist     build wheel and sdist in dist/, install the wheel in a clean environment elsewhere, and use it there
 # make endurance  a month of a run without simulation, and 4,096 actors of one; DAYS=N makes the month shorter
@@ -56,7 +57,7 @@ FLIPS ?= 1000
 SEEDS ?= 5
 RESULTS ?= runs/chaos
 
-.PHONY: robot cluster-test hosts install runtime runtime-resolve run test test-docs test-browser lint dist endurance lowest chaos soak chaos-learning damage proof resumption manifests clean peers
+.PHONY: robot cluster-test hosts install runtime runtime-resolve run test test-docs test-browser docs lint dist endurance lowest chaos soak chaos-learning damage proof resumption manifests clean peers
 
 install: $(TOOLS)
 
@@ -121,6 +122,11 @@ test: lint
 test-docs: install
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[examples]'
 	$(BIN)/python -m pytest tests/documents -q
+
+# The site's generator is no part of the tools of the tests.
+docs: install
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
+	$(BIN)/python docs/build_site.py
 
 # Playwright drives the Chromium that is installed; it brings none. axe has the rules of accessibility.
 test-browser: install

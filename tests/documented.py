@@ -2,7 +2,10 @@
 
 import re
 import shlex
+import textwrap
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -28,6 +31,29 @@ class Documented:
 
     def __str__(self) -> str:
         return " ".join((self.document, self.name, *self.words))
+
+
+def tutorial(folder: Path) -> Iterator[tuple[Documented, list[str]]]:
+    """Yield the commands of the tutorial in order, with the lines that it shows as printed; make its files meanwhile.
+
+    Args:
+        folder: folder in which its reader works.
+    """
+    text = (ROOT / "docs" / "tutorial.md").read_text()
+    scene = folder / "my-scenes" / "gate.yaml"
+    scene.parent.mkdir()
+    scene.write_text(textwrap.dedent(re.search(r"^    version: 1\n(?:    .*\n)+", text, re.MULTILINE).group()))
+    made = {" ".join((command.name, *command.words)): command for command in commands()}
+    blocks = re.findall(r"^(?: {4}.*\n)+", text, re.MULTILINE)
+    for block, shown in pairwise([*blocks, ""]):
+        words = shlex.split(block.replace("\\\n", " "))
+        if words[0] == "zsdist":
+            yield made[" ".join(words[1:])], [] if shown.startswith("    zsdist") else shown.splitlines()
+        if "no way" in block:  # the reader is told to move a wall, and to check again
+            before, after = re.search(r"replace `(.*?)` by `(.*?)`", text).groups()
+            scene.write_text(scene.read_text().replace(before, after))
+            again = blocks[blocks.index(block) + 1]
+            yield made["scenes check my-scenes --out check.png"], again.splitlines()
 
 
 def commands() -> list[Documented]:

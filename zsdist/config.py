@@ -112,7 +112,7 @@ class LevelConfig(Section):
 
     hidden: ranges.Widths = (128, 128)  # widths of the hidden layers
     learning_rate: ranges.LearningRate = 0.002  # Table 2
-    discount: Share = 0.99
+    discount: Share = 0.99  # factor on values of the next state (Table 2)
     reward_scale: ranges.Factor = 1.0  # factor on rewards before learning
     double: bool = True  # double DQN; false: the target network chooses the next action too
     huber: bool = True  # Huber loss; false: squared error
@@ -151,16 +151,16 @@ class ReplayConfig(Section):
     importance_exponent: Share = 0.4  # exponent of importance weights; 1: no sampling bias is left
     adaptive: bool = True  # adapt the sizes of buffer and batch; false: keep the initial ones
     size_initial: Count = 10_000  # transitions in the buffer of a level
-    size_min: Count = 1_000
-    size_max: Count = 20_000
+    size_min: Count = 1_000  # least transitions in the buffer of a level
+    size_max: Count = 20_000  # most transitions in the buffer of a level
     batch_initial: Count = 128  # transitions in a batch
-    batch_min: Count = 16
-    batch_max: ranges.BatchSize = 256
+    batch_min: Count = 16  # least transitions in a batch
+    batch_max: ranges.BatchSize = 256  # most transitions in a batch
     grow_rate: Annotated[float, Field(gt=0, lt=1)] = 0.9  # an adjustment grows a size to at most size / grow_rate
     grow_threshold: Positive = 1.2  # wanted / current size above which it grows
     shrink_rate: Annotated[float, Field(gt=0, lt=1)] = 0.9  # and shrinks it to at least size * shrink_rate
     shrink_threshold: Positive = 1.0  # wanted / current size below which it shrinks
-    adjust_every_episodes: Count = 10
+    adjust_every_episodes: Count = 10  # finished episodes between adjustments of the sizes
     average_episodes: Count = 50  # latest episodes whose mean return decides
     target_return: float = 710.0  # R_target: mean paper return of A* on 60 training scenes of `iid`
     fsync_ms: Annotated[int, Field(ge=0)] | None = None  # time between syncs of journals; None: they are never synced
@@ -221,7 +221,7 @@ class RunConfig(Section):
     episodes: Annotated[int, Field(ge=1, lt=2**31)] = 150  # training episodes of all actors together
     actors: Annotated[int, Field(ge=1, le=4096)] = 2  # actor processes
     cars_per_actor: Annotated[int, Field(ge=1, le=256)] = 4  # cars that an actor drives at the same time
-    checkpoint_every_episodes: Count = 50
+    checkpoint_every_episodes: Count = 50  # finished episodes between checkpoints
     checkpoint_every_s: Annotated[float, Field(ge=1, le=1e9)] = 60.0  # seconds until one is made in any case
     cpus_per_role: Annotated[float, Field(gt=0)] = 0.1  # CPUs that each role requests from Ray
     checkpoints_kept: Annotated[int, Field(ge=1, le=10_000)] = 3  # newest ones that stay, besides the best one

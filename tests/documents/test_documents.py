@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-from documented import ROOT, commands
+from documented import ROOT, commands, tutorial
 
 # Not run: what needs other machines or their certificates, trains the vision for an hour, or names the reader's files.
 ELSEWHERE = re.compile(r"HOST|ENDPOINT|HUB|NAME_OR_ADDRESS|tls|address|FOLDER|FILE|CHECKPOINT|RUN\b|my-scenes|--stages")
@@ -48,6 +48,16 @@ def test_a_command_of_the_documents_does_its_work_as_it_is_written(place, comman
 
 def test_a_run_is_resumed_as_the_document_says(place):
     run("launch", "--resume", "runs/NAME", "--episodes", "12", "--plain", cwd=place)
+
+
+def test_the_tutorial_can_be_followed_and_prints_what_it_shows(tmp_path):
+    for command, shown in tutorial(tmp_path):
+        words = [sys.executable, "-m", "zsdist", command.name, *command.words]
+        done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == int("no way" in done.stdout), done.stderr
+        printed = {" ".join(line.split()) for line in done.stdout.splitlines()}
+        figures = [" ".join(line.split()) for line in shown if line.split()[0] in ("success", "collision", "ok")]
+        assert set(figures) <= printed, (str(command), done.stdout)
 
 
 @pytest.mark.parametrize("document", ["README.md", "docs/environment.md"])

@@ -6,7 +6,7 @@ import shlex
 import sys
 
 import pytest
-from documented import ROOT, commands
+from documented import ROOT, commands, tutorial
 
 from zsdist import __main__
 from zsdist.common import cli, presets
@@ -53,3 +53,27 @@ def test_the_python_of_a_document_runs(document, monkeypatch, capsys):
         if "load_policy" not in block and "async" not in block:  # those take long: `make test-docs`
             exec(compile(block, f"{document}.md, block {number + 1}", "exec"), {"__name__": "__main__"})
     assert "(64, 64, 3)" in capsys.readouterr().out
+
+
+def test_the_tutorial_shows_what_the_check_of_its_place_prints(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    statuses = []
+    for command, shown in tutorial(tmp_path):
+        if command.words[:1] == ("check",):
+            monkeypatch.setattr(sys, "argv", ["zsdist", command.name, "check", "my-scenes"])
+            with pytest.raises(SystemExit) as exit_:
+                __main__.main()
+            statuses.append(exit_.value.code)
+            printed = " ".join(capsys.readouterr().out.split())
+            assert " ".join(" ".join(shown[:-1]).split()) in printed  # but for where the drawing is
+    assert statuses == [1, 0]
+
+
+def test_every_preset_is_in_the_document():
+    text = (ROOT / "docs" / "usage.md").read_text()
+    assert [name for name in presets.names() if f"`{name}`" not in text] == []
+
+
+def test_every_command_is_in_the_document():
+    named = {command.name for command in COMMANDS if command.document == "docs/usage.md"}
+    assert set(__main__.describe_commands()) <= named

@@ -137,13 +137,6 @@ def test_the_scene_of_the_usage_document_is_valid_and_solvable(tmp_path):
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
-def test_links_lead_somewhere(document):
-    links = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", document.read_text())
-    missing = [link for link in links if "://" not in link and not (document.parent / link).exists()]
-    assert missing == []
-
-
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_paths_of_the_checkout_that_are_named_exist(document):
     named = re.findall(r"`((?:zsdist|tests|benchmarks|configs|docs|examples|deploy)/[\w./-]*\w)`", document.read_text())
     assert [path for path in named if not (ROOT / path).exists() and path not in ENVIRONMENTS] == []

