@@ -142,11 +142,11 @@ class RunSpec:
         states: states of the checkpoint from which the run resumes, by role name; empty for a new run.
         vision: vision model that every car uses.
         make_parts: factory of the parts of an actor; tests put a kinematic car in the place of the simulation.
-        make_dqn: factory of the DQN of a level, from configuration and level; another algorithm goes in here.
         start: unique word for this start of the run, part of the names of its journals; a start that goes on with the
             journals of one whose launcher was killed has the same.
         launch: epoch of the runner; 0: none was issued yet.
         profile: whether to write where each role's time goes (`zsdist.run.profiling`).
+        make_dqn: factory of the DQN of a level, from configuration and level; another algorithm goes in here.
     """
 
     config: Config
@@ -155,10 +155,10 @@ class RunSpec:
     states: dict[str, State]
     vision: VisionIdentity
     make_parts: Callable[[Config], ActorParts] = simulation
-    make_dqn: "Callable[[Config, Level], BaseDqnLearner]" = field(default_factory=lambda: make_learner)
     start: str = field(default_factory=lambda: uuid.uuid4().hex)
     launch: int = 0
     profile: bool = False
+    make_dqn: "Callable[[Config, Level], BaseDqnLearner]" = field(default_factory=lambda: make_learner)
 
     def open_hub(self, endpoint: str | None = None) -> ZenohHub:
         """Open the router at the `endpoint` of its predecessor; None: at the configured one, or the next free port."""
