@@ -125,7 +125,7 @@ def find_policy(
     if variant not in VARIANTS:
         raise RunError(f"--variant is {variant!r}; allowed are {', '.join(VARIANTS)}")
     _check_overrides(overrides, name, variant)
-    if notify and (line := places.find_clash("policy", name, (*BASELINES, *SHIPPED))):
+    if notify and (line := places.find_clash("policy", name, BASELINES)):
         notify(line)
     if name in BASELINES:
         if variant != FULL:

@@ -170,6 +170,7 @@ def _train(spec: RunSpec, console: PlainConsole, interruption: Interruption, *, 
     display = Display(
         spec.run,
         console,
+        title=spec.folder.resolve().name,
         prefer_lines=prefer_lines,
         started_s=time.time(),
         expected=program.reporting(spec.config),

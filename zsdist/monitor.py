@@ -200,6 +200,7 @@ def _watch_folder(options: argparse.Namespace, life: RunLife) -> int:
             display = Display(
                 life.name,
                 console,
+                title=life.title,
                 prefer_lines=lines,
                 started_s=life.started_s,
                 expected=program.reporting(life.settings()),

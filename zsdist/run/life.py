@@ -153,7 +153,8 @@ def find(runs: Path, name: str | None = None) -> RunLife:
             return read(place)
     found = [read(path.parent) for path in folders.visible(runs, "*/config.yaml")]
     if not found:
-        raise RunError(f"no run was found in {runs}; start one, or name --runs DIR, or --connect ENDPOINT")
+        called = "" if name is None else f" that is called {name!r}"
+        raise RunError(f"no run{called} was found in {runs}; start one, or name --runs DIR, or --connect ENDPOINT")
     if name is None:
         return max(found, key=lambda life: (life.runs, life.started_s))
     named = [life for life in found if name in (life.name, life.folder.name)]

@@ -27,6 +27,8 @@ def load_by_name(
     Raises:
         WeightsError: it is neither, or its weights are missing or damaged.
     """
+    if notify is not None and (line := places.find_clash("policy", name, SHIPPED)):
+        notify(line)
     try:
         folder = SHIPPED[name] if name in SHIPPED else places.expand(name)
     except ValueError as error:

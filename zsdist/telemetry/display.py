@@ -36,6 +36,7 @@ class Display:
 
     Args:
         run: name of the run on the key space.
+        title: name of the run for people, as its folder has it; None: the same.
         console: the output; the default is standard output.
         prefer_lines: whether to print plain lines on a terminal too.
         started_s: unix time at which the run started; None: it is not known, and the time since now is shown.
@@ -51,12 +52,14 @@ class Display:
         run: str,
         console: PlainConsole | None = None,
         *,
+        title: str | None = None,
         prefer_lines: bool = False,
         started_s: float | None = None,
         expected: Collection[str] = (),
         history: CurveHistory | None = None,
     ) -> None:
         self.run = run
+        self.title = run if title is None else title
         self.heard_s: float | None = None
         self.snapshot = Snapshot()
         self.console = console or PlainConsole(file=sys.stdout)
@@ -161,7 +164,7 @@ class Display:
                 self._reports[role] = fields, now
         self._history.add(self.snapshot.row() | {"time_s": time.time()})  # the run's own clock may be a virtual one
         return view_of(
-            self.run,
+            self.title,
             self.snapshot,
             self._clock(),
             history=self._history,
@@ -179,7 +182,7 @@ class Display:
         view = self.view()
         target = "?" if view.target is None else view.target
         rows = [
-            ("run", self.run),
+            ("run", self.title),
             ("time", f"{view.clock.age_s:.0f} s" + ("" if view.clock.known else " watched")),
             ("episodes", f"{view.episodes}/{target}"),
             ("stage", view.state),

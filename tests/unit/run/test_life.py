@@ -74,6 +74,11 @@ def test_a_run_is_found_by_its_name_on_the_key_space_its_folder_or_its_path(tmp_
         lives.find(tmp_path, "third")
 
 
+def test_a_name_is_in_the_message_where_there_is_no_run_at_all(tmp_path):
+    with pytest.raises(RunError, match="no run that is called 'nope' was found"):
+        lives.find(tmp_path, "nope")
+
+
 def test_where_there_is_no_run_the_folder_is_named(tmp_path):
     for missing in (tmp_path, tmp_path / "nowhere"):
         with pytest.raises(RunError, match=str(missing)):

@@ -61,6 +61,13 @@ def test_the_last_state_stays_in_lines_too(watched):
     assert "done" in (last := watched.output.getvalue().splitlines()[-1]) and "episodes 30/30" in last
 
 
+def test_a_run_is_shown_by_the_name_of_its_folder_whatever_characters_that_has():
+    output = io.StringIO()
+    display = Display(RUN, PlainConsole(file=output, width=120), title="sw[b]x[]")
+    display.console.print(display.table())
+    assert display.view().run == "sw[b]x[]" and "sw[b]x[]" in output.getvalue() and display.run == RUN
+
+
 def test_a_table_has_all_figures_and_the_last_events_as_plain_text(watched):
     for number in range(5):
         event = {"event": "merge", "chosen": f"[red]{number}", "host": "h", "time_s": 1.0}
