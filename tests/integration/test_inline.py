@@ -37,6 +37,14 @@ def driven(messages):
     return {key: found[-1] for key, found in reports.items() if len(found) > 1 and found[-1]["started_episodes"]}
 
 
+def test_only_the_end_of_the_last_sitting_looks_like_the_end_of_the_run(run):
+    _, _, messages = run
+    told = [one for one in messages["stats"] if one["role"] == "scheduler"]
+    assert told[-1]["stage"] == "done"
+    assert {one["episodes"] for one in told if one["stage"] != "train"} == {8}
+    assert len({one["epoch"] for one in told}) > 1  # there were several sittings
+
+
 def test_the_size_of_the_cache_changes_how_often_the_model_runs_and_nothing_else(run, tmp_path, monkeypatch):
     _, summary, messages = run
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))

@@ -18,7 +18,7 @@ from zsdist.telemetry.curves import CurveHistory
 from zsdist.telemetry.screen import RunScreen
 from zsdist.telemetry.snapshot import Fields, Snapshot
 from zsdist.telemetry.view import DONE as DONE
-from zsdist.telemetry.view import LINE_LENGTH, Clock, Role, RunView, news, view_of
+from zsdist.telemetry.view import LINE_LENGTH, QUIET_AFTER_S, Clock, Role, RunView, news, view_of
 from zsdist.transport.base import Mailbox, Transport
 from zsdist.wire import keys
 
@@ -66,7 +66,7 @@ class Display:
         self._expected, self._history = expected, history or CurveHistory()
         self._mailbox: Mailbox | None = None
         self._announced_s = 0.0  # time of the last event that was printed
-        self._opened_s = self._heard_s = time.monotonic()
+        self._opened_s = self._heard_s = self._refreshed_s = time.monotonic()
         self._started_is_known = started_s is not None
         self._earlier_s = 0.0 if started_s is None else max(0.0, time.time() - started_s)
         self._next_s = self._opened_s
@@ -101,7 +101,14 @@ class Display:
             self._say(self.line())  # the last state stays
 
     def refresh(self, transport: Transport, now: float) -> None:
-        """Receive what has arrived, and show it when that is due."""
+        """Receive what has arrived, and show it when that is due.
+
+        Where it is called late, as by a run that computes in the same process, nobody counts as silent meanwhile.
+        """
+        late_s, self._refreshed_s = time.monotonic() - self._refreshed_s, time.monotonic()
+        if late_s > QUIET_AFTER_S:
+            self._heard_s += late_s
+            self._reports = {role: (fields, since_s + late_s) for role, (fields, since_s) in self._reports.items()}
         self.update(transport)
         self._announce()
         self.show()

@@ -162,6 +162,17 @@ def test_the_clock_stands_where_nothing_is_heard_any_more(watched):
     assert watched.display.line().startswith("[   2.0 s") and "25 s ago" in watched.display.line()
 
 
+def test_nobody_is_called_silent_while_the_display_itself_was_not_called(watched):
+    watched.publish("scheduler", "0", stage="train", episodes=1)
+    watched.refresh()
+    watched.now_s += 19.0  # the run compiles in this process
+    assert "the last came" not in watched.refresh()
+    for _ in range(40):  # called in time, it hears nothing
+        watched.now_s += 0.5
+        watched.refresh()
+    assert "20 s ago" in watched.display.line()
+
+
 def test_after_the_end_nothing_is_waited_for_and_the_clock_stands(watched):
     watched.now_s += 1.0
     watched.publish("scheduler", "0", stage="done", episodes=9)

@@ -68,6 +68,12 @@ class Scheduler(Role):
         return self.progress.stage
 
     @property
+    def _shown_stage(self) -> Stage:
+        """Stage as people see it: the end of a sitting that others follow is part of the training."""
+        goes_on = self.finished_episodes < self.target or self._plan.next_merge <= self.finished_episodes
+        return Stage.TRAIN if self._sits and goes_on else self.stage
+
+    @property
     def target(self) -> int:
         """Number of episodes of the whole run."""
         return self.config.run.episodes
@@ -106,7 +112,7 @@ class Scheduler(Role):
         """Return the progress of the run as a whole."""
         finished, agent, totals = self.finished_episodes, self.config.agent, self.progress.totals
         fields: Fields = {
-            "stage": self.stage.value,
+            "stage": self._shown_stage.value,
             "episodes": finished,
             "episodes_target": self.target,
             "env_steps": totals.env_steps,
