@@ -83,6 +83,8 @@ def _launch(options: argparse.Namespace, console: PlainConsole, held: contextlib
     interrupted = summary["ended"] == "interrupted"
     if interrupted:
         streams.tell(f"interrupted after {summary['episodes']} episodes; {_saved(summary)}. Resume with", resume)
+    else:
+        console.say("the training has ended and is saved; its figures are drawn, and its evaluation follows")
     try:
         with output_files.written(f"the training is saved; run directory {spec.folder}"):
             _conclude(spec, summary, console)
@@ -111,7 +113,6 @@ def _saved(summary: training.Summary) -> str:
 
 def _conclude(spec: RunSpec, summary: training.Summary, console: PlainConsole) -> None:
     """Check and draw the training."""
-    console.say("the training has ended and is saved; its figures are drawn, and its evaluation follows")
     from zsdist.reporting import final_evaluation  # matplotlib and scipy: 3 s that no start should wait for
 
     training.check_accounts(summary)

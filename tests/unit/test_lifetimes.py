@@ -98,6 +98,7 @@ TESTED_WITH_THEIR_OWNER = {
     "Logbook": "its Log",
     "RosPublisher": "its RosNode",
     "SimulatedRobot": "its RosNode and its World",
+    "RerunLog": "its stream, which Rerun holds (tests/unit/reporting/test_rerun_log.py)",
     "WebServer": "its server, which holds no file (tests/unit/web/test_server.py)",
     "Exporter": "its server, which holds no file (tests/unit/telemetry/test_prometheus.py)",
 }

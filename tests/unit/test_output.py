@@ -14,7 +14,10 @@ import zsdist
 PACKAGE = Path(zsdist.__file__).parent
 TREES = {path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text()) for path in sorted(PACKAGE.rglob("*.py"))}
 PRINTERS, COMMANDS = ("common/console.py", "common/plain_lines.py"), "common/commands.py"
-OF_RICH = {"rich.live.Live", "rich.table.Table", "rich.progress.Progress", "rich.progress.TaskID"}  # read no markup
+OF_RICH = {  # read no markup
+    *("rich.live.Live", "rich.table.Table", "rich.progress.Progress", "rich.progress.TaskID", "rich.text.Text"),
+    *("rich.console.ConsoleOptions", "rich.console.RenderResult"),
+}
 
 
 def unsafe_output(tree: ast.Module) -> list[str]:
@@ -31,7 +34,7 @@ def unsafe_output(tree: ast.Module) -> list[str]:
                 found.append(f"{called}()")
             elif called == "print" and not (node.args and ast.unparse(node.args[0]).startswith("json.dumps(")):
                 found.append("print()")
-            elif called in ("sys.stdout.write", "sys.stderr.write"):
+            elif called.endswith(".from_markup") or called in ("sys.stdout.write", "sys.stderr.write"):
                 found.append(called)
             found += [f"{called}({word.arg}=)" for word in node.keywords if word.arg in ("markup", "emoji")]
     return found
@@ -66,7 +69,7 @@ def test_texts_are_printed_by_the_one_place_that_shows_them_as_they_are():
         "from rich.console import Console",
         "import rich",
         "from rich import print",
-        "from rich.text import Text",
+        "text = Text.from_markup(name)",
         "print(name)",
         "sys.stderr.write(name)",
         "table = Table(title=name)",

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.console import ConsoleOptions, RenderResult
 from rich.text import Text
 
 from zsdist.common.plain_lines import plain
@@ -27,9 +27,9 @@ class RunScreen:
     def __init__(self, view: RunView) -> None:
         self.view = view
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+    def __rich_console__(self, console: object, options: ConsoleOptions) -> RenderResult:
         """Yield as many lines as the terminal has."""
-        made = lines(self.view, options.max_width, options.height or console.height)
+        made = lines(self.view, options.max_width, options.height or options.max_height)
         yield Text("\n").join(made)
 
 
