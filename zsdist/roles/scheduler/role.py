@@ -68,12 +68,6 @@ class Scheduler(Role):
         return self.progress.stage
 
     @property
-    def _shown_stage(self) -> Stage:
-        """Stage as people see it: the end of a sitting that others follow is part of the training."""
-        goes_on = self.finished_episodes < self.target or self._plan.next_merge <= self.finished_episodes
-        return Stage.TRAIN if self._sits and goes_on else self.stage
-
-    @property
     def target(self) -> int:
         """Number of episodes of the whole run."""
         return self.config.run.episodes
@@ -111,8 +105,9 @@ class Scheduler(Role):
     def statistics(self) -> Fields:
         """Return the progress of the run as a whole."""
         finished, agent, totals = self.finished_episodes, self.config.agent, self.progress.totals
+        goes_on = self._sits and (finished < self.target or self._plan.next_merge <= finished)  # more sittings follow
         fields: Fields = {
-            "stage": self._shown_stage.value,
+            "stage": (Stage.TRAIN if goes_on else self.stage).value,
             "episodes": finished,
             "episodes_target": self.target,
             "env_steps": totals.env_steps,
@@ -125,9 +120,8 @@ class Scheduler(Role):
             **totals.statistics(),
             **self._saving.statistics(),
         }
-        if self.progress.merge is not None:
-            fields["drives_left"] = len(self.progress.merge.outstanding())
-        return fields
+        merge = self.progress.merge
+        return fields if merge is None else fields | {"drives_left": len(merge.outstanding())}
 
     # -- input --------------------------------------------------------------------------------------------------
 
