@@ -39,6 +39,12 @@ def check_is_newest(path: Path, newest: Path) -> None:
 
 
 def suggest_run(folder: Path) -> str:
-    """Return the end of a message that names the newest run in a folder of runs; empty where there is none."""
+    """Return the end of a message that names what may be meant: a checkpoint, or the newest run in a folder of runs.
+
+    It is empty where there is neither.
+    """
+    if _is_run(folder.absolute().parent.parent) and folder.parent.name == "checkpoints":
+        names = [path.parent.name for path in folders.visible(folder.parent, f"*/{MANIFEST_FILE}")]
+        return f"; the checkpoints of that run are {', '.join(sorted(names)) or 'none'}"
     runs = sorted(folders.visible(folder, f"*/{CONFIG_FILE}"), key=lambda file: file.stat().st_mtime)
     return f"; it holds runs, such as {runs[-1].parent}" if runs else ""

@@ -66,6 +66,11 @@ def test_an_older_checkpoint_is_evaluated_and_not_resumed(folder, monkeypatch):
         resume(older, monkeypatch)
 
 
+def test_a_checkpoint_that_is_not_there_is_refused_with_those_that_are(folder):
+    with pytest.raises(RunError, match="the checkpoints of that run are 00000001, 00000002"):
+        directory.check_is_run(folder / "checkpoints" / "99999999")
+
+
 def test_a_folder_of_runs_is_refused_with_the_name_of_one(folder, monkeypatch):
     with pytest.raises(RunError, match=rf"holds no run.*; it holds runs, such as {folder}"):
         resume(folder.parent, monkeypatch)
