@@ -105,6 +105,10 @@ class HostsRun:
         pids = [pid for (who, _), pid in self.witness.pids.items() if name in (who, None)]
         return sum(actions(self.launcher.root / "steps", pid) for pid in pids)
 
+    def weight_version(self) -> int:
+        """Return the version of the low level's weights with which the first actor acts."""
+        return self.witness.statistics["actor-0"].get("low_weight_version", 0)
+
     def rate(self, seconds: float) -> float:
         """Return the actions a second over some time."""
         before, start_s = self.driven(), time.time()
@@ -161,10 +165,9 @@ def measure(case: str, seconds: float, cuts: int) -> dict:
         if hosts is not None and case == "cuts":
             found |= cut_again_and_again(run, hosts[0], cuts)
         else:
-            versions = run.witness.statistics[run.witness.name_of("actor")[0]].get("low_weight_version", 0)
+            before = run.weight_version()
             found["env_steps_per_s"] = round(run.rate(seconds), 1)
-            newer = run.witness.statistics[run.witness.name_of("actor")[0]].get("low_weight_version", 0)
-            found["new_weights"] = newer - versions
+            found["new_weights"] = run.weight_version() - before
         return found | run.finish()
 
 

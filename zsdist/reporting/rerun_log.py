@@ -14,14 +14,13 @@ import numpy as np
 
 from zsdist.errors import RunError
 from zsdist.planning.footprint import CAR_LENGTH_M, CAR_WIDTH_M
+from zsdist.reporting.belief_view import CAR, FREE, GOAL, OCCUPIED, PATH, START, SUBGOAL, UNSEEN
 
 LIVE = "live"
 VIEWER = "127.0.0.1:9876"  # where a live viewer listens; Rerun's own default is every interface
 OBSTACLE_M, CAR_M = 1.0, 0.4  # heights as which obstacles and the car are drawn
 TIMELINE = "action"  # number of the decision, over all episodes
-UNSEEN, FREE, OCCUPIED = (205, 209, 214), (255, 255, 255), (58, 64, 74)
-_OBSTACLE, _CAR, _PATH, _WAY = (160, 120, 90), (26, 107, 184), (0, 114, 178), (120, 190, 120)
-_START, _GOAL, _SUBGOAL = (31, 166, 74), (224, 32, 32), (230, 159, 0)
+_OBSTACLE, _WAY = (160, 120, 90), (120, 190, 120)  # the other colours are those of films
 _FAR, _MIDDLE, _NEAR = (190, 215, 240), (86, 140, 220), (20, 60, 140)
 
 
@@ -133,16 +132,16 @@ class RerunLog:
                 rotation_axis_angles=[rr.RotationAxisAngle(axis=(0, 0, 1), degrees=box[4]) for box in frame.boxes],
                 colors=_OBSTACLE,
             ),
-            "scene/car": rr.Boxes3D(**car, rotation_axis_angles=[turn], colors=_CAR),
-            "scene/start": rr.Points3D([_lifted(frame.start)], radii=0.3, colors=_START, labels=["start"]),
-            "scene/goal": rr.Points3D([_lifted(frame.goal)], radii=0.4, colors=_GOAL, labels=["goal"]),
-            "scene/path": rr.LineStrips3D([[_lifted(point) for point in (*frame.path, (x, y))]], colors=_PATH),
+            "scene/car": rr.Boxes3D(**car, rotation_axis_angles=[turn], colors=CAR),
+            "scene/start": rr.Points3D([_lifted(frame.start)], radii=0.3, colors=START, labels=["start"]),
+            "scene/goal": rr.Points3D([_lifted(frame.goal)], radii=0.4, colors=GOAL, labels=["goal"]),
+            "scene/path": rr.LineStrips3D([[_lifted(point) for point in (*frame.path, (x, y))]], colors=PATH),
             "shield/changed": rr.Scalars(float(frame.shield_changed)),
         }
         if frame.way:
             seen["scene/way"] = rr.LineStrips3D([[_lifted(point) for point in frame.way]], colors=_WAY)
         if frame.subgoal is not None:
-            seen["scene/subgoal"] = rr.Points3D([_lifted(frame.subgoal)], radii=0.3, colors=_SUBGOAL)
+            seen["scene/subgoal"] = rr.Points3D([_lifted(frame.subgoal)], radii=0.3, colors=SUBGOAL)
         for index, (name, colour) in enumerate((("near", _NEAR), ("median", _MIDDLE), ("far", _FAR)), start=1):
             if frame.rays:
                 seen[f"scene/rays/{name}"] = rr.LineStrips3D(_strips(frame, index), colors=colour)
