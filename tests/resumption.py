@@ -31,7 +31,7 @@ SETTINGS = (
     "run.checkpoint_every_episodes=5",
     "run.final_evaluation_episodes=0",
 )
-REAL_TIMES = ("wall_s", "rates")
+REAL_TIMES = ("wall_s", "rates", "ended_unix_s")
 # The launch command, with a signal to itself at one action of its cars; without one it writes the number of actions.
 LAUNCH = """
 import os, runpy, sys

@@ -226,10 +226,8 @@ def _film(options: argparse.Namespace, contender: Contender, folder: Path) -> No
     from zsdist.reporting.film import film  # imports matplotlib, which an evaluation does not need
 
     scenes = select(options.scenes, contender.config, options.episodes, options.seed)[: options.video_episodes]
-    with output_files.written(f"--video {folder}"):
-        folder.mkdir(parents=True, exist_ok=True)
-        with locks.held(folder, f"--video {folder}"):
-            film(contender, scenes, options.seed, folder, lambda file: say(f"film: {file}"))
+    with output_files.made_folder(f"--video {folder}", folder), locks.held(folder, f"--video {folder}"):
+        film(contender, scenes, options.seed, folder, lambda file: say(f"film: {file}"))
 
 
 def _record(options: argparse.Namespace, contender: Contender) -> None:

@@ -12,7 +12,7 @@ from zsdist.common.console import PlainConsole
 from zsdist.common.signals import Interrupted, Interruption, handled_by, status_of
 from zsdist.errors import CompleteError, ConfigError
 from zsdist.roles import permissions
-from zsdist.run import location, opening, program, training
+from zsdist.run import location, opening, preflight, program, training
 from zsdist.run.program import RunSpec
 from zsdist.telemetry.curves import CurveHistory
 from zsdist.telemetry.display import Display
@@ -132,6 +132,7 @@ def _open(options: argparse.Namespace, console: PlainConsole, held: contextlib.E
         return opening.open_resumed(options.run_dir, overrides, console.say, held)
     if options.resume is None:
         settings = config.load(options.config, overrides, console.say)
+        preflight.check_used(settings, overrides)
         return opening.open_new(settings, options.run_dir, console.say, held)
     for name in ("config", "seed", "run_dir"):
         if getattr(options, name) is not None:

@@ -191,7 +191,7 @@ def _watch_folder(options: argparse.Namespace, life: RunLife) -> int:
     watched, silent_from_s = False, None  # monotonic time from which on no hub was reached
     while not life.ended:
         if life.killed:
-            return _say_lost(life)
+            return _say_lost(options, life)
         transport = _reach(options, life)
         if transport is not None:
             watched, silent_from_s = True, None
@@ -212,7 +212,7 @@ def _watch_folder(options: argparse.Namespace, life: RunLife) -> int:
                 return 0
             life = lives.read(life.folder)
             if sight is Sight.GONE and not life.ended:
-                return _say_lost(life)
+                return _say_lost(options, life)
             continue
         if silent_from_s is None:
             silent_from_s = time.monotonic()
@@ -221,11 +221,11 @@ def _watch_folder(options: argparse.Namespace, life: RunLife) -> int:
                 say(f"run {life.title} {what}; waiting for its hub", error=options.json)
         _check_patience(options, life, time.monotonic() - silent_from_s)
         if time.time() - life.seen_s > (STARTS_WITHIN_S if life.endpoint is None else watching.GONE_AFTER_S):
-            return _say_lost(life)
+            return _say_lost(options, life)
         time.sleep(LOOK_EVERY_S)
         life = lives.read(life.folder)
     if options.once and options.json:
-        print(json.dumps(life.ended_fields(), indent=1))
+        print(json.dumps(life.fields(), indent=1))
     else:
         hint = "; --wait waits for the next run" if options.run is None and not (watched or options.once) else ""
         say(life.farewell() + hint, error=options.json)
@@ -297,7 +297,9 @@ def _moved(life: RunLife | None) -> bool:
     return now.ended or now.endpoint != life.endpoint
 
 
-def _say_lost(life: RunLife) -> int:
+def _say_lost(options: argparse.Namespace, life: RunLife) -> int:
+    if options.once and options.json:
+        print(json.dumps(life.fields(), indent=1))
     say(life.loss(), error=True)
     return LOST
 

@@ -75,12 +75,12 @@ def main(options: argparse.Namespace) -> int:
     policy = find_policy(options.policy, options.config, options.variant, cli.overrides(options), _note)
     if policy.note:
         _note(policy.note)
-    with output_files.written(f"--out {options.out}"), contextlib.ExitStack() as held:
-        if options.out.is_file():
-            raise RunError(f"--out {options.out} is a file; allowed is a folder")
+    if options.out.is_file():
+        raise RunError(f"--out {options.out} is a file; allowed is a folder")
+    with output_files.written(f"--out {options.out}"):
         _check_resumable(options)
-        options.out.mkdir(parents=True, exist_ok=True)
-        held.enter_context(locks.held(options.out, f"--out {options.out}"))
+    what = f"--out {options.out}"
+    with output_files.made_folder(what, options.out), locks.held(options.out, what):
         try:
             _record(options, policy)
         except KeyboardInterrupt:

@@ -84,10 +84,8 @@ def _write_vision(options: argparse.Namespace) -> Path:
 @contextmanager
 def _alone(out: Path) -> Iterator[None]:
     """Make the folder of the page and lock it."""
-    with output_files.written(f"--out {out}"):
-        out.mkdir(parents=True, exist_ok=True)
-        with locks.held(out, f"--out {out}"):
-            yield
+    with output_files.made_folder(f"--out {out}", out), locks.held(out, f"--out {out}"):
+        yield
 
 
 if __name__ == "__main__":

@@ -84,7 +84,7 @@ def _generate(options: argparse.Namespace) -> int:
     if line := places.find_clash("FAMILY", options.family, families.FAMILIES):
         say(line, error=True)
     made = [families.generate(options.family, options.seed)]  # refuses a wrong family before the folder is made
-    with _folder(options.out):
+    with output_files.made_folder(f"--out {options.out}", options.out):
         for index in range(options.count):
             if index:
                 made.append(families.generate(options.family, options.seed + index))
@@ -177,7 +177,7 @@ def _from_map(options: argparse.Namespace) -> int:
     else:
         rng = random_streams.map_scenes(options.seed)
         made, unusable = scenes_of(found, reading, options.count, rng, options.ground)
-    with _folder(options.out):
+    with output_files.made_folder(f"--out {options.out}", options.out):
         for one, window in made:
             x_m, y_m = window.centre
             comment = (
@@ -229,7 +229,7 @@ def _to_map(options: argparse.Namespace) -> int:
         )
     half = DEFAULT_GRID.arena_m / 2
     scenes = [scene.read(path) for path in _files(options.paths)]
-    with _folder(options.out):
+    with output_files.made_folder(f"--out {options.out}", options.out):
         for one in scenes:
             file = options.out / f"{one.name}.yaml"
             nav2.write(
@@ -249,12 +249,6 @@ def _to_map(options: argparse.Namespace) -> int:
 def _files(paths: Sequence[Path]) -> list[Path]:
     """Return scene files, and those of folders, in order; raise `SceneError` for a path that is neither."""
     return [file for path in paths for file in scene.files(path)]
-
-
-def _folder(folder: Path) -> Any:
-    with output_files.written(f"--out {folder}"):
-        folder.mkdir(parents=True, exist_ok=True)
-    return output_files.written(f"--out {folder}")
 
 
 def _check_picture(file: Path) -> None:

@@ -41,10 +41,9 @@ def main(options: argparse.Namespace) -> int:
             console.say(f"{trial.trial.name}: {trial.trial.title}, {'done' if trial.result() else 'not done'}")
         console.say(f"{len(files)} trials, {at_once} at once, in {folder}")
         return 0
-    with output_files.written(f"sweep folder {folder}"):
-        folder.mkdir(parents=True, exist_ok=True)
-        with locks.held(folder, f"sweep folder {folder}"):
-            return _sweep(options, files, at_once, console)
+    what = f"sweep folder {folder}"
+    with output_files.made_folder(what, folder), locks.held(folder, what):
+        return _sweep(options, files, at_once, console)
 
 
 def _sweep(options: argparse.Namespace, files: list[TrialFiles], at_once: int, console: PlainConsole) -> int:

@@ -220,6 +220,14 @@ def test_a_run_that_was_killed_is_told_and_the_status_is_1(capsys, tmp_path, opt
     assert "has not ended" in printed.err and "last seen at 2" in printed.err and printed.err.count("\n") == 1
 
 
+def test_a_run_that_was_killed_is_told_as_json_too(capsys, tmp_path):
+    date_back(make_run(tmp_path / "demo"), 3600)
+    status, printed = run(capsys, "--runs", tmp_path, "--once", "--json")
+    told = json.loads(printed.out)
+    assert status == monitor.LOST and told["run"] == "demo" and told["ended"] is None and told["alive"] == []
+    assert "has not ended" in printed.err
+
+
 def test_a_run_that_is_starting_is_waited_for_and_then_shown_until_its_end(capsys, tmp_path, hub):
     folder = make_run(tmp_path / "demo")
     transport = ZenohTransport(hub.endpoint)

@@ -4,7 +4,7 @@ import errno
 import json
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,26 @@ def written(what: str) -> Iterator[None]:
         if error.errno not in OF_THE_SYSTEM:
             raise
         raise RunError(f"{what} cannot be written: {error.strerror}") from error
+
+
+@contextmanager
+def made_folder(what: str, folder: Path) -> Iterator[None]:
+    """Make a folder where there is none, and remove it again if an error leaves it empty; parents too.
+
+    Args:
+        what: name of it in errors, as in `written`, which counts inside too.
+        folder: folder to make.
+    """
+    with written(what):
+        made = [path for path in (folder, *folder.parents) if not path.exists()]
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            yield
+        except BaseException:
+            for path in made:
+                with suppress(OSError):  # something is in it
+                    path.rmdir()
+            raise
 
 
 def check_place(option: str, file: Path) -> None:

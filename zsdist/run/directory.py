@@ -73,15 +73,15 @@ def create(
     """
     folder = path or root / f"{settings.run.name}-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
     check_new(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
+    with output_files.made_folder(f"run directory {folder}", folder):
         lock(folder)
         check_new(folder)  # again: another process may have been faster
-        _make_folders(folder)
-        rewrite_config(folder, settings)
-    except OSError as error:
-        discard(folder)
-        raise RunError(f"run directory {folder} cannot be written: {error.strerror}") from error
+        try:
+            _make_folders(folder)
+            rewrite_config(folder, settings)
+        except OSError:
+            discard(folder)
+            raise
     return folder
 
 
@@ -166,6 +166,13 @@ def reopen(
     for key in ("size_initial", "batch_initial"):
         states["scheduler"].meta.get("sizing", {}).setdefault(key, getattr(original.replay, key))
     return settings, states
+
+
+def write_summary(folder: Path, fields: Mapping[str, Any]) -> None:
+    """Write `summary.json`, which says that a run has ended and when, also in a copy of the folder."""
+    content = {**fields, "ended_unix_s": round(time.time(), 3)}
+    with _written(folder):
+        atomic_files.replace(folder / "summary.json", json.dumps(content, indent=1, allow_nan=False).encode())
 
 
 def ended(folder: Path) -> str | None:
@@ -322,7 +329,7 @@ class RunDirectory(Owned):
         """Write `summary.json`, after all other files are on the disk."""
         with _written(self.folder):
             self._sync()
-            atomic_files.replace(self.folder / "summary.json", json.dumps(fields, indent=1, allow_nan=False).encode())
+        write_summary(self.folder, fields)
 
     def _sync(self) -> None:
         """Return once all lines and events are on the disk."""

@@ -58,11 +58,8 @@ class RunLife:
         """Return one line about a run that has ended; raise `RunError` where its summary is damaged."""
         summary = self.summary()
         how, episodes = summary.get("ended", "ended"), summary.get("episodes", "?")
-        ended_s = _written_s(self.folder / "summary.json") or self.seen_s
-        return (
-            f"run {self.title} ended at {clock(ended_s)}: {how} after {episodes} episodes; "
-            f"last seen at {clock(self.seen_s)}"
-        )
+        at = self._last_seen(summary)
+        return f"run {self.title} ended at {at}: {how} after {episodes} episodes; last seen at {at}"
 
     def loss(self) -> str:
         """Return one line about a run that is gone and has not ended, with the command that resumes it."""
@@ -89,20 +86,28 @@ class RunLife:
             raise RunError(f"{path} is not a run's summary; allowed is a JSON object")
         return content
 
-    def ended_fields(self) -> dict[str, Any]:
-        """Return the fields of `zsdist.monitor --once --json` for a run that has ended.
+    def fields(self) -> dict[str, Any]:
+        """Return the fields of `zsdist.monitor --once --json` for a run that is not alive: `ended` is its summary.
+
+        It is None where the run was killed.
 
         Raises:
             RunError: its summary is damaged.
         """
+        summary = self.summary() if self.ended else None
         return {
             "run": self.name,
-            "ended": self.summary(),
-            "last_seen": clock(self.seen_s),
+            "ended": summary,
+            "last_seen": self._last_seen(summary or {}),
             "alive": [],
             "figures": {},
             "roles": {},
         }
+
+    def _last_seen(self, summary: dict[str, Any]) -> str:
+        """Return when it ended, from its summary, or else when it last wrote something."""
+        noted = summary.get("ended_unix_s")  # earlier versions did not note it; files of a copy have the copy's time
+        return clock(noted if isinstance(noted, int | float) else self.seen_s)
 
     def settings(self) -> config.Config:
         """Return its configuration.

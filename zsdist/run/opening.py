@@ -65,6 +65,7 @@ def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify, held:
     directory.check_is_run(folder)
     _lock(folder, held)
     settings, states = directory.reopen(folder, overrides, notify)
+    preflight.check_used(settings, overrides)
     if states:
         location.check_is_newest(given, checkpoint_files.newest_checkpoint(folder))
     preflight.check_shards(settings, states)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from zsdist.config import Config
+from zsdist.config import Config, leaves_of
 from zsdist.errors import ConfigError
 from zsdist.replay.buffer import row_bytes
 from zsdist.roles import permissions
@@ -38,6 +38,19 @@ def check_memory(config: Config) -> None:
             f"replay.size_max is {config.replay.size_max} with {config.replay.shards} replay.shards: a shard would "
             f"hold {in_one} bytes; allowed are {MAX_STATE_BYTES}, since its checkpoint is one message: use more shards"
         )
+
+
+def check_used(settings: Config, overrides: tuple[str, ...]) -> None:
+    """Check that overrides of `cluster` meet a run on a cluster; elsewhere they would do nothing.
+
+    Raises:
+        ConfigError: the run has no `run.address`.
+    """
+    for key in (key for text in overrides for key in leaves_of(text)):
+        if key.startswith("cluster.") and settings.run.address is None:
+            raise ConfigError(
+                f"{key} was given, and the run is on this machine alone, where it does nothing; allowed with --address"
+            )
 
 
 def check_certificates(config: Config) -> None:

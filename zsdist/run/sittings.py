@@ -7,12 +7,10 @@ the same result. Whatever a role does may follow from its state, the settings an
 """
 
 import itertools
-import json
 import threading
 from collections.abc import Mapping
 from dataclasses import replace
 
-from zsdist.common import atomic_files, output_files
 from zsdist.config import Config
 from zsdist.roles.base import Role
 from zsdist.roles.scheduler.merge import next_merge_at
@@ -80,8 +78,7 @@ def conclude(spec: RunSpec, states: States, begun: int) -> None:
     if not complete:
         summary["driven_again"] = begun - finished(states)
         directory.rewind(spec.folder, spec.config, dict(states))
-    with output_files.written(f"run directory {spec.folder}"):
-        atomic_files.replace(spec.folder / "summary.json", json.dumps(summary, indent=1, allow_nan=False).encode())
+    directory.write_summary(spec.folder, summary)
 
 
 def _merge_due(config: Config, states: States) -> int:

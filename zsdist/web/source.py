@@ -72,8 +72,8 @@ class RunsSource:
         """Return what `zsdist.monitor --once --json` prints."""
         if not self._hub:
             life = self._find(run)
-            if life.ended:
-                return life.ended_fields()
+            if life.ended or life.killed:
+                return life.fields()
         return self._live_run(run).snapshot(watching.FIRST_REPORT_WITHIN_S)
 
     def _lives(self) -> list[RunLife]:

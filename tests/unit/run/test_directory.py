@@ -334,3 +334,12 @@ def test_a_folder_that_the_disk_does_not_take_whole_is_not_left_behind(tmp_path,
     with pytest.raises(RunError, match=r"run directory .*/run cannot be written: No space left on device"):
         directory.create(tmp_path / "run", config.Config())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_locked_is_not_left_behind(tmp_path):
+    def refuse(folder):
+        raise RunError(f"{folder} cannot be locked: No space left on device")
+
+    with pytest.raises(RunError, match="cannot be locked"):
+        directory.create(tmp_path / "runs" / "run", config.Config(), lock=refuse)
+    assert list(tmp_path.iterdir()) == []

@@ -1,6 +1,7 @@
 import json
 import os
 import shlex
+import shutil
 import time
 
 import pytest
@@ -32,6 +33,15 @@ def test_a_run_is_starting_until_it_has_a_hub_and_has_ended_once_it_has_a_summar
     life = lives.read(folder)
     assert life.ended and not life.runs
     assert life.farewell().startswith(f"run one ended at {lives.clock(life.seen_s)}: complete after 12 episodes; last")
+
+
+def test_a_copy_of_a_run_ended_when_the_run_did(tmp_path):
+    folder = make_run(tmp_path / "one", summary={**ENDED, "ended_unix_s": 1.7e9})
+    life = lives.read(shutil.copytree(folder, tmp_path / "copy"))
+    assert life.farewell() == (
+        f"run copy ended at {lives.clock(1.7e9)}: complete after 12 episodes; last seen at {lives.clock(1.7e9)}"
+    )
+    assert life.fields()["last_seen"] == lives.clock(1.7e9)
 
 
 def test_a_run_that_has_been_silent_does_not_run_and_its_loss_says_when_it_was_seen_and_what_to_do(tmp_path):

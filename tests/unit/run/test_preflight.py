@@ -1,7 +1,7 @@
 import pytest
 from rehearsal import kinematic
 
-from zsdist.config import load, parse
+from zsdist.config import Config, load, parse
 from zsdist.errors import ConfigError, TransportError
 from zsdist.roles import permissions
 from zsdist.run import preflight
@@ -51,3 +51,14 @@ def test_a_trial_drives_the_parts_of_an_actor():
     preflight.try_out(type(parts)(counted, parts.visual_act, parts.schedule), config)
     (env,) = driven
     assert env.scene.name.startswith("singleton")
+
+
+def test_places_on_a_cluster_are_refused_where_there_is_none():
+    override = "cluster.actor.gpus=1"
+    with pytest.raises(ConfigError, match=r"cluster\.actor\.gpus was given.*allowed with --address"):
+        preflight.check_used(load(None, (override,)), (override,))
+    with pytest.raises(ConfigError, match=r"cluster\.hubs was given"):
+        preflight.check_used(Config(), ("cluster={hubs: []}",))
+    on_one = ("run.address=auto", "transport.endpoint=tls/10.0.0.1:7447", "transport.tls=certs", override)
+    preflight.check_used(load(None, on_one), on_one)
+    preflight.check_used(load(None, (override,)), ())  # of a file that also serves runs on a cluster

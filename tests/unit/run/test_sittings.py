@@ -100,7 +100,9 @@ def bits(folder):
     rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
     found["metrics.jsonl"] = [{key: row[key] for key in row if key != "ledger_bytes"} for row in rows]  # it has epochs
     summary = json.loads((folder / "summary.json").read_text())
-    found["summary"] = {name: value for name, value in summary.items() if name not in ("wall_s", "rates")}
+    found["summary"] = {
+        name: value for name, value in summary.items() if name not in ("wall_s", "rates", "ended_unix_s")
+    }
     for checkpoint in checkpoint_files.checkpoints(folder):
         for name, state in checkpoint_files.read_checkpoint(checkpoint).items():
             meta = {key: value for key, value in state.meta.items() if key != "wall_s"}
