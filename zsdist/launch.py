@@ -14,10 +14,10 @@ from zsdist.errors import CompleteError, ConfigError
 from zsdist.roles import permissions
 from zsdist.run import location, opening, preflight, program, training
 from zsdist.run.program import RunSpec
+from zsdist.telemetry import history
 from zsdist.telemetry.curves import CurveHistory
 from zsdist.telemetry.display import Display
 from zsdist.transport.base import Transport
-from zsdist.web import history
 
 
 def make_parser() -> argparse.ArgumentParser:

@@ -16,14 +16,13 @@ from zsdist.roles import permissions
 from zsdist.run import life as lives
 from zsdist.run import program
 from zsdist.run.life import RunLife
-from zsdist.telemetry import watching
+from zsdist.telemetry import history, watching
 from zsdist.telemetry.curves import CurveHistory
 from zsdist.telemetry.display import MAILBOX_BYTES, Display
 from zsdist.telemetry.watching import Sight
 from zsdist.transport.base import Mailbox, Transport
 from zsdist.transport.certificates import Identity
 from zsdist.transport.zenoh import ZenohTransport
-from zsdist.web import history
 from zsdist.wire import keys
 
 LOST = 1  # exit status: the run is gone without having ended

@@ -1,10 +1,10 @@
 """Curves of a run for a terminal: its figures over episodes, drawn in dots of braille."""
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from zsdist.telemetry.history import is_figure
 from zsdist.telemetry.snapshot import Fields
 
 CURVES = {  # figures of `Snapshot.row`, the most telling first
@@ -34,7 +34,7 @@ class CurveHistory:
 
     def add(self, row: Fields) -> None:
         """Note a row of figures, unless no episode has ended since the last one."""
-        kept = {name: float(row[name]) for name in ("time_s", "episodes", *CURVES) if _is_figure(row.get(name))}
+        kept = {name: float(row[name]) for name in ("time_s", "episodes", *CURVES) if is_figure(row.get(name))}
         if not {"time_s", "episodes"} <= set(kept):
             return
         if self._rows and self._rows[-1]["episodes"] >= kept["episodes"]:
@@ -82,7 +82,3 @@ def braille(points: Sequence[tuple[float, float]], columns: int, rows: int) -> l
             cells[row, x // 2] |= _DOTS[x % 2][part]
         before = y
     return ["".join(chr(0x2800 + code) for code in line) for line in cells.tolist()]
-
-
-def _is_figure(value: object) -> bool:
-    return isinstance(value, int | float) and math.isfinite(value)

@@ -12,9 +12,8 @@ from zsdist.config import Config
 from zsdist.errors import RunError
 from zsdist.run import life as lives
 from zsdist.run.life import RunLife
-from zsdist.telemetry import watching
+from zsdist.telemetry import history, watching
 from zsdist.transport.base import Transport
-from zsdist.web import history
 from zsdist.web.attention import Attention
 from zsdist.web.live import LiveRun
 

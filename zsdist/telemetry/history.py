@@ -39,8 +39,8 @@ def _curves(path: Path, version: tuple[int, int]) -> dict[str, list[float | None
     rows = [row for row in map(_parse, _lines(path)) if row is not None]
     if len(rows) > POINTS:
         rows = rows[:: math.ceil(len(rows) / POINTS)]
-    names = dict.fromkeys(name for row in rows for name, value in row.items() if _is_figure(value))
-    return {name: [row[name] if _is_figure(row.get(name)) else None for row in rows] for name in names}
+    names = dict.fromkeys(name for row in rows for name, value in row.items() if is_figure(value))
+    return {name: [row[name] if is_figure(row.get(name)) else None for row in rows] for name in names}
 
 
 def differences(folders: Sequence[Path]) -> dict[str, list[str]]:
@@ -87,5 +87,6 @@ def _parse(line: bytes) -> dict[str, Any] | None:
     return row if isinstance(row, dict) else None
 
 
-def _is_figure(value: object) -> bool:
+def is_figure(value: object) -> bool:
+    """Return whether a value of a line is a finite number."""
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -2,7 +2,7 @@ import json
 
 from made_runs import make_run
 
-from zsdist.web import history
+from zsdist.telemetry import history
 
 
 def write(folder, rows, last=""):
