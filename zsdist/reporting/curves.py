@@ -43,7 +43,7 @@ def draw_rewards(methods: Sequence[Method], folder: Path) -> str:
         axes.set_xlim(left=0)
     for axes in (left, middle, right):
         if axes.get_legend_handles_labels()[1]:
-            axes.legend(loc="best")
+            style.legend(axes, loc="best")
     return style.save(figure, folder, "fig09-rewards")
 
 
@@ -69,7 +69,7 @@ def draw_outcomes(methods: Sequence[Method], folder: Path) -> str:
         one.set(title=title, ylim=(-0.02, 1.02), xlabel="finished training episodes")
         one.set_ylabel(f"share of the last {OUTCOME_WINDOW} episodes")
         style.whole_numbers(one)
-    axes[0].legend(loc="best")
+    style.legend(axes[0], loc="best")
     return style.save(figure, folder, "training-outcomes")
 
 
@@ -107,7 +107,7 @@ def draw_sizes(runs: Sequence[Run], folder: Path) -> str:
         style.whole_numbers(one)
     axes[0].set_ylim(bottom=0)
     axes[1].set_ylim(bottom=0)
-    axes[2].legend(loc="best")
+    style.legend(axes[2], loc="best")
     return style.save(figure, folder, "replay-sizes")
 
 
@@ -147,7 +147,7 @@ def draw_merges(runs: Sequence[Run], folder: Path) -> str:
         style.whole_numbers(one)
         one.set_xlim(left=0)
     style.blank(axes[len(runs) :])
-    axes[0].legend(loc="lower right", ncols=2)
+    style.legend(axes[0], loc="lower right", ncols=2)
     return style.save(figure, folder, "merges")
 
 

@@ -72,6 +72,12 @@ def label(text: str) -> str:
     return f" {shown}" if shown.startswith("_") else shown  # legends leave out labels that begin with "_"
 
 
+def legend(axes: Axes, **look: Any) -> None:
+    """Draw a legend of what is labelled, where anything is."""
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(**look)
+
+
 def whole_numbers(axes: Axes) -> None:
     """Set few, whole-numbered ticks along x, for a count."""
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))

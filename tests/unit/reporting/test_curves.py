@@ -1,4 +1,5 @@
 import re
+import warnings
 
 import pytest
 from made_runs import make_run
@@ -43,6 +44,14 @@ def test_marks_at_the_edge_of_a_figure_of_merges_are_not_clipped(material, tmp_p
 def test_rewards_of_a_run_without_a_merge_say_so(material, tmp_path):
     drawing = text_of(tmp_path, curves.draw_rewards(material.methods[1:], tmp_path))
     assert "no merge yet" in drawing
+
+
+def test_sizes_of_a_run_too_short_for_figures_are_drawn_without_a_legend(tmp_path):
+    short = runs.read([make_run(tmp_path / "short", episodes=1)]).runs
+    short[0].metrics.clear()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert "mean return, which sets both" in text_of(tmp_path, curves.draw_sizes(short, tmp_path))
 
 
 def test_outcomes_sizes_and_merges_are_drawn(material, tmp_path):
