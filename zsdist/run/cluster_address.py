@@ -50,6 +50,11 @@ def check_temporary_folder() -> None:
             f"{name} is {folder}, which has {length} bytes; allowed are {allowed}, so that the paths of Ray's sockets "
             "are not too long; set RAY_TMPDIR=/tmp, or use --single-process"
         )
+    if not str(folder).isascii() or not folder.is_absolute():
+        raise RunError(
+            f"{name} is {str(folder)!r}; Ray allows an absolute path of ASCII characters: set RAY_TMPDIR=/tmp, or use "
+            "--single-process"
+        )
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

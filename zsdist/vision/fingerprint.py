@@ -51,7 +51,8 @@ class VisionIdentity:
     def check(self, policy: str, here: "VisionIdentity") -> str | None:
         """Compare the vision model that a policy was trained with (this identity) with the one loaded here.
 
-        Two networks without an encoder may differ in `encoder_sha256`, since they are their own encoders.
+        An encoder is the same one under another name, which is that of its folder, if its weights are. Two networks
+        without an encoder may differ in `encoder_sha256`, since they are their own encoders.
 
         Args:
             policy: name of the policy, for messages.
@@ -64,7 +65,7 @@ class VisionIdentity:
             WeightsError: the encoder here is another one.
         """
         alone = self.network == here.network != "head"
-        if self.encoder != here.encoder or (self.encoder_sha256 != here.encoder_sha256 and not alone):
+        if self.encoder != here.encoder if alone else self.encoder_sha256 != here.encoder_sha256:
             raise WeightsError(
                 f"policy {policy} was trained on encoder {self.encoder!r} with weights {self.encoder_sha256[:16]}; "
                 f"the one here is {here.encoder!r} with {here.encoder_sha256[:16]}; allowed is the same encoder"

@@ -91,13 +91,13 @@ class WeightsFolder:
                 )
 
     def check_encoder(self, encoder: Encoder) -> None:
-        """Raise `WeightsError` unless the weights were trained on this encoder, by name and by hash."""
-        for key, found in (("name", encoder.name), ("sha256", encoder.sha256)):
-            if self.metadata["encoder"][key] != found:
-                raise WeightsError(
-                    f"weights {self.path} are for an encoder of {key} {self.metadata['encoder'][key]!r}; "
-                    f"the one here has {found!r} (vision.encoder selects it)"
-                )
+        """Raise `WeightsError` unless the weights were trained on this encoder, whatever its folder is called."""
+        trained = self.metadata["encoder"]
+        if trained["sha256"] != encoder.sha256:
+            raise WeightsError(
+                f"weights {self.path} are for the encoder {trained['name']!r} with weights {trained['sha256'][:16]}; "
+                f"the one here is {encoder.name!r} with {encoder.sha256[:16]} (vision.encoder selects it)"
+            )
 
 
 def locate(weights: str) -> Path:

@@ -108,6 +108,18 @@ def test_a_folder_for_temporary_files_with_a_long_name_is_refused_by_its_variabl
     cluster_address.check(config.parse({"placement": "inline", "transport": {"kind": "memory"}}))
 
 
+@pytest.mark.parametrize("name", ["TMPDIR", "RAY_TMPDIR"])
+@pytest.mark.parametrize("folder", ["tmp", "", "/tmp/\u00e9t\u00e9"])
+def test_a_folder_for_temporary_files_that_ray_cannot_name_is_refused_and_not_made(monkeypatch, tmp_path, name, folder):
+    monkeypatch.chdir(tmp_path)
+    for each in ("TMPDIR", "RAY_TMPDIR"):
+        monkeypatch.delenv(each, raising=False)
+    monkeypatch.setenv(name, folder)
+    with pytest.raises(RunError, match=rf"{name} is '.*'; Ray allows an absolute path of ASCII characters"):
+        cluster_address.check(config.Config())
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_folder_for_temporary_files_that_is_a_file_is_refused(monkeypatch, tmp_path):
     monkeypatch.setenv("RAY_TMPDIR", "/dev/null")
     with pytest.raises(RunError, match="RAY_TMPDIR is /dev/null, where Ray cannot write"):

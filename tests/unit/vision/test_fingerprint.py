@@ -12,7 +12,11 @@ def test_the_same_vision_is_allowed_without_a_message():
     assert TRAINED.check("runs/x", replace(TRAINED)) is None
 
 
-@pytest.mark.parametrize("change", [{"encoder": "clip/c"}, {"encoder_sha256": "c" * 64}])
+def test_an_encoder_in_a_folder_of_another_name_is_the_same_one():
+    assert TRAINED.check("runs/x", replace(TRAINED, encoder="clip/moved")) is None
+
+
+@pytest.mark.parametrize("change", [{"encoder": "clip/c", "encoder_sha256": "c" * 64}, {"encoder_sha256": "c" * 64}])
 def test_another_encoder_is_refused_naming_both(change):
     here = replace(TRAINED, **change)
     with pytest.raises(WeightsError, match="runs/x was trained on encoder") as refusal:

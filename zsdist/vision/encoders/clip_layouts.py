@@ -171,22 +171,22 @@ def _open_clip_model(path: Path, about: dict[str, Any]) -> Clip:
     vision, text = towers.values()
     if isinstance(vision["layers"], list):
         raise WeightsError(f"encoder configuration {path}: vision_cfg is of a ResNet; allowed is a vision transformer")
-    vision["heads"] = vision["width"] // vision["head_width"]
-    vision_shape, text_shape = (
-        TowerShape(one["layers"], one["width"], one["heads"], int(one["width"] * one["mlp_ratio"]), activation, 1e-5)
-        for one in (vision, text)
-    )
+    vision["heads"] = _whole(vision, "width") // _whole(vision, "head_width")
+    shapes = []
+    for one in (vision, text):
+        layers, width, heads = (_whole(one, name) for name in ("layers", "width", "heads"))
+        shapes.append(TowerShape(layers, width, heads, int(width * _positive(one, "mlp_ratio")), activation, 1e-5))
     return Clip(
         layout=Layout.OPEN_CLIP,
         image_px=_side(vision["image_size"]),
         patch_px=_side(vision["patch_size"]),
-        mean=_colours(preprocessing["mean"]),
-        std=_colours(preprocessing["std"]),
-        vision=vision_shape,
-        text=text_shape,
-        context=text["context_length"],
-        vocabulary=text["vocab_size"],
-        dimensions=model["embed_dim"],
+        mean=_colours(preprocessing, "mean"),
+        std=_colours(preprocessing, "std"),
+        vision=shapes[0],
+        text=shapes[1],
+        context=_whole(text, "context_length"),
+        vocabulary=_whole(text, "vocab_size"),
+        dimensions=_whole(model, "embed_dim"),
         standard_tokenizer=not (text.get("hf_tokenizer_name") or text.get("tokenizer_kwargs")),
     )
 
@@ -204,18 +204,20 @@ def _hugging_face(path: Path) -> Clip:
             defaults | (about.get(name) or {})
             for name, defaults in (("vision_config", HUGGING_FACE_VISION), ("text_config", HUGGING_FACE_TEXT))
         )
-        names = (
-            "num_hidden_layers", "hidden_size", "num_attention_heads", "intermediate_size", "hidden_act",
-            "layer_norm_eps",
-        )  # fmt: skip
-        vision_shape, text_shape = (TowerShape(*(one[name] for name in names)) for one in (vision, text))
+        sizes_of = ("num_hidden_layers", "hidden_size", "num_attention_heads", "intermediate_size")
+        vision_shape, text_shape = (
+            TowerShape(*(_whole(one, name) for name in sizes_of), one["hidden_act"], _positive(one, "layer_norm_eps"))
+            for one in (vision, text)
+        )
+        context, vocabulary = _whole(text, "max_position_embeddings"), _whole(text, "vocab_size")
+        dimensions = _whole({"projection_dim": 512} | about, "projection_dim")
         sizes = _side(vision["image_size"]), _side(vision["patch_size"])
     for shape in (vision_shape, text_shape):
         if shape.activation not in ("gelu", "quick_gelu"):
             raise WeightsError(
                 f"encoder configuration {path}: hidden_act is {shape.activation!r}; allowed are 'gelu' and 'quick_gelu'"
             )
-    mean, std = _normalisation(path.parent)
+    mean, std = _preprocessing(path.parent, sizes[0])
     return Clip(
         layout=Layout.HUGGING_FACE,
         image_px=sizes[0],
@@ -224,15 +226,18 @@ def _hugging_face(path: Path) -> Clip:
         std=std,
         vision=vision_shape,
         text=text_shape,
-        context=text["max_position_embeddings"],
-        vocabulary=text["vocab_size"],
-        dimensions=about.get("projection_dim", 512),
+        context=context,
+        vocabulary=vocabulary,
+        dimensions=dimensions,
         standard_tokenizer=False,
     )
 
 
-def _normalisation(folder: Path) -> tuple[Colours, Colours]:
-    """Return mean and standard deviation of the colours, 0 to 1, from the file that transformers would read."""
+def _preprocessing(folder: Path, image_px: int) -> tuple[Colours, Colours]:
+    """Return mean and standard deviation of the colours, 0 to 1, from the file that transformers would read.
+
+    Pictures are made squares of `image_px`, whatever size the file gives; one that crops to another is refused.
+    """
     new, old = folder / "processor_config.json", folder / "preprocessor_config.json"
     about, path = None, new
     if new.is_file():
@@ -249,7 +254,13 @@ def _normalisation(folder: Path) -> tuple[Colours, Colours]:
         if not about.get("do_normalize", True):
             mean, std = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
         else:
-            mean, std = _colours(about["image_mean"]), _colours(about["image_std"])
+            mean, std = _colours(about, "image_mean"), _colours(about, "image_std")
+        crop = about.get("crop_size", image_px) if about.get("do_center_crop", True) else image_px
+        sides = [crop.get("height"), crop.get("width")] if isinstance(crop, dict) else [crop]
+        if set(sides) != {image_px}:
+            raise WeightsError(
+                f"encoder configuration {path}: crop_size is {crop!r}; allowed is the model's image_size, {image_px}"
+            )
         factor = about.get("rescale_factor", 1 / 255) if about.get("do_rescale", True) else 1.0
         if not math.isclose(factor, 1 / 255, rel_tol=1e-3):
             raise WeightsError(
@@ -278,6 +289,25 @@ def _side(size: object) -> int:
     return side
 
 
-def _colours(values: list[float]) -> Colours:
-    red, green, blue = (float(value) for value in values)
+def _colours(about: dict[str, Any], name: str) -> Colours:
+    values = about[name]
+    if not (isinstance(values, list) and len(values) == 3 and all(map(_is_number, values))):
+        raise ValueError(f"{name} is {values!r}; allowed are three numbers")
+    red, green, blue = map(float, values)
     return red, green, blue
+
+
+def _whole(about: dict[str, Any], name: str) -> int:
+    if not (_is_number(value := about[name]) and value == int(value) > 0):
+        raise ValueError(f"{name} is {value!r}; allowed is a positive whole number")
+    return int(value)
+
+
+def _positive(about: dict[str, Any], name: str) -> float:
+    if not (_is_number(value := about[name]) and value > 0):
+        raise ValueError(f"{name} is {value!r}; allowed is a positive number")
+    return float(value)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -1,4 +1,5 @@
 import json
+import re
 import socket
 import subprocess
 import sys
@@ -207,6 +208,9 @@ def test_pictures_that_are_not_normalised_are_scaled_alone_and_another_scale_is_
 def test_towers_that_a_configuration_omits_are_those_of_the_library(tmp_path, towers):
     clip_models.transformers_5(tmp_path)
     (tmp_path / "config.json").write_text(json.dumps({"model_type": "clip", **towers}))
+    pictures = json.loads((tmp_path / "processor_config.json").read_text())
+    del pictures["image_processor"]["crop_size"]  # of the small model
+    (tmp_path / "processor_config.json").write_text(json.dumps(pictures))
     clip, _ = read_folder(tmp_path)
     library = clip_models.default_configuration()
     for shape, config in ((clip.vision, library.vision_config), (clip.text, library.text_config)):
@@ -358,6 +362,31 @@ def test_a_damaged_configuration_is_named(tmp_path, text):
     clip_models.of_open_clip(tmp_path)
     (tmp_path / "open_clip_config.json").write_text(text)
     with pytest.raises(WeightsError, match=r"open_clip_config\.json (is damaged|lacks)"):
+        ClipFolder(tmp_path)
+
+
+WRONG = [  # file, path of a key in it, value
+    ("processor_config.json", ("image_processor", "image_mean"), [0.5, 0.5]),
+    ("processor_config.json", ("image_processor", "image_std"), [0.5, 0.5, "x"]),
+    ("processor_config.json", ("image_processor", "crop_size"), {"height": 64, "width": 32}),
+    ("processor_config.json", ("image_processor", "crop_size"), 7),
+    ("config.json", ("vision_config", "num_hidden_layers"), "2"),
+    ("config.json", ("text_config", "hidden_size"), -8),
+    ("config.json", ("vision_config", "layer_norm_eps"), None),
+    ("config.json", ("projection_dim",), True),
+]
+
+
+@pytest.mark.parametrize(("name", "keys", "value"), WRONG)
+def test_a_value_that_cannot_be_is_named_with_what_is_allowed(tmp_path, name, keys, value):
+    clip_models.transformers_5(tmp_path)
+    about = json.loads((tmp_path / name).read_text())
+    place = about
+    for key in keys[:-1]:
+        place = place[key]
+    place[keys[-1]] = value
+    (tmp_path / name).write_text(json.dumps(about))
+    with pytest.raises(WeightsError, match=rf"{name}.*{keys[-1]} is {re.escape(repr(value))}; allowed"):
         ClipFolder(tmp_path)
 
 
