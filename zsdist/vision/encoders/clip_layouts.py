@@ -204,9 +204,15 @@ def _hugging_face(path: Path) -> Clip:
             defaults | (about.get(name) or {})
             for name, defaults in (("vision_config", HUGGING_FACE_VISION), ("text_config", HUGGING_FACE_TEXT))
         )
-        sizes_of = ("num_hidden_layers", "hidden_size", "num_attention_heads", "intermediate_size")
         vision_shape, text_shape = (
-            TowerShape(*(_whole(one, name) for name in sizes_of), one["hidden_act"], _positive(one, "layer_norm_eps"))
+            TowerShape(
+                _whole(one, "num_hidden_layers"),
+                _whole(one, "hidden_size"),
+                _whole(one, "num_attention_heads"),
+                _whole(one, "intermediate_size"),
+                one["hidden_act"],
+                _positive(one, "layer_norm_eps"),
+            )
             for one in (vision, text)
         )
         context, vocabulary = _whole(text, "max_position_embeddings"), _whole(text, "vocab_size")
