@@ -82,8 +82,7 @@ def main(options: argparse.Namespace) -> int:
 
 def _export(options: argparse.Namespace) -> int:
     """Serve the metrics of one run after the other, until a signal; a run that is not there yet is waited for."""
-    if (other := _first_given(options, "once", "json", "plain", "wait", "rerun", "web")) is not None:
-        raise RunError(f"--{other} cannot be combined with --prometheus, which shows nothing here")
+    _require_alone(options, "prometheus")
     if options.connect is not None:
         _identity(options.connect, options.tls)  # what is wrong with the certificate is said at once
     from zsdist.telemetry import prometheus
@@ -96,8 +95,7 @@ def _export(options: argparse.Namespace) -> int:
 
 def _serve_pages(options: argparse.Namespace) -> int:
     """Show runs in a browser, until a signal."""
-    if (other := _first_given(options, "once", "json", "plain", "wait", "rerun")) is not None:
-        raise RunError(f"--{other} cannot be combined with --web, which shows nothing here")
+    _require_alone(options, "web")
     if options.connect is not None:
         _identity(options.connect, options.tls)  # what is wrong with the certificate is said at once
     from zsdist.web.server import WebServer
@@ -114,8 +112,7 @@ def _serve_pages(options: argparse.Namespace) -> int:
 
 def _record_car(options: argparse.Namespace) -> int:
     """Record what one car sees, believes and does, until a signal or until it is silent."""
-    if (other := _first_given(options, "once", "json", "plain", "wait")) is not None:
-        raise RunError(f"--{other} cannot be combined with --rerun, which shows nothing here")
+    _require_alone(options, "rerun")
     from zsdist.reporting import rerun_frames, rerun_log
     from zsdist.web.attention import Attention
     from zsdist.web.live import ANSWER_WITHIN_S, EVERY_S, read_answer
@@ -142,6 +139,13 @@ def _record_car(options: argparse.Namespace) -> int:
                     log.add(frame)
     say(f"car {options.car} of run {run} does not answer any more; the run ended, or has no such car", error=True)
     return LOST
+
+
+def _require_alone(options: argparse.Namespace, mode: str) -> None:
+    """Raise an error where an option of what is shown here, or of another mode, was given beside a mode."""
+    others = (name for name in ("once", "json", "plain", "wait", "rerun", "web") if name != mode)
+    if (other := _first_given(options, *others)) is not None:
+        raise RunError(f"--{other} cannot be combined with --{mode}, which shows nothing here")
 
 
 def _first_given(options: argparse.Namespace, *names: str) -> str | None:
