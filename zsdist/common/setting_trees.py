@@ -1,5 +1,6 @@
 """Trees of unchecked settings: nested dictionaries from a YAML file, and overrides that change them."""
 
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -27,19 +28,14 @@ def read(path: Path) -> dict[str, Any]:
 
 def _read_file(path: Path) -> dict[str, Any]:
     """Return the unchecked settings of a YAML file."""
+    if os.path.isdir(path):
+        raise ConfigError(f"configuration file {path} is a folder; allowed is a file, such as its config.yaml")
     try:
-        tree = strict_yaml.load(path.read_text(encoding="utf-8"))
-    except IsADirectoryError as error:
-        raise ConfigError(
-            f"configuration file {path} is a folder; allowed is a file, such as its config.yaml"
-        ) from error
-    except FileNotFoundError as error:
-        allowed = f"allowed are a file, and the presets {', '.join(presets.names())}"
-        raise ConfigError(f"configuration file {path}: {error.strerror}; {allowed}") from error
-    except OSError as error:
-        raise ConfigError(f"configuration file {path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: no UTF-8, or a wrong value with a tag
-        raise ConfigError(f"configuration file {path} is not valid YAML: {' '.join(str(error).split())}") from error
+        tree = strict_yaml.read(path, "configuration file")
+    except ConfigError as error:
+        if not isinstance(error.__cause__, FileNotFoundError):
+            raise
+        raise ConfigError(f"{error}; allowed are a file, and the presets {', '.join(presets.names())}") from error
     if tree is None:
         return {}  # an empty file
     if not isinstance(tree, dict):

@@ -5,9 +5,12 @@ YAML 1.1 takes 010 for 8, 12:30 for 750, `no` for false and 2026-11-30 for a dat
 """
 
 import re
+from pathlib import Path
 from typing import Any
 
 import yaml
+
+from zsdist.errors import ConfigError
 
 
 class DuplicateKeyError(yaml.YAMLError):
@@ -55,3 +58,21 @@ def load(text: str) -> Any:
         RecursionError: it is nested too deeply.
     """
     return yaml.load(text, Loader=_Loader)
+
+
+def read(file: Path, what: str) -> Any:
+    """Return the tree in a file of YAML, as `load`.
+
+    Args:
+        file: file to read.
+        what: what the file is, for errors, such as `sweep file`.
+
+    Raises:
+        ConfigError: it cannot be read, or is not such YAML.
+    """
+    try:
+        return load(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{what} {file}: {error.strerror or error}") from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: also a file that is not UTF-8
+        raise ConfigError(f"{what} {file} is not valid YAML: {' '.join(str(error).split())}") from error

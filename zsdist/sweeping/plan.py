@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import yaml
 from pydantic import Field, ValidationError
 
 from zsdist import config
@@ -89,12 +88,7 @@ def read(file: Path) -> tuple[SweepPlan, list[SweepTrial]]:
 
 
 def _read_plan(file: Path) -> SweepPlan:
-    try:
-        tree = strict_yaml.load(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"sweep file {file}: {error.strerror or error}") from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: no UTF-8
-        raise ConfigError(f"sweep file {file} is not valid YAML: {' '.join(str(error).split())}") from error
+    tree = strict_yaml.read(file, "sweep file")
     if not isinstance(tree, dict):
         raise ConfigError(
             f"sweep file {file} holds no mapping; allowed are the keys {', '.join(SweepPlan.model_fields)}"
