@@ -40,7 +40,7 @@ def open_new(settings: Config, folder: Path | None, notify: Notify, held: ExitSt
         _check_free(folder)
         directory.check_new(folder)
     preflight.check_recorded(settings)
-    vision = _check_parts(settings, notify, held)
+    vision = _check_beside_nursery(settings, notify, held)
     made = directory.create(folder, settings, lock=lambda path: _lock(path, held)).resolve()
     return RunSpec(settings, directory.key_name(made), made, {}, vision)
 
@@ -87,7 +87,7 @@ def open_resumed(folder: Path, overrides: tuple[str, ...], notify: Notify, held:
     if not states and killed is None:
         preflight.check_recorded(settings)
     trained = checkpoint_files.read_vision(checkpoint_files.newest_checkpoint(folder)) if states else None
-    vision = _check_parts(settings, notify, held)
+    vision = _check_beside_nursery(settings, notify, held)
     if trained is None and killed is None:
         notify(f"the run in {folder} ended before its first checkpoint; it begins anew")
     elif trained is not None and (note := trained.check(str(folder), vision)):
@@ -118,7 +118,7 @@ def check_parts(settings: Config, notify: Notify) -> VisionIdentity:
     return nursery.prepare(settings, lambda: training.runner(settings))  # whose import takes a second
 
 
-def _check_parts(settings: Config, notify: Notify, held: ExitStack) -> VisionIdentity:
+def _check_beside_nursery(settings: Config, notify: Notify, held: ExitStack) -> VisionIdentity:
     if local_ray.is_used(settings):
         held.enter_context(nursery.employed())
     return check_parts(settings, notify)
