@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from zsdist.errors import TransportError
-from zsdist.transport import access
+from zsdist.transport import access, dead_peers
 from zsdist.transport.access import Grant
 
 if TYPE_CHECKING:  # a robot's driver needs no certificates, and no package for them
@@ -65,6 +65,8 @@ def session_config(
         "transport/link/tx/lease": int(1000 * LEASE_S),
         "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
         "transport/link/tx/queue/size/data": 16,  # batches of 64 KiB; zenoh allows no more
+        "transport/link/tcp/so_sndbuf": dead_peers.SEND_BUFFER_BYTES,
+        "transport/link/tls/so_sndbuf": dead_peers.SEND_BUFFER_BYTES,
         "transport/shared_memory/enabled": False,
         "adminspace/enabled": False,
         **_secure(identity, grants, [*(["connect"] if targets else []), *(["listen"] if listen is not None else [])]),

@@ -20,12 +20,13 @@ import zenoh
 
 from zsdist.common.ownership import Owned
 from zsdist.errors import TransportError
+from zsdist.transport import dead_peers
 from zsdist.transport.access import RETAINED, Grant
 from zsdist.transport.base import Mailbox, Message, Transport
 from zsdist.transport.certificates import Identity
 from zsdist.transport.link import DROP, STAMP, STAMP_IDENTITY, Link, Newest, direct
 from zsdist.transport.pieces import Manifest
-from zsdist.transport.session_config import MAX_WHOLE_BYTES, brief, session_config, split_endpoint
+from zsdist.transport.session_config import LEASE_S, MAX_WHOLE_BYTES, brief, session_config, split_endpoint
 
 CONNECT_TIMEOUT_S = 3.0
 PORTS_TRIED = 100
@@ -80,6 +81,7 @@ class ZenohHub(Owned):
                     session_config("router", listen=self.endpoint, connect=roots, identity=identity, grants=grants)
                 )
                 self._close = _when_dropped(self, Link(self.endpoint, session))
+                dead_peers.give_up_after(candidate, LEASE_S + 1.0)
                 return
             except zenoh.ZError as error:
                 if "in use" not in str(error):

@@ -1,0 +1,53 @@
+import os
+import socket
+import stat
+from pathlib import Path
+
+import pytest
+from sockets import free_endpoint
+
+from zsdist.transport import dead_peers
+from zsdist.transport.session_config import LEASE_S
+from zsdist.transport.zenoh import ZenohHub, ZenohTransport
+
+pytestmark = pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="the system has no such option")
+
+
+def options_of(port, level, option):
+    """Return an option of all sockets of this process that are at one end at a port, each once: they listen or not."""
+    found = []
+    for descriptor in map(int, os.listdir("/proc/self/fd")):
+        try:
+            is_socket = stat.S_ISSOCK(os.fstat(descriptor).st_mode)
+        except OSError:  # closed meanwhile
+            continue
+        if is_socket:
+            with socket.socket(fileno=os.dup(descriptor)) as one:
+                if one.family == socket.AF_INET and one.getsockname()[1] == port:
+                    found.append(one.getsockopt(level, option))
+    return found
+
+
+def patience_ms(port):
+    return options_of(port, socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
+
+
+def test_a_connection_has_the_patience_of_the_socket_that_listened_and_others_have_not():
+    with socket.create_server(("127.0.0.1", 0)) as listening, socket.create_server(("127.0.0.1", 0)) as other:
+        port, before = listening.getsockname()[1], set(os.listdir("/proc/self/fd"))
+        assert dead_peers.give_up_after(port, 2.5) == 1
+        assert set(os.listdir("/proc/self/fd")) == before
+        with socket.create_connection(listening.getsockname()), listening.accept()[0]:
+            assert patience_ms(port) == [2500, 2500]
+        assert patience_ms(other.getsockname()[1]) == [0]
+
+
+def test_a_hub_gives_up_what_is_cut_off_soon_after_its_lease_and_has_room_for_what_is_sent_until_then():
+    with ZenohHub(free_endpoint()) as hub:
+        port = int(hub.endpoint.rpartition(":")[2])
+        client = ZenohTransport(hub.endpoint)
+        assert patience_ms(port) == [int(1000 * (LEASE_S + 1))] * 2
+        room = options_of(port, socket.SOL_SOCKET, socket.SO_SNDBUF)
+        client.close()
+    allowed = int(Path("/proc/sys/net/core/wmem_max").read_text())
+    assert min(room) >= min(allowed, dead_peers.SEND_BUFFER_BYTES)

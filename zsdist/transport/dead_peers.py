@@ -1,0 +1,41 @@
+"""Connections to peers that are cut off, which zenoh alone may hold for minutes.
+
+Zenoh gives a peer up that is silent for a lease. Over TLS it then still waits until the peer has taken a last message,
+and where what was sent before fills the socket's buffer, that is until the network is back and the kernel sends again:
+up to half a minute later, since it waits twice as long after each trial. So buffers here hold what is sent in a lease,
+and the kernel itself gives a peer up that has acknowledged nothing for so long. Zenoh has no setting for the latter.
+"""
+
+import contextlib
+import os
+import socket
+import stat
+
+SEND_BUFFER_BYTES = 2**20  # of each connection; Linux doubles it, and allows no more than net.core.wmem_max
+
+
+def give_up_after(port: int, seconds: float) -> int:
+    """Let the kernel end each connection at a port that a peer has not acknowledged for some time.
+
+    Connections that are made later inherit this from the listening socket. It does nothing where the system has no
+    `TCP_USER_TIMEOUT`, or lists no open files in /proc.
+
+    Args:
+        port: port at which this process listens.
+        seconds: time since the oldest byte that was not acknowledged was sent.
+
+    Returns:
+        The number of listening sockets.
+    """
+    option = getattr(socket, "TCP_USER_TIMEOUT", None)
+    if option is None or not os.path.isdir("/proc/self/fd"):
+        return 0
+    found = 0
+    for descriptor in map(int, os.listdir("/proc/self/fd")):
+        with contextlib.suppress(OSError):  # closed meanwhile, as that of the list itself is
+            if stat.S_ISSOCK(os.fstat(descriptor).st_mode):
+                with socket.socket(fileno=os.dup(descriptor)) as one:
+                    if one.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN) and one.getsockname()[1] == port:
+                        one.setsockopt(socket.IPPROTO_TCP, option, int(1000 * seconds))
+                        found += 1
+    return found
