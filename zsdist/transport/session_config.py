@@ -66,7 +66,6 @@ def session_config(
         "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
         "transport/link/tx/queue/size/data": 16,  # batches of 64 KiB; zenoh allows no more
         "transport/link/tcp/so_sndbuf": dead_peers.SEND_BUFFER_BYTES,
-        "transport/link/tls/so_sndbuf": dead_peers.SEND_BUFFER_BYTES,
         "transport/shared_memory/enabled": False,
         "adminspace/enabled": False,
         **_secure(identity, grants, [*(["connect"] if targets else []), *(["listen"] if listen is not None else [])]),
@@ -91,6 +90,7 @@ def _secure(identity: "Identity | None", grants: Sequence[Grant], ends: Sequence
         **{f"{end}_private_key": str(identity.key) for end in ends},
         "verify_name_on_connect": True,
         "close_link_on_expiration": True,
+        "so_sndbuf": dead_peers.SEND_BUFFER_BYTES,
     }
     listening = {"access_control": access.settings(grants)} if "listen" in ends else {}
     return {"transport/link/protocols": ["tls"], "transport/link/tls": tls, **listening}

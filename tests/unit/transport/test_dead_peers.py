@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from sockets import free_endpoint
 
-from zsdist.transport import dead_peers
+from zsdist.roles import permissions
+from zsdist.transport import certificates, dead_peers
 from zsdist.transport.session_config import LEASE_S
 from zsdist.transport.zenoh import ZenohHub, ZenohTransport
 
@@ -42,12 +43,20 @@ def test_a_connection_has_the_patience_of_the_socket_that_listened_and_others_ha
         assert patience_ms(other.getsockname()[1]) == [0]
 
 
-def test_a_hub_gives_up_what_is_cut_off_soon_after_its_lease_and_has_room_for_what_is_sent_until_then():
-    with ZenohHub(free_endpoint()) as hub:
+@pytest.mark.parametrize("protocol", ["tcp", "tls"])
+def test_a_hub_gives_up_what_is_cut_off_soon_after_its_lease_and_has_room_for_what_is_sent_until_then(
+    tmp_path, protocol
+):
+    own, grants = dict.fromkeys((permissions.HUB, permissions.TRUSTED)), ()
+    if protocol == "tls":
+        certificates.make(tmp_path, permissions.HUB, permissions.client_names(1), ["127.0.0.1"], 1)
+        own = {name: certificates.Identity.load(tmp_path, name) for name in own}
+        grants = permissions.access_list(1)
+    with ZenohHub(free_endpoint(protocol), own[permissions.HUB], grants) as hub:
         port = int(hub.endpoint.rpartition(":")[2])
-        client = ZenohTransport(hub.endpoint)
+        client = ZenohTransport(hub.endpoint, own[permissions.TRUSTED])
         assert patience_ms(port) == [int(1000 * (LEASE_S + 1))] * 2
         room = options_of(port, socket.SOL_SOCKET, socket.SO_SNDBUF)
         client.close()
     allowed = int(Path("/proc/sys/net/core/wmem_max").read_text())
-    assert min(room) >= min(allowed, dead_peers.SEND_BUFFER_BYTES)
+    assert max(room) == 2 * min(allowed, dead_peers.SEND_BUFFER_BYTES)  # of the connection; none has room to listen
