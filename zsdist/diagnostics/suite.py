@@ -9,7 +9,7 @@ from zsdist.diagnostics.result import CheckResult, guarded
 
 
 def run_checks(address: str | None, endpoint: str | None, tls: Path | None = None) -> Iterator[CheckResult]:
-    """Run all checks, one after another; an unexpected exception in a part is a failure of that part's check.
+    """Run all checks, the quick ones first; an unexpected exception in a part is a failure of that part's check.
 
     Args:
         address: address of a Ray cluster to check; None: none is checked.
@@ -21,14 +21,14 @@ def run_checks(address: str | None, endpoint: str | None, tls: Path | None = Non
     yield from machine.check_resources()
     yield guarded("temporary folder", machine.check_temporary)
     yield guarded("cache", machine.check_cache)
-    yield guarded("camera", parts.check_camera)
-    yield guarded("vision", parts.check_vision)
-    yield guarded("zenoh", parts.check_zenoh)
-    yield guarded("ray", parts.check_ray)
     if address is not None:
         yield cluster.check_address(address)
     if address is not None or endpoint is not None:
         yield cluster.check_endpoint(Config().transport.endpoint if endpoint is None else endpoint)
+    yield guarded("camera", parts.check_camera)
+    yield guarded("vision", parts.check_vision)
+    yield guarded("zenoh", parts.check_zenoh)
+    yield guarded("ray", parts.check_ray)
     if tls is not None:
         from zsdist.diagnostics import certificates  # imports zenoh, whose absence must not stop the checks above
 
