@@ -2,8 +2,8 @@
 
 Zenoh gives a peer up that is silent for a lease. Over TLS, where what was sent to it has filled the socket's buffer, it
 does so only once that has room again. After a cut of 30 s this was 24 s after the network was back, since the kernel
-waits twice as long after each trial to send. So buffers here hold what is sent in a lease, and the kernel itself gives a
-peer up that has acknowledged nothing for so long. Zenoh has no setting for the latter.
+waits twice as long after each trial to send. So buffers here hold what is sent in a lease, and the kernel itself gives
+a peer up that has acknowledged nothing for so long. Zenoh has no setting for the latter.
 """
 
 import contextlib
