@@ -168,6 +168,10 @@ def test_the_page_leads_to_a_run_that_others_watch_and_join(lab):
         await_episodes(lab, 2, run)
         seen = snapshot(lab)
         assert {"actor/0", "actor/1", "hub/0", "learner/low"} <= set(seen["alive"])
+        end_s = time.monotonic() + WITHIN_S
+        while not {"actor/0", "actor/1", "learner/low"} <= set(seen["roles"]):  # one glance hears some of the reports
+            assert time.monotonic() < end_s, seen["roles"]
+            seen = snapshot(lab)
         hosts = {name: fields["host"] for name, fields in seen["roles"].items()}
         assert {hosts["actor/0"], hosts["actor/1"]} <= set(WORKERS) and hosts["learner/low"] == HEAD
         page = metrics(lab, run)
