@@ -10,7 +10,11 @@ import contextlib
 import os
 import socket
 import stat
+from pathlib import Path
 
+from zsdist.common import folders
+
+OPEN_FILES = Path("/proc/self/fd")  # of this process, where the system lists them
 SEND_BUFFER_BYTES = 2**20  # of each connection; Linux doubles it, and allows no more than net.core.wmem_max
 
 
@@ -28,10 +32,11 @@ def give_up_after(port: int, seconds: float) -> int:
         The number of listening sockets.
     """
     option = getattr(socket, "TCP_USER_TIMEOUT", None)
-    if option is None or not os.path.isdir("/proc/self/fd"):
+    if option is None:
         return 0
     found = 0
-    for descriptor in map(int, os.listdir("/proc/self/fd")):
+    for entry in folders.numbered(OPEN_FILES):
+        descriptor = int(entry.name)
         with contextlib.suppress(OSError):  # closed meanwhile, as that of the list itself is
             if stat.S_ISSOCK(os.fstat(descriptor).st_mode):
                 with socket.socket(fileno=os.dup(descriptor)) as one:

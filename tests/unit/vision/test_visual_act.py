@@ -153,7 +153,7 @@ def test_truncated_weights_are_named(folder):
 
 
 def test_weights_for_another_encoder_are_refused(folder):
-    rewrite(folder, lambda metadata: metadata["encoder"].update(name="resnet"))
+    rewrite(folder, lambda metadata: metadata["encoder"].update(name="resnet", sha256="0" * 64))
     with pytest.raises(WeightsError, match=r"'resnet'.*efficientnet-lite0"):
         load(folder)
 
@@ -252,7 +252,7 @@ def test_a_picture_of_the_networks_own_size_is_not_resampled(made, monkeypatch, 
 
 
 def test_the_student_ignores_the_encoder_of_the_weights(folder):
-    rewrite(folder, lambda metadata: metadata["encoder"].update(name="resnet"))
+    rewrite(folder, lambda metadata: metadata["encoder"].update(name="resnet", sha256="0" * 64))
     assert load(folder, network="student").encoder_name == "student"
 
 
@@ -266,7 +266,7 @@ def test_a_network_without_an_encoder_reads_no_tokens_but_observes_as_the_head_d
 
 
 def test_weights_of_another_encoder_are_refused_once_a_network_without_one_observes(folder):
-    rewrite(folder, lambda metadata: metadata["encoder"].update(name="resnet"))
+    rewrite(folder, lambda metadata: metadata["encoder"].update(name="resnet", sha256="0" * 64))
     with pytest.raises(WeightsError, match=r"'resnet'.*efficientnet-lite0"):
         load(folder, network="compact").observe(images(1))
 
