@@ -127,5 +127,5 @@ def test_a_clip_folder_is_trained_on_from_pictures_to_a_look_in_its_own_words(la
     assert np.abs(look.embeddings[:, 0] - whole / np.linalg.norm(whole, axis=1, keepdims=True)).max() < 1e-4
     assert np.abs(np.linalg.norm(look.embeddings, axis=-1) - 1).max() < 1e-4
     assert len(model(images, np.zeros(2), np.full(2, 5.0))) == 2
-    with pytest.raises(WeightsError, match="for an encoder of name 'clip/tiny-clip'"):
+    with pytest.raises(WeightsError, match="are for the encoder 'clip/tiny-clip'"):
         VisualAct.load(VisionConfig(encoder=DEFAULT, weights=str(out)), CameraConfig())
