@@ -31,15 +31,16 @@ SMALL = (
     "--set vision.network=student --set camera.size_px=128 --set run.standby=false --set merge.every_episodes=0"
 )
 PAGE, DEPLOY = "docs/cluster.md", "deploy/README.md"
+MONITOR = "python -m zsdist.monitor --connect"
 
 
-def block(document: str, beginning: str) -> str:
-    """Return the indented commands of a document whose first line begins so."""
+def block(document: str, beginning: str, containing: str = "") -> str:
+    """Return the first indented commands of a document that begin so and contain something."""
     text = (ROOT / document).read_text()
     for found in re.findall(r"^(?: {4,}.*\n)+", text, re.MULTILINE):
-        if (commands := textwrap.dedent(found)).startswith(beginning):
+        if (commands := textwrap.dedent(found)).startswith(beginning) and containing in commands:
             return commands
-    raise AssertionError(f"{document} has no commands that begin with {beginning!r}")
+    raise AssertionError(f"{document} has no commands that begin with {beginning!r} and contain {containing!r}")
 
 
 class Lab:
@@ -56,14 +57,15 @@ class Lab:
         kept = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
         own = {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "RAY_TMPDIR": str(folder)}
         self.environment = kept | own | {"HOME": str(folder), "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-        options = yaml.safe_load((ROOT / "deploy" / "ray-cluster.yaml").read_text())["docker"]["run_options"]
-        named = dict(option.removeprefix("--env ").split("=") for option in options if option.startswith("--env "))
+        self.nodes = yaml.safe_load((ROOT / "deploy" / "ray-cluster.yaml").read_text())
+        options = [option for option in self.nodes["docker"]["run_options"] if option.startswith("--env ")]
+        named = dict(option.removeprefix("--env ").split("=") for option in options)
         assert named == {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": "/run/secrets/ray-token"}
         self.environment |= named | {"RAY_AUTH_TOKEN_PATH": str(folder / "ray-token")}
         for name in ("configs", "deploy"):
             (folder / name).symlink_to(ROOT / name)
 
-    def write(self, commands: str) -> str:
+    def addressed(self, commands: str) -> str:
         """Return commands of a page with the address of this head."""
         return commands.replace("10.0.0.10", self.address)
 
@@ -89,11 +91,7 @@ class Lab:
 
     def start_ray(self, host: str, which: str, tls: str) -> None:
         """Start the node of a host as `deploy/ray-cluster.yaml` has it."""
-        (start,) = (
-            line
-            for line in yaml.safe_load((ROOT / "deploy" / "ray-cluster.yaml").read_text())[which]
-            if "ray start" in line
-        )
+        (start,) = (line for line in self.nodes[which] if "ray start" in line)
         start = start.replace("--autoscaling-config=~/ray_bootstrap_config.yaml ", "")  # a file that `ray up` sends
         less = f"--node-ip-address={self.network.address(host)} --object-store-memory=80000000"
         self.run(host, f"{start} {less}", tls, RAY_HEAD_IP=self.address)
@@ -104,7 +102,7 @@ def lab():
     with tempfile.TemporaryDirectory(prefix="zp-", dir="/tmp") as folder:
         made = Lab(Path(folder))
         try:
-            made.run(HEAD, made.write(block(DEPLOY, "python -m zsdist.certs").replace("--actors 32", "--actors 3")))
+            made.run(HEAD, made.addressed(block(DEPLOY, "python -m zsdist.certs").replace("--actors 32", "--actors 3")))
             made.run(HEAD, block(DEPLOY, "python -c"))
             made.start_ray(HEAD, "head_start_ray_commands", "tls-head")
             for worker in WORKERS:
@@ -128,13 +126,13 @@ def await_episodes(lab: Lab, count: int, run: subprocess.Popen) -> None:
 
 
 def snapshot(lab: Lab) -> dict:
-    watch = lab.write(block(PAGE, "python -m zsdist.monitor --connect").splitlines()[0])
+    watch = lab.addressed(block(PAGE, MONITOR).splitlines()[0])
     return json.loads(lab.run(SPARE, f"{watch} --once --json 2> /dev/null", "tls-monitor"))
 
 
 def metrics(lab: Lab, run: subprocess.Popen) -> str:
     """Return the page for Prometheus, from the page's command on the spare host."""
-    process = lab.begin(SPARE, f"exec {lab.write(prometheus_command())}", "tls-monitor")
+    process = lab.begin(SPARE, f"exec {lab.addressed(block(PAGE, MONITOR, '--prometheus'))}", "tls-monitor")
     try:
         assert "metrics at" in process.stdout.readline()
         read = "import urllib.request; print(urllib.request.urlopen('http://127.0.0.1:9464/metrics').read().decode())"
@@ -148,14 +146,9 @@ def metrics(lab: Lab, run: subprocess.Popen) -> str:
         process.wait(WITHIN_S)
 
 
-def prometheus_command() -> str:
-    text = (ROOT / PAGE).read_text()
-    return re.search(r"^    (python -m zsdist\.monitor .*--prometheus.*)$", text, re.MULTILINE).group(1)
-
-
 def launching(lab: Lab, count: int) -> str:
     """Return the page's commands that check the cluster and train on it, for so many episodes of a small run."""
-    commands = lab.write(block(PAGE, "HUB=tls"))
+    commands = lab.addressed(block(PAGE, "HUB=tls"))
     assert "zsdist.doctor" in commands and "--auto-resume" in commands
     return f"{commands.rstrip()} {SMALL} --episodes {count}".replace(
         "python -m zsdist.launch", "exec python -m zsdist.launch"
@@ -181,7 +174,7 @@ def test_the_page_leads_to_a_run_that_others_watch_and_join(lab):
         for name in ("ca.pem", "actor-2.pem", "actor-2.key"):  # the files of a further name, as the page says
             (lab.folder / "tls-spare" / name).write_bytes((lab.folder / "tls" / name).read_bytes())
             (lab.folder / "tls-spare" / name).chmod(0o600)
-        join = lab.write(block(PAGE, "python -m zsdist.launch --join").replace("--actors 8", "--actors 1"))
+        join = lab.addressed(block(PAGE, "python -m zsdist.launch --join").replace("--actors 8", "--actors 1"))
         guest = lab.begin(SPARE, f"exec {join.partition('#')[0]}", "tls-spare")
         end_s = time.monotonic() + WITHIN_S
         while "actor/2" not in snapshot(lab)["alive"]:

@@ -41,9 +41,7 @@ def draw_rewards(methods: Sequence[Method], folder: Path) -> str:
         axes.set_xlabel("finished training episodes")
         style.whole_numbers(axes)
         axes.set_xlim(left=0)
-    for axes in (left, middle, right):
-        if axes.get_legend_handles_labels()[1]:
-            style.legend(axes, loc="best")
+        style.legend(axes, loc="best")
     return style.save(figure, folder, "fig09-rewards")
 
 

@@ -6,10 +6,10 @@ waits twice as long after each trial to send. So buffers here hold what is sent 
 a peer up that has acknowledged nothing for so long. Zenoh has no setting for the latter.
 """
 
-import contextlib
 import os
 import socket
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 
 from zsdist.common import folders
@@ -35,12 +35,23 @@ def give_up_after(port: int, seconds: float) -> int:
     if option is None:
         return 0
     found = 0
-    for entry in folders.numbered(OPEN_FILES):
-        descriptor = int(entry.name)
-        with contextlib.suppress(OSError):  # closed meanwhile, as that of the list itself is
-            if stat.S_ISSOCK(os.fstat(descriptor).st_mode):
-                with socket.socket(fileno=os.dup(descriptor)) as one:
-                    if one.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN) and one.getsockname()[1] == port:
-                        one.setsockopt(socket.IPPROTO_TCP, option, int(1000 * seconds))
-                        found += 1
+    for one in open_sockets():
+        if one.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN) and one.getsockname()[1] == port:
+            one.setsockopt(socket.IPPROTO_TCP, option, int(1000 * seconds))
+            found += 1
     return found
+
+
+def open_sockets() -> Iterator[socket.socket]:
+    """Yield every TCP socket of this process, each under a descriptor of its own that is closed after use."""
+    for entry in folders.numbered(OPEN_FILES):
+        try:
+            own = os.dup(int(entry.name))
+        except OSError:  # closed meanwhile, as that of the list itself is
+            continue
+        if not stat.S_ISSOCK(os.fstat(own).st_mode):
+            os.close(own)
+            continue
+        with socket.socket(fileno=own) as one:
+            if one.family in (socket.AF_INET, socket.AF_INET6) and one.type == socket.SOCK_STREAM:
+                yield one

@@ -64,8 +64,11 @@ class VisionIdentity:
         Raises:
             WeightsError: the encoder here is another one.
         """
-        alone = self.network == here.network != "head"
-        if self.encoder != here.encoder if alone else self.encoder_sha256 != here.encoder_sha256:
+        if self.network == here.network != "head":
+            differs = self.encoder != here.encoder
+        else:
+            differs = self.encoder_sha256 != here.encoder_sha256
+        if differs:
             raise WeightsError(
                 f"policy {policy} was trained on encoder {self.encoder!r} with weights {self.encoder_sha256[:16]}; "
                 f"the one here is {here.encoder!r} with {here.encoder_sha256[:16]}; allowed is the same encoder"

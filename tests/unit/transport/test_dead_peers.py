@@ -1,6 +1,5 @@
 import os
 import socket
-import stat
 from pathlib import Path
 
 import pytest
@@ -15,18 +14,8 @@ pytestmark = pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason=
 
 
 def options_of(port, level, option):
-    """Return an option of all sockets of this process that are at one end at a port, each once: they listen or not."""
-    found = []
-    for descriptor in map(int, os.listdir("/proc/self/fd")):
-        try:
-            is_socket = stat.S_ISSOCK(os.fstat(descriptor).st_mode)
-        except OSError:  # closed meanwhile
-            continue
-        if is_socket:
-            with socket.socket(fileno=os.dup(descriptor)) as one:
-                if one.family == socket.AF_INET and one.getsockname()[1] == port:
-                    found.append(one.getsockopt(level, option))
-    return found
+    """Return an option of all sockets of this process at a port, each once: one that listens, and connections."""
+    return [one.getsockopt(level, option) for one in dead_peers.open_sockets() if one.getsockname()[1] == port]
 
 
 def patience_ms(port):
