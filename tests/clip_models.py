@@ -1,6 +1,7 @@
 """Tiny CLIP models with random weights, written to folders by the libraries that publish CLIP."""
 
 import json
+from functools import partial
 
 import declared_operators  # noqa: F401 (before open_clip, which imports torchvision)
 import numpy as np
@@ -152,3 +153,8 @@ def own_words(texts):
         found = tokenizer()(text, truncation=True, max_length=CONTEXT)["input_ids"]
         row[: len(found)] = torch.tensor(found)
     return ids
+
+
+MAKERS = {"open_clip": of_open_clip, "huggingface": hugging_face}  # one for each layout
+SHARDED = partial(transformers_5, max_shard_size="20KB")
+ALL_MAKERS = MAKERS | {"transformers 5": transformers_5, "shards": SHARDED}
